@@ -1,13 +1,11 @@
 """`bundle refine --velocities` from the outside, and the commands that look at its result."""
 
-import argparse
 import json
 
 import numpy as np
 import pytest
 
 import bundle
-from bundle.cli.next_run import repeated_flags
 from bundle.georeference.local_frame import LocalFrame
 from bundle.georeference.similarity import Similarity, moved
 from bundle.georeference.velocities import velocity_text
@@ -88,14 +86,6 @@ def test_the_antenna_moves_with_the_camera(run, flight, tmp_path):
     arm = np.cross(found[:, :3], [3.0, 0, 0])
     assert np.abs(arm).max() > 1e-3
     np.testing.assert_allclose(found[:, 3:] + arm, without[:, 3:], atol=0.5 * np.abs(arm).max())
-
-
-def test_the_folder_of_photographs_is_repeated_for_speeds():
-    words = ["refine", "in", "-o", "out", "--velocities", "xmp", "--images", "photos"]
-    arguments = argparse.Namespace(words=words, input="in", output="out")
-    assert repeated_flags(arguments)[-2:] == ("--images", "photos")
-    arguments.words = [word if word != "xmp" else "xmp.csv" for word in words]
-    assert "--velocities" in repeated_flags(arguments)
 
 
 def test_later_commands_know_the_frame_and_the_rate(run, flight, tmp_path):

@@ -25,7 +25,7 @@ __all__ = [
 
 _OF_ALL = (
     *("input", "inputs", "output", "json", "quiet", "verbose", "overwrite"),
-    *("command", "kind", "flags"),
+    *("command", "kind", "flags", "taken"),
 )
 
 

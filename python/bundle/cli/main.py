@@ -24,7 +24,6 @@ from bundle.cli.error_lines import (
     describe_error,
     is_interruption,
 )
-from bundle.cli.next_run import Arguments
 from bundle.cli.parser import Parser
 from bundle.cli.standard_streams import complain, open_missing_streams, release_broken_streams
 from bundle.cli.suggestions import unknown_flag
@@ -64,7 +63,7 @@ def _run(words: list[str]) -> int:
     code = EXIT_DONE
     try:
         if words:
-            arguments = parser.parse_args(words, Arguments(words))
+            arguments = parser.parse_args(words)
             run = find_handler(arguments.command, arguments.kind(arguments))
             startup.done()
             code = run(arguments)
@@ -131,7 +130,7 @@ def _declare(name: str, parser: Parser) -> None:
     parser.set_defaults(command=name, kind=kind_of_input)
     ARGUMENTS[name](parser)
     add_common(parser)
-    parser.set_defaults(flags=parser.flags_by_name())
+    parser.set_defaults(flags=parser.flags_by_name(), taken=parser.taken)
 
 
 @contextmanager

@@ -1,50 +1,43 @@
-"""Flags of this run that the next command of a finding repeats."""
+"""Flags of this run that the next command of a finding repeats.
+
+The parser says which words it took as the values of a flag (``Parser.taken``), so that no word is
+guessed to be INPUT, a flag or a value.
+"""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
 
-__all__ = ["Arguments", "repeated_flags"]
+__all__ = ["repeated_flags"]
 
-DROPPED = {"-o": 1, "--output": 1, "--json": 1, "--html": 1, "--checkpoint": 1, "--resume": 1}
-DROPPED |= {"--quiet": 0, "--verbose": 0, "--check-gradients": 0}
-"""Flags about the files and the output of a run, with the number of their values."""
-
-
-class Arguments(argparse.Namespace):
-    """Arguments of a command, and the words that they were parsed from."""
-
-    __slots__ = ("words",)  # no argument: vars() does not list it
-
-    def __init__(self, words: Sequence[str]) -> None:
-        super().__init__()
-        self.words = words
+DROPPED = ("output", "json", "html", "quiet", "verbose", "check_gradients")
+"""Arguments about the files and the output of a run, which do not affect the model."""
+CHECKPOINTS = {"resume": "--checkpoint"}
+"""A checkpoint belongs to the options of its run: the next run begins it anew."""
+READING_IMAGES = {"gps": "exif", "orientations": "xmp", "velocities": "xmp"}
+"""Arguments whose value reads the folder of photographs, which otherwise only pages need."""
 
 
 def repeated_flags(arguments: argparse.Namespace) -> tuple[str, ...]:
-    """Return the words after the command without INPUT and without flags about output."""
-    words: Sequence[str] = getattr(arguments, "words", ())[1:]
-    kept: list[str] = []
-    inputs = [str(arguments.input)] if hasattr(arguments, "input") else list(arguments.inputs)
-    skipped = 0
-    for word in words:
-        name = word.split("=")[0]
-        if skipped:
-            skipped -= 1
-        elif name in DROPPED:
-            skipped = DROPPED[name] if name == word else 0
-        elif word in inputs and not (kept and kept[-1].startswith("--") and "=" not in kept[-1]):
-            inputs.remove(word)
-        else:
-            kept.append(word)
-    reads_images = {"--gps", "--orientations", "--velocities"} & set(kept)
-    return tuple(kept if reads_images else _without_images(kept))
+    """Return the flags of a run with their values, without those about its output."""
+    reads_images = any(
+        getattr(arguments, name, None) == word for name, word in READING_IMAGES.items()
+    )
+    dropped = DROPPED if reads_images else (*DROPPED, "images")
+    words: dict[int | str, tuple[str, ...]] = {}
+    for place, (action, values) in enumerate(arguments.taken):
+        if not action.option_strings or action.dest in dropped:
+            continue
+        flag = CHECKPOINTS.get(action.dest, action.option_strings[-1])
+        if isinstance(action, argparse.BooleanOptionalAction):
+            flag = action.option_strings[0 if getattr(arguments, action.dest) else -1]
+        # Only an argument that collects its values has an effect more than once.
+        collects = isinstance(action, argparse._AppendAction)
+        words[place if collects else flag] = _words(flag, values)
+    return tuple(word for one in words.values() for word in one)
 
 
-def _without_images(words: list[str]) -> list[str]:
-    """Return words without the folder of photographs, which only EXIF positions and pages need."""
-    if "--images" not in words:
-        return words
-    place = words.index("--images")
-    return words[:place] + words[place + 2 :]
+def _words(flag: str, values: list[str]) -> tuple[str, ...]:
+    if len(values) == 1 and values[0].startswith("-"):
+        return (f"{flag}={values[0]}",)
+    return (flag, *values)

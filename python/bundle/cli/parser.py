@@ -46,6 +46,9 @@ class Parser(argparse.ArgumentParser):
         declare: function that adds the arguments when they are first needed.
         explain: function that returns the message about an unknown flag or word.
         **settings: arguments of ``argparse.ArgumentParser``.
+
+    Attributes:
+        taken: arguments in the order of the words, each with the words that were its values.
     """
 
     def __init__(
@@ -57,6 +60,7 @@ class Parser(argparse.ArgumentParser):
     ) -> None:
         super().__init__(allow_abbrev=False, formatter_class=_Formatter, **settings)
         self._declare = declare
+        self.taken: list[tuple[argparse.Action, list[str]]] = []
         self.check: Callable[[Sequence[argparse.Action], argparse.Namespace], None] | None = None
         self.explain = explain or (lambda found: f"unrecognized arguments: {found}")
 
@@ -83,6 +87,7 @@ class Parser(argparse.ArgumentParser):
     ) -> tuple[argparse.Namespace, list[str]]:
         """Parse; unlike the base class, refuse unknown flags and words."""
         flags = self.declared().flags()
+        self.taken.clear()
         for word in args or ():
             if word == "--" or (self._subparsers is not None and not word.startswith("-")):
                 break  # the following words are no flags, or flags of a command
@@ -94,6 +99,11 @@ class Parser(argparse.ArgumentParser):
         if self.check is not None:
             self.check(self._actions, parsed)
         return parsed, rest
+
+    def _get_values(self, action: argparse.Action, arg_strings: list[str]) -> Any:
+        """Convert the words of an argument, and record them."""
+        self.taken.append((action, list(arg_strings)))
+        return super()._get_values(action, arg_strings)
 
     def flags(self) -> tuple[str, ...]:
         """Return all flags."""

@@ -1,13 +1,26 @@
-"""Command line to run next: the command of this run with other options."""
+"""Command line to run next: the command of this run with other options.
+
+A flag of the run is replaced by the same flag of the advice. One that may be given several times
+(`--set`, a list of rules) is kept beside it: each occurrence is knowledge of its own.
+"""
 
 from __future__ import annotations
 
+import dataclasses
 import shlex
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 from bundle.base.records import dataclass
+from bundle.interface.camera_edit_options import RuleOptions
 
 __all__ = ["NextCommand"]
+
+REPEATED = {
+    str(field.metadata["flag"])
+    for field in dataclasses.fields(RuleOptions)
+    if field.metadata["value"] == "several"
+}
+"""Flags that may be given several times."""
 
 
 @dataclass(frozen=True)
@@ -17,7 +30,7 @@ class NextCommand:
     Attributes:
         source: path of the input.
         target: path of the output.
-        given: flags of this run that the next run repeats, as words of a command line.
+        given: flags of this run that the next run repeats, each before its values, as words.
     """
 
     source: str = "INPUT"
@@ -26,16 +39,28 @@ class NextCommand:
 
     def refine(self, *flags: str) -> str:
         """Return `bundle refine` with the flags of this run and these, which replace the former."""
-        replaced = {word for word in flags if word.startswith("--")}
-        kept: list[str] = []
-        skips = False
-        for word in self.given:
-            if word.startswith("--"):
-                skips = word.split("=")[0] in replaced
-            if not skips:
-                kept.append(word)
-        return shlex.join(["bundle", "refine", self.source, "-o", self.target, *kept, *flags])
+        advised = list(_occurrences(flags))
+        replaced = {_name(one) for one in advised} - REPEATED
+        kept = [
+            one
+            for one in _occurrences(self.given)
+            if _name(one) not in replaced and one not in advised
+        ]
+        words = [word for one in (*kept, *advised) for word in one]
+        return shlex.join(["bundle", "refine", self.source, "-o", self.target, *words])
 
     def other(self, command: str, *flags: str) -> str:
         """Return another command on the input."""
         return shlex.join(["bundle", command, self.source, *flags])
+
+
+def _occurrences(words: Sequence[str]) -> Iterator[tuple[str, ...]]:
+    """Yield each flag with its values."""
+    starts = [k for k, word in enumerate(words) if word.startswith("--")]
+    for first, last in zip(starts, [*starts[1:], len(words)], strict=False):
+        yield tuple(words[first:last])
+
+
+def _name(occurrence: tuple[str, ...]) -> str:
+    name = occurrence[0].split("=")[0]
+    return name.replace("--no-", "--", 1)
