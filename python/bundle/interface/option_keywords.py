@@ -134,7 +134,7 @@ class WindowKeywords(TypedDict, total=False):
     precision: str  # 'double'
     loss: str  # 'cauchy'
     loss_scale: float  # 1.0
-    pixel_sigma: float  # 1.0
+    pixel_sigma: float  # 0.0
     imu_noise_scale: float  # 5.0
     integration: str  # 'zero_order_hold'
     refine_extrinsics: bool  # False

@@ -66,7 +66,11 @@ class WindowOptions(Options):
         metavar="X",
     )
     pixel_sigma: float = option(
-        1.0, "--pixel-sigma", "sigma of an image coordinate, pixels", above=0.0, metavar="PX"
+        0.0,
+        "--pixel-sigma",
+        "sigma of an image coordinate, pixels; 0: that of the calibration (1 for a window without)",
+        minimum=0.0,
+        metavar="PX",
     )
     imu_noise_scale: float = option(
         5.0,

@@ -72,6 +72,42 @@ def test_doubt_is_part_of_the_covariance() -> None:
         assert added[6] >= sigmas[1] * 0.075 / np.sqrt(3) - 1e-9
 
 
+@pytest.mark.parametrize(("seconds", "is_bridged"), [(2.0, True), (2.01, False)])
+def test_a_bad_stretch_is_a_gap_of_its_sensor(seconds: float, is_bridged: bool) -> None:
+    rng = np.random.default_rng(0)
+    size, first = 2001, 800
+    stamps = 5_000_000 * np.arange(size)
+    gyro, accel = rng.normal(0, 0.1, (size, 3)), rng.normal(0, 1, (size, 3))
+    last = first + round(200 * seconds)
+    gyro[first : last + 1] = gyro[first]
+    accel[200, 1] += 50.0
+    slices = ImuSlices(stamps, gyro, accel, "zero_order_hold")
+    share = np.linspace(0, 1, last - first + 3)[:, None]
+    line = (1 - share) * gyro[first - 1] + share * gyro[last + 1]
+    there = slices.between(int(stamps[first - 1]), int(stamps[last + 2]))
+    expected = line if is_bridged else gyro[first - 1 : last + 2]
+    np.testing.assert_allclose(there.gyro, expected, atol=1e-12)
+    np.testing.assert_array_equal(there.accel, accel[first - 1 : last + 2])
+    assert (there.doubt[0] > 0, there.doubt[1]) == (is_bridged, 0.0)
+    spike = slices.between(int(stamps[195]), int(stamps[205]))
+    np.testing.assert_allclose(spike.accel[5], (accel[199] + accel[201]) / 2)
+    neighbours = np.median(accel[190:211], axis=0)
+    size = float(np.linalg.norm(accel[200] - neighbours))
+    assert spike.doubt == (0.0, pytest.approx(size**2 / 3 * 0.01**2))
+
+
+def test_clipped_samples_stay_but_are_doubted() -> None:
+    rng = np.random.default_rng(0)
+    stamps = 5_000_000 * np.arange(1000)
+    gyro = np.sin(2e-2 * np.arange(1000)[:, None] * [1, 2, 3]) + rng.normal(0, 0.01, (1000, 3))
+    clipped = np.minimum(gyro, 0.8)
+    slices = ImuSlices(stamps, clipped, rng.normal(0, 1, (1000, 3)), "zero_order_hold")
+    rows = np.flatnonzero((clipped == 0.8).any(axis=1))
+    there = slices.between(int(stamps[rows[0]]), int(stamps[rows[0] + 20]))
+    np.testing.assert_array_equal(there.gyro, clipped[rows[0] : rows[0] + 20])
+    assert there.doubt[0] > 0 and there.doubt[1] == 0
+
+
 @pytest.mark.parametrize("at", [2.2, 4.0])
 def test_a_gap_below_the_fatal_one_does_no_harm(at: float) -> None:
     flight = synthesize_flight(motion="room", seed=5, duration=8.0, num_tracks=40)
@@ -131,3 +167,37 @@ def test_what_was_asked_for_is_shown(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert "4 at" in shown[1]["nullity"]
     assert "--start-yaw-sigma" in shown[2]["sigma of yaw"]
     assert "3" in shown[3]["sigma of yaw"] and "degrees" in shown[3]["sigma of yaw"]
+
+
+@pytest.mark.parametrize("fault", ["spike of a rate", "spike of a force", "frozen", "zero"])
+def test_bad_samples_are_bridged_and_named(
+    fault: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    flight = synthesize_flight(motion="room", seed=5, duration=8.0, num_tracks=40)
+    gyro, accel = flight.sequence.gyro.copy(), flight.sequence.accel.copy()
+    if fault.startswith("spike"):
+        (gyro if fault.endswith("rate") else accel)[800, 1] = 30.0 if "rate" in fault else 160.0
+    else:
+        gyro[800:900] = gyro[800] if fault == "frozen" else 0.0
+        accel[800:900] = accel[800] if fault == "frozen" else 0.0
+    given = replace(flight.sequence, gyro=gyro, accel=accel)
+    save_sequence(given, tmp_path / "s")
+    assert main(["info", str(tmp_path / "s"), "--json", str(tmp_path / "info.json")]) == 0
+    (finding,) = json.loads((tmp_path / "info.json").read_text())["findings"]
+    assert finding["kind"] == fault.split()[0]
+    assert "imu.csv: line 802:" in finding["sentence"] and "4.00 s" in finding["sentence"]
+    found = run_odometry(given, time_budget=100.0)
+    assert found.is_usable
+    error = compare_trajectories(found.trajectory, flight.ground_truth)
+    assert error.ate < 0.05  # metres before
+    assert not any(record.alarms for record in found.keyframes)
+    capsys.readouterr()
+
+
+def test_a_constant_sensor_at_rest_is_not_called_frozen(tmp_path: Path) -> None:
+    flight = synthesize_flight(motion="room", seed=5, duration=5.0, rest=2.0, num_tracks=40)
+    gyro = flight.sequence.gyro.copy()
+    gyro[100:300] = gyro[100]
+    save_sequence(replace(flight.sequence, gyro=gyro), tmp_path / "s")
+    assert main(["info", str(tmp_path / "s"), "--json", str(tmp_path / "i.json"), "--quiet"]) == 0
+    assert json.loads((tmp_path / "i.json").read_text())["findings"] == []

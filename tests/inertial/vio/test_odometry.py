@@ -17,6 +17,7 @@ from bundle.errors import InputError
 from bundle.inertial.vio.odometry import run_odometry
 from bundle.inertial.vio.sequence_images import ImuSlices, SequenceImages
 from bundle.inertial.vio.static_start import find_static_start
+from bundle.inertial.vio.trajectory_comparison import compare_trajectories
 from bundle.io.sequences.sequence_folder import save_sequence
 from bundle.io.sequences.track_csv import read_track_csv
 from bundle.io.sequences.trajectory_files import load_tum
@@ -288,6 +289,19 @@ def test_the_noise_of_a_flight_explains_its_imu() -> None:
         )
         excess += [r.imu_excess for r in found.keyframes if r.imu_excess is not None]
     assert 0.6 < np.mean(excess) < 1.3
+
+
+def test_the_sigma_of_the_calibration_counts_in_the_whole_run() -> None:
+    flight = synthesize_flight(motion="loop", seed=22, duration=12.0, pixel_noise=5.0)
+    assert flight.sequence.calibration.pixel_sigma == 5.0
+    given, same, other = (
+        run_odometry(flight.sequence, time_budget=100.0, **options)
+        for options in ({}, {"pixel_sigma": 5.0}, {"pixel_sigma": 1.0})
+    )
+    np.testing.assert_array_equal(given.trajectory.states, same.trajectory.states)
+    assert given.options.pixel_sigma == 5.0
+    errors = [compare_trajectories(r.trajectory, flight.ground_truth).ate for r in (given, other)]
+    assert errors[0] < 0.7 * errors[1]
 
 
 @pytest.mark.parametrize(

@@ -24,7 +24,7 @@ def test_saturated_samples_are_found_with_their_row() -> None:
     accel = np.array(sequence().accel)
     accel[100:106, 1] = accel[200:203, 1] = 156.96
     found = findings(sequence(accel=accel))["saturated"]
-    assert found.count == 6
+    assert found.count == 9
     assert found.sentence.startswith("S100:")
     accel[100:103] = [0, 0, 9.81]
     assert "saturated" not in findings(sequence(accel=accel))
@@ -32,7 +32,7 @@ def test_saturated_samples_are_found_with_their_row() -> None:
 
 def test_degrees_gaps_images_without_samples_and_single_views_are_found() -> None:
     gyro = np.array(sequence().gyro)
-    gyro[40] = [100, 0, 0]
+    gyro[40:60] += [100, 0, 0]
     assert findings(sequence(gyro=gyro))["rate"].sentence.startswith("S40:")
 
     stamps = np.array(sequence().track_timestamps_ns)

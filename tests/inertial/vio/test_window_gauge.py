@@ -115,7 +115,11 @@ def test_the_error_does_not_depend_on_how_exactly_windows_are_solved(
     errors = []
     for count in (8, 30, 100):
         found = run_odometry(
-            flight.sequence, max_num_iterations=count, function_tolerance=1e-13, time_budget=100.0
+            flight.sequence,
+            max_num_iterations=count,
+            function_tolerance=1e-13,
+            time_budget=100.0,
+            pixel_sigma=1.0,
         )
         assert found.is_usable
         assert max(record.costs["prior"] for record in found.keyframes) < 20

@@ -86,7 +86,7 @@ def run_odometry(
     options = WindowOptions.of(options, changes, "run_odometry")
     began = time.perf_counter()
     run = WindowRun(sequence, options)
-    window, images = run.window, run.images
+    window, images, options = run.window, run.images, run.window.options
     message, interrupted = "done", False
     try:
         for image in images.after(run.next_image, options.frame_rate):

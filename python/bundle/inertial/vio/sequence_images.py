@@ -6,6 +6,10 @@ A gap is a time of 2.5 periods or more without a sample. Rate and force are inte
 over it, and their deviation is an additional uncertainty. Let s be the larger of their change and
 of their standard deviation around the gap (twice its length on each side). A gap of T then adds an
 uncertainty of s T to a rotation and of s T to a velocity.
+
+Without its bad samples (:mod:`bundle.model.sequence.bad_samples`) a sensor has a gap, too. For a
+spike, s is at least its size, in case it was a real impact. Stretches longer than two seconds stay
+as they are.
 """
 
 from __future__ import annotations
@@ -18,6 +22,7 @@ import numpy as np
 from bundle.errors import InputError
 from bundle.inertial.vio.landmark_table import FrameTracks, sight_numbers
 from bundle.inertial.vio.window_frame import ImuInterval
+from bundle.model.sequence.bad_samples import LONGEST_BRIDGE, bad_stretches
 from bundle.model.sequence.sequence import Sequence
 from bundle.model.sequence.sequence_findings import GAP
 
@@ -43,9 +48,32 @@ class ImuSlices:
     """
 
     def __init__(self, stamps: Array, gyro: Array, accel: Array, rule: str) -> None:
-        self.stamps, self.gyro, self.accel, self.rule = stamps, gyro, accel, rule
+        self.stamps, self.rule = stamps, rule
         steps = np.diff(stamps)
         self._gaps = np.flatnonzero(steps > GAP * np.median(steps)) if len(steps) else steps
+        stretches = bad_stretches(gyro, accel)
+        holes: list[tuple[int, int, int, float]] = []
+        cleaned = []
+        for sensor, values in enumerate((gyro, accel)):
+            good = np.ones(len(stamps), bool)
+            ends = [(int(gap), int(gap) + 1, 0.0) for gap in self._gaps]
+            for each in stretches:
+                first, last = max(each.first - 1, 0), min(each.last + 1, len(stamps) - 1)
+                seconds = 1e-9 * float(stamps[each.last] - stamps[each.first])
+                if each.sensor == ("gyro", "accel")[sensor] and seconds <= LONGEST_BRIDGE:
+                    ends.append((first, last, each.size))
+                    good[each.first : each.last + 1] = not each.is_replaced
+            if not good.all() and good.any():
+                columns = [np.interp(stamps, stamps[good], axis[good]) for axis in values.T]
+                values = np.column_stack(columns)
+            holes += [
+                (int(stamps[first]), int(stamps[last]), sensor, self._variance(values, *each))
+                for each in ends
+                for first, last in [each[:2]]
+            ]
+            cleaned.append(values)
+        self.gyro, self.accel = cleaned
+        self._holes = holes
 
     def between(self, begin: int, end: int) -> ImuInterval:
         """Return the samples from one stamp to a later one.
@@ -64,7 +92,7 @@ class ImuSlices:
         edges[0], edges[-1] = begin, end
         dt = 1e-9 * np.diff(edges)
         gaps = self._gaps[(self._gaps >= first) & (self._gaps < last)]
-        doubt = self._doubt(gaps, dt[gaps - first])
+        doubt = self._doubt(begin, end)
         if self.rule == "zero_order_hold":
             gyro, accel = self.gyro[first:last], self.accel[first:last]
             if len(gaps):
@@ -80,20 +108,25 @@ class ImuSlices:
             values[-1] = self._at(source, end, last - 1)
         return ImuInterval(gyro, accel, dt, doubt)
 
-    def _doubt(self, gaps: Array, seconds: Array) -> tuple[float, float]:
-        """Return the variances due to gaps of these durations within an interval."""
-        variances = np.zeros(2)
-        for gap, part in zip(gaps.tolist(), seconds.tolist(), strict=True):
-            length = AROUND * (self.stamps[gap + 1] - self.stamps[gap])
-            near = slice(
-                int(np.searchsorted(self.stamps, self.stamps[gap] - length)),
-                int(np.searchsorted(self.stamps, self.stamps[gap + 1] + length, "right")),
-            )
-            for k, values in enumerate((self.gyro, self.accel)):
-                change = values[gap + 1] - values[gap]
-                spread = max(float(change @ change), float(values[near].var(axis=0).sum()))
-                variances[k] += spread / 3 * part**2
-        return float(variances[0]), float(variances[1])
+    def _variance(self, values: Array, first: int, last: int, size: float) -> float:
+        """Return s^2 / 3 of a gap between two rows, per axis."""
+        length = AROUND * (self.stamps[last] - self.stamps[first])
+        near = slice(
+            int(np.searchsorted(self.stamps, self.stamps[first] - length)),
+            int(np.searchsorted(self.stamps, self.stamps[last] + length, "right")),
+        )
+        change = values[last] - values[first]
+        spread = float(values[near].var(axis=0).sum())
+        return max(float(change @ change), spread, size**2) / 3
+
+    def _doubt(self, begin: int, end: int) -> tuple[float, float]:
+        """Return the variances due to gaps within an interval."""
+        variances = [0.0, 0.0]
+        for first, last, sensors, variance in self._holes:
+            part = 1e-9 * (min(last, end) - max(first, begin))
+            if part > 0:
+                variances[sensors] += variance * part**2
+        return variances[0], variances[1]
 
     def _at(self, values: Array, stamp: int, before: int) -> Array:
         """Interpolate between a sample and the next one."""

@@ -80,7 +80,7 @@ class SlidingWindow:
         self.focal = float(focal)
         if not self.focal > 0:
             raise InputError(f"focal: expected pixels above 0, found {focal}")
-        self.sigma = self.options.pixel_sigma / self.focal
+        self.sigma = (self.options.pixel_sigma or 1.0) / self.focal
         self.time_offset = float(time_offset)
         self.frames: list[WindowFrame] = []
         self.prior: MarginalPrior | None = None

@@ -103,6 +103,8 @@ class WindowRun:
 
     def __init__(self, sequence: Sequence, options: WindowOptions) -> None:
         calibration = sequence.calibration
+        sigma = options.pixel_sigma or calibration.pixel_sigma
+        options = replace(options, pixel_sigma=sigma)
         self.images = SequenceImages(sequence, options.integration)
         self.window = SlidingWindow(
             calibration.camera_from_imu, calibration.noise, calibration.focal, options=options

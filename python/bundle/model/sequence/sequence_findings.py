@@ -1,4 +1,4 @@
-"""Problems found in a sequence: gaps, saturated samples, tracks with one view."""
+"""Problems found in a sequence: gaps, bad samples, tracks with one view."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from bundle.base.records import dataclass
 from bundle.base.words import plural
+from bundle.model.sequence.bad_samples import LONGEST_BRIDGE, bad_stretches
 from bundle.model.sequence.sequence import Place, Sequence
 
 __all__ = ["SequenceFinding", "sequence_findings"]
@@ -17,8 +18,7 @@ Array = NDArray[np.float64]
 
 GAP = 2.5  # a longer interval between samples, in sampling periods, counts as a gap
 LONGEST_GAP = 0.1  # s; integration across longer gaps is unreliable
-SATURATED_RUN = 4  # number of consecutive samples equal to the largest value of an axis
-SATURATED_SIGMAS = 3.0  # distance from the mean, to exclude a quantised sensor at rest
+MOVED = 3.0  # sigmas of an observation; noise alone gives 1.7
 FASTEST = math.radians(2000)  # rad/s: the widest range of usual gyroscopes
 ONE_VIEW = 0.5  # fraction of tracks with one view from which a finding is reported
 
@@ -28,7 +28,8 @@ class SequenceFinding:
     """A finding in a sequence.
 
     Attributes:
-        kind: "imu gap", "image gap", "saturated", "one view", "no samples", "rate".
+        kind: "imu gap", "image gap", "frozen", "zero", "saturated", "spike", "one view",
+            "no samples", "rate".
         sentence: description with file and line, or with the row.
         count: number of occurrences.
         is_fatal: True if odometry would give a wrong trajectory.
@@ -47,8 +48,11 @@ def sequence_findings(
     findings: list[SequenceFinding] = []
     stamps = sequence.imu_timestamps_ns
     _imu_gaps(sequence, imu_place, findings)
-    _saturated(sequence, imu_place, findings)
-    fast = np.flatnonzero(np.linalg.norm(sequence.gyro, axis=1) > FASTEST)
+    _bad_samples(sequence, imu_place, findings)
+    is_fast = np.linalg.norm(sequence.gyro, axis=1) > FASTEST
+    for each in bad_stretches(sequence.gyro, sequence.accel):
+        is_fast[each.first : each.last + 1] &= each.kind != "spike"
+    fast = np.flatnonzero(is_fast)
     if len(fast):
         row = int(fast[0])
         findings.append(
@@ -98,28 +102,70 @@ def _imu_gaps(sequence: Sequence, place: Place, findings: list[SequenceFinding])
     )
 
 
-def _saturated(sequence: Sequence, place: Place, findings: list[SequenceFinding]) -> None:
-    """Find runs of samples equal to the largest value of an axis: the sensor's range ends there."""
-    rows = []
-    for values in (*sequence.gyro.T, *sequence.accel.T):
-        spread = float(values.std())
-        for limit in (values.max(), values.min()):
-            if abs(limit - values.mean()) < SATURATED_SIGMAS * spread or spread == 0:
-                continue
-            at = np.flatnonzero(values == limit)
-            if len(at) < SATURATED_RUN:
-                continue
-            runs = np.split(at, np.flatnonzero(np.diff(at) > 1) + 1)
-            rows += [row for run in runs if len(run) >= SATURATED_RUN for row in run.tolist()]
-    if rows:
+_NAMES = {"gyro": "gyroscope", "accel": "accelerometer"}
+_BAD = {
+    "frozen": "{sensors} repeated one sample for {seconds:.3g} s",
+    "zero": "{sensors} was 0 on all axes for {seconds:.3g} s",
+    "saturated": "{samples} of the {sensors} at the end of the sensor's range, the same value "
+    "again and again",
+    "spike": "{sensors} jumped by {size:.3g} and back",
+}
+
+
+def _bad_samples(sequence: Sequence, place: Place, findings: list[SequenceFinding]) -> None:
+    """Report stretches that are no measurements; a constant sensor at rest is none of them."""
+    stamps = sequence.imu_timestamps_ns
+    found = [
+        each
+        for each in bad_stretches(sequence.gyro, sequence.accel)
+        if each.kind not in ("frozen", "zero")
+        or _image_motion(sequence, int(stamps[each.first]), int(stamps[each.last])) > MOVED
+    ]
+    for kind, text in _BAD.items():
+        these = [each for each in found if each.kind == kind]
+        if not these:
+            continue
+        worst = max(these, key=lambda each: (each.last - each.first, each.size))
+        sensors = dict.fromkeys(each.sensor for each in these)
+        count = len({row for each in these for row in range(each.first, each.last + 1)})
+        said = text.format(
+            sensors=" and ".join(
+                {"gyro": "gyroscope", "accel": "accelerometer"}[s] for s in sensors
+            ),
+            seconds=1e-9 * float(stamps[worst.last] - stamps[worst.first]),
+            samples=plural(count, "IMU sample"),
+            size=worst.size,
+        )
+        after = 1e-9 * float(stamps[worst.first] - stamps[0])
+        longest = 1e-9 * float(stamps[worst.last] - stamps[worst.first]) > LONGEST_BRIDGE
+        others = f" ({plural(len(these), 'time')} in all)" if len(these) > len(sensors) else ""
+        remedy = "too long to be bridged" if longest else "bridged with more uncertainty"
         findings.append(
             SequenceFinding(
-                "saturated",
-                f"{place(min(rows))}: {plural(len(set(rows)), 'IMU sample')} at the end of the "
-                "sensor's range, the same value again and again",
-                len(set(rows)),
+                kind,
+                f"{place(worst.first)}: {said}, {after:.2f} s after the first sample{others}: "
+                f"{remedy}",
+                count,
             )
         )
+
+
+def _image_motion(sequence: Sequence, begin: int, end: int) -> float:
+    """Return the median motion of tracks between two times, in sigmas of an observation."""
+    rows = np.flatnonzero(
+        (sequence.image_timestamps_ns >= begin) & (sequence.image_timestamps_ns <= end)
+    )
+    if not len(rows):
+        return float("inf")
+    times, ids = sequence.track_timestamps_ns[rows], sequence.track_ids[rows]
+    first, last = rows[times == times[0]], rows[times == times[-1]]
+    _, a, b = np.intersect1d(ids[times == times[0]], ids[times == times[-1]], return_indices=True)
+    if not len(a) or times[0] == times[-1]:
+        return float("inf")
+    calibration = sequence.calibration
+    unit = calibration.focal if calibration.camera_model is None else 1.0
+    moved = np.linalg.norm(sequence.xy[last[b]] - sequence.xy[first[a]], axis=1)
+    return float(np.median(moved)) * unit / calibration.pixel_sigma
 
 
 def _tracks(sequence: Sequence, place: Place, findings: list[SequenceFinding]) -> None:

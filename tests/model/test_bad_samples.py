@@ -1,0 +1,96 @@
+"""IMU samples that are no measurements, on both sides of each threshold."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from bundle.model.sequence.bad_samples import bad_stretches
+
+Array = np.ndarray[Any, Any]
+SIZE = 2000
+
+
+def samples(seed: int = 0) -> tuple[Array, Array]:
+    """Return rates and forces of a smooth motion with white noise."""
+    rng = np.random.default_rng(seed)
+    t = 5e-3 * np.arange(SIZE)[:, None]
+    gyro = 0.5 * np.sin(t * [1.0, 1.3, 0.7]) + rng.normal(0, 3e-3, (SIZE, 3))
+    accel = [0, 0, 9.81] + 2 * np.sin(t * [0.9, 1.7, 1.1]) + rng.normal(0, 0.03, (SIZE, 3))
+    return gyro, accel
+
+
+def found(gyro: Array, accel: Array) -> list[tuple[str, str, int, int]]:
+    return [tuple(each[:4]) for each in bad_stretches(gyro, accel)]
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("every", [1, 4, 10])
+def test_no_stretch_in_clean_samples_at_any_rate(seed: int, every: int) -> None:
+    gyro, accel = samples(seed)
+    assert found(gyro[::every], accel[::every]) == []
+
+
+def test_a_repeated_sample_is_frozen_after_five() -> None:
+    gyro, accel = samples()
+    gyro[500:504] = gyro[500]
+    assert found(gyro, accel) == []
+    gyro[500:505] = gyro[500]
+    accel[700:900] = 0.0
+    assert found(gyro, accel) == [("frozen", "gyro", 500, 504), ("zero", "accel", 700, 899)]
+    gyro[500:505, 1] += 1e-9 * np.arange(5)  # one axis goes on
+    assert found(gyro, accel) == [("zero", "accel", 700, 899)]
+
+
+def test_a_sensor_of_half_the_rate_is_not_frozen() -> None:
+    gyro, accel = samples()
+    gyro = np.repeat(gyro[::6], 6, axis=0)[:SIZE]
+    assert found(gyro, accel) == []
+    gyro[300:420] = gyro[300]
+    assert found(gyro, accel) == [("frozen", "gyro", 300, 419)]
+
+
+def test_a_clipped_axis_piles_up_at_its_end_and_a_quantised_one_does_not() -> None:
+    gyro, accel = samples()
+    clipped = np.minimum(accel, [99, 1.5, 99])
+    rows = np.flatnonzero(clipped[:, 1] == 1.5)
+    assert len(rows) > 100
+    stretches = found(gyro, clipped)
+    assert {each[:2] for each in stretches} == {("saturated", "accel")}
+    covered = np.concatenate([np.arange(a, b + 1) for *_, a, b in stretches])
+    assert np.array_equal(covered, rows)
+    assert found(np.round(gyro, 2), np.round(accel, 1)) == []
+    lower = np.maximum(gyro, [-0.4, -9, -9])
+    assert {each[:2] for each in found(lower, accel)} == {("saturated", "gyro")}
+
+
+@pytest.mark.parametrize("sign", [-1, 1])
+@pytest.mark.parametrize(("sensor", "size"), [(0, 0.06), (1, 0.6)])
+def test_a_spike_stands_out_of_its_neighbours_and_of_the_recording(
+    sign: int, sensor: int, size: float
+) -> None:
+    quiet = np.random.default_rng(1).normal(0, 1e-3, (SIZE, 3))
+    for factor, count in ((1.2, 1), (0.7, 0)):
+        pair = [quiet.copy(), quiet + np.array([0, 0, 9.81])]
+        pair[sensor][800, 1] += sign * factor * size
+        stretches = bad_stretches(*pair)
+        assert [(each.kind, each.first, each.last) for each in stretches] == [
+            ("spike", 800, 800)
+        ] * count
+        if count:
+            assert stretches[0].size == pytest.approx(factor * size, abs=5e-3)
+
+
+def test_spikes_in_a_row_are_one_stretch() -> None:
+    gyro, accel = samples()
+    gyro[1000:1005] += [3.0, 0, 0]
+    assert found(gyro, accel) == [("spike", "gyro", 1000, 1004)]
+
+
+def test_vibration_is_no_spike() -> None:
+    gyro, accel = samples()
+    accel += np.random.default_rng(2).normal(0, 5.0, (SIZE, 3))
+    accel[700:1300] += np.random.default_rng(3).normal(0, 30.0, (600, 3))
+    assert found(gyro, accel) == []
