@@ -69,7 +69,7 @@ class FactorReader {
                                                       py::cast<double>(arguments_[2]));
     }
     if (kind_ == "position") {
-      return std::make_unique<bundle::PositionFactor>(head_, At(0), At(1), At(2));
+      return std::make_unique<bundle::PositionFactor>(head_, At(0), At(1), At(2), At(3));
     }
     if (kind_ == "velocity") {
       return std::make_unique<bundle::VelocityFactor>(head_, At(0), At(1), At(2));

@@ -269,3 +269,52 @@ def test_a_resumed_run_ends_as_the_uninterrupted_one(run, made):
     words = (*words[:2], "--gcp-sigma", "0.5", *words[2:])
     code, _, err = refine(run, folder, *words, "--resume", checkpoint, *every)
     assert code == 2 and "run.npz" in err
+
+
+def test_heights_of_two_systems_are_named_and_estimated(run, made):
+    folder, scene = made
+    problem = bundle.load(folder / "model")
+    known = bundle.georeference.gcp_priors(problem, folder / "gcp_list.txt")
+    placed = bundle.solve(problem, priors=known.priors)
+    higher = placed.problem.projection_centers + np.array([0, 0, 40])
+    geodetic = known.origin.to_geodetic(higher)
+    lines = [
+        f"{name} {longitude:.10f} {latitude:.10f} {height:.4f}"
+        for name, (latitude, longitude, height) in zip(problem.image_names, geodetic, strict=True)
+    ]
+    (folder / "geo.txt").write_text("\n".join(["EPSG:4326", *lines]) + "\n")
+    words = ["--gcp", folder / "gcp_list.txt", "--gps", folder / "geo.txt", "--gps-sigma", "0.05"]
+    code, out, error = refine(run, folder, *words)
+    assert code == 0, error
+    report = json.loads((folder / "r.json").read_text())
+    found = {one["kind"]: one for one in report["findings"]}["gps_offset"]
+    assert code == 0 and "above the control points" in out
+    assert found["command"].endswith("--gps-offset up")
+    offset = report["georeference"]["offset"]
+    assert offset["value"][:2] == [0, 0] and offset["p"] < 1e-9
+    assert offset["value"][2] == pytest.approx(40, abs=4 * offset["sigma"][2])
+    bent = abs(found["evidence"]["focal_length"] - scene.problem.camera_params[0, 0])
+    code, out, _ = refine(run, folder, *words, "--gps-offset", "up", "--overwrite")
+    report = json.loads((folder / "r.json").read_text())
+    assert code == 0 and "estimated" in out
+    assert "gps_offset" not in {one["kind"] for one in report["findings"]}
+    assert report["georeference"]["offset"]["value"][2] == pytest.approx(
+        offset["value"][2], rel=1e-3
+    )
+    up = [one["residual_enu"][2] for one in report["georeference"]["gps"]]
+    assert np.abs(up).max() < 0.2
+    refined = bundle.load(folder / "out")
+    right = abs(refined.camera_params[0, 0] - scene.problem.camera_params[0, 0])
+    assert bent > 10 * right and refined.num_images == problem.num_images
+    again = (folder / "out" / "georeference.json").read_text()
+    assert json.loads(again)["offset"] == report["georeference"]["offset"]
+
+
+def test_an_offset_needs_control_points_and_a_solve(run, made):
+    folder, _ = made
+    (folder / "geo.txt").write_text("EPSG:4326\na 1 2 3\n")
+    code, _, error = refine(run, folder, "--gps", folder / "geo.txt", "--gps-offset", "up")
+    assert code == 2 and "--gps-offset" in error and "--gcp" in error
+    words = ["--gps", folder / "geo.txt", "--gcp", folder / "gcp_list.txt", "--gps-offset", "all"]
+    code, _, error = run("align", folder / "model", "-o", f"{folder}/out/", *words)
+    assert code == 2 and "--gps-offset" in error and not (folder / "out").exists()

@@ -67,29 +67,47 @@ bool ScalarPriorFactor::Evaluate(const double* const* values, double* residual,
 }
 
 PositionFactor::PositionFactor(FactorHead head, std::vector<double> position,
-                               std::vector<double> lever_arm, std::vector<double> information)
-    : Factor(std::move(head), {Retraction(Manifold::kSe3, 7)}, 3),
+                               std::vector<double> lever_arm, std::vector<double> information,
+                               std::vector<double> axes)
+    : Factor(head, std::vector<Retraction>(head.blocks.size(), Retraction(Manifold::kSe3, 7)), 3),
       position_(CheckedValue(name() + ": position", Retraction(Manifold::kEuclidean, 3),
                              std::move(position))),
       lever_arm_(CheckedValue(name() + ": lever_arm", Retraction(Manifold::kEuclidean, 3),
                               std::move(lever_arm))),
+      axes_(CheckedValue(name() + ": axes", Retraction(Manifold::kEuclidean, 3), std::move(axes))),
       whitening_(name() + ": information", std::move(information), 3) {}
 
 bool PositionFactor::Evaluate(const double* const* values, double* residual,
                               double* const* jacobians) const {
   const double* pose = values[0];
+  const bool has_offset = retractions().size() > 1;
   double rotation[9], antenna[3];
   QuaternionToRotation(pose, rotation);
   const double arm[3] = {lever_arm_[0] - pose[4], lever_arm_[1] - pose[5], lever_arm_[2] - pose[6]};
   VectorMatrix3(arm, rotation, antenna);
-  for (int i = 0; i < 3; ++i) residual[i] = antenna[i] - position_[i];
+  for (int i = 0; i < 3; ++i) {
+    residual[i] = antenna[i] - position_[i] + (has_offset ? axes_[i] * values[1][4 + i] : 0);
+  }
   if (jacobians != nullptr && jacobians[0] != nullptr) {
     const double* y = antenna;
     const double jacobian[18] = {0, -y[2], y[1], -1,    0,    0, y[2], 0, -y[0],
                                  0, -1,    0,    -y[1], y[0], 0, 0,    0, -1};
     std::copy(jacobian, jacobian + 18, jacobians[0]);
   }
-  whitening_.Apply(residual, jacobians, {6});
+  if (!has_offset) {
+    whitening_.Apply(residual, jacobians, {6});
+    return true;
+  }
+  if (jacobians != nullptr && jacobians[1] != nullptr) {
+    QuaternionToRotation(values[1], rotation);
+    for (int i = 0; i < 3; ++i) {
+      for (int j = 0; j < 3; ++j) {
+        jacobians[1][6 * i + j] = 0;
+        jacobians[1][6 * i + 3 + j] = axes_[i] * rotation[3 * i + j];
+      }
+    }
+  }
+  whitening_.Apply(residual, jacobians, {6, 6});
   return true;
 }
 

@@ -65,12 +65,20 @@ class ScalarPriorFactor final : public Factor {
 /// antenna is at y = X^-1 a. Moving X to X Exp(d), d = (w, v), moves it to
 ///
 ///   Exp(-d) y = y - w x y - v + O(|d|^2),        J = W [ [y]x  -I ].
+///
+/// With a second variable, a pose (R_d, t_d), the positions have an unknown offset o = A t_d,
+/// A = diag(axes):
+///
+///   r = W (y + A t_d - z),        J_d = W [ 0  A R_d ].
+///
+/// Its rotation has no influence on r.
 class PositionFactor final : public Factor {
  public:
-  /// `lever_arm` and `position` have three numbers. Throws InputError if they are not finite or the
-  /// information (3 x 3) is not positive definite.
+  /// `lever_arm`, `position` and `axes` have three numbers; `axes`: 1 for each coordinate with an
+  /// offset, else 0. Throws InputError if they are not finite or the information (3 x 3) is not
+  /// positive definite.
   PositionFactor(FactorHead head, std::vector<double> position, std::vector<double> lever_arm,
-                 std::vector<double> information);
+                 std::vector<double> information, std::vector<double> axes = {0, 0, 0});
 
   bool Evaluate(const double* const* values, double* residual,
                 double* const* jacobians) const override;
@@ -78,6 +86,7 @@ class PositionFactor final : public Factor {
  private:
   std::vector<double> position_;
   std::vector<double> lever_arm_;
+  std::vector<double> axes_;
   Whitening whitening_;
 };
 

@@ -10,7 +10,7 @@ from bundle.cli.georeference_flags import GEOREFERENCE_FLAGS, settings_of
 from bundle.cli.option_flags import naming_flags, options_given
 from bundle.cli.output import check_replaced, publish, same_images
 from bundle.cli.progress import Progress
-from bundle.errors import shown
+from bundle.errors import InputError, shown
 from bundle.georeference.alignment import align
 from bundle.interface.georeference_options import GeoreferenceOptions
 from bundle.io.open import check_target, load, output_format, save
@@ -30,6 +30,10 @@ def run(arguments: argparse.Namespace) -> int:
     """Align INPUT into OUTPUT."""
     source, target = arguments.input, arguments.output
     given = options_given(arguments, GeoreferenceOptions, beside=GeoreferenceOptions.names())
+    if given.gps_offset != "none":
+        raise InputError(
+            "--gps-offset: valid only with refine, which estimates it together with the cameras"
+        )
     with Progress(quiet=arguments.quiet) as progress, naming_flags(**FLAGS):
         progress.stage(f"reading {shown(source)}")
         problem = load(source, progress.text)

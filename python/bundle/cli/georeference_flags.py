@@ -67,6 +67,8 @@ def georeference_given(
             "--velocities: expected --gps, --gcp or a georeference.json beside INPUT, which say "
             f"where east, north and up are, found {shown(arguments.input)} without any"
         )
+    if given.gps_offset != "none" and given.gcp is None:
+        raise InputError("--gps-offset: expected --gcp, too: control points determine the offset")
     flag = main_flag(given)
     if only_images is not None and given.has_positions:
         raise InputError(

@@ -36,6 +36,7 @@ def judge(
         options=solved.options,
         rounds=len(solved.rounds),
         priors=priors if inertial is None else (inertial, *priors),
+        survey=solved.survey_checks,
         is_minimum=solved.summary.termination_type == "CONVERGENCE",
     )
 

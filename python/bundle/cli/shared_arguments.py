@@ -33,7 +33,7 @@ MOVED = (
     f"{GEOREFERENCE} in OUTPUT, or beside it if it is a file, says where that is."
 )
 
-POSITIONS = ("gps", "images", "gps_sigma", "antenna")
+POSITIONS = ("gps", "images", "gps_sigma", "gps_offset", "antenna")
 CONTROL_POINTS = ("gcp", "gcp_sigma", "gcp_pixel_sigma", "check_points")
 READING = ("input_format", "image_size", "image_list", "reconstruction")
 """Destinations of the flags of :func:`add_input_format`."""

@@ -12,6 +12,7 @@ from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
 from bundle.base.words import number, pixels, plural
 from bundle.georeference.local_frame import LocalFrame
+from bundle.georeference.point_check import LEAST_REDUNDANCY
 from bundle.georeference.similarity import Similarity
 from bundle.interface.tabular import Tabular
 from bundle.model.problem import Problem
@@ -19,6 +20,9 @@ from bundle.model.problem import Problem
 __all__ = ["Alignment", "ControlPointError", "ImageError", "as_triple", "root_mean_square"]
 
 Triple = tuple[float, float, float]
+
+DETECTABLE = 4.6
+"""Sigmas of an error that the test of a point finds with a probability of 80 %."""
 
 
 @dataclass(frozen=True)
@@ -37,6 +41,8 @@ class ControlPointError:
         images: name, and error in x and y [pixels], of each measurement.
         suspect: True if a gross error is likely; see ``bundle.georeference.leave_one_out``.
         reason: reason why the point is unused; "" if it is used.
+        redundancy: share of an error of its coordinates that its residual shows after a solve; nan
+            if unknown.
     """
 
     name: str
@@ -49,6 +55,21 @@ class ControlPointError:
     images: tuple[tuple[str, float, float], ...]
     suspect: bool
     reason: str = ""
+    redundancy: float = float("nan")
+
+    @property
+    def is_unchecked(self) -> bool:
+        """True if the other measurements do not check the point."""
+        return self.redundancy < LEAST_REDUNDANCY
+
+    @property
+    def detectable(self) -> float:
+        """Error [m] along the least certain axis that a test finds in 80 % of the cases.
+
+        It is 4.6 sigma / sqrt(redundancy): a chi-squared test with 3 degrees of freedom at 0.1 %.
+        """
+        largest = max((one for one in self.sigma if not np.isnan(one)), default=float("nan"))
+        return DETECTABLE * largest / np.sqrt(self.redundancy) if self.redundancy > 0 else np.inf
 
     def asdict(self) -> dict[str, Any]:
         """Return the entry of this point in ``georeference.json``."""
@@ -60,6 +81,7 @@ class ControlPointError:
             "residual_px": self.pixels,
             "sigma": list(self.sigma),
             "suspect": self.suspect,
+            **({} if np.isnan(self.redundancy) else {"redundancy": self.redundancy}),
             "images": [{"image": name, "residual_px": [x, y]} for name, x, y in self.images],
         }
 

@@ -1,10 +1,9 @@
 """Priors of a solve from ground control points, optionally with GPS positions of images.
 
-Gross errors are searched by predicting each point from the other points through a similarity
-(``leave_one_out``). The first search is in the given model, which no control point has deformed
-yet. If it finds no gross error, a second search is in the adjusted model, whose own distortions are
-removed. The adjusted model is not searched first, because a gross error deforms it, so that
-neighbouring points would look bad as well.
+A search for gross errors in the given model, which predicts each point from the other points
+through a similarity (``leave_one_out``), would accuse exact points: a model that was not adjusted
+yet is bent by more than their sigmas. It only gives residuals for comparison. Suspects come from
+the adjusted model (``point_check``).
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
 from bundle.base.words import plural
 from bundle.errors import InputError
-from bundle.georeference.alignment_result import ControlPointError, as_triple
+from bundle.georeference.alignment_result import ControlPointError
 from bundle.georeference.control_point import (
     GCP_PIXEL_SIGMA,
     GCP_SIGMA,
@@ -37,25 +36,18 @@ from bundle.georeference.given_positions import (
 )
 from bundle.georeference.gps_positions import GpsPositions
 from bundle.georeference.gps_priors import GPS_SIGMA, GpsPriors, check_settings, gps_priors
-from bundle.georeference.image_index import ImageIndex
-from bundle.georeference.leave_one_out import leave_one_out
 from bundle.georeference.local_frame import LocalFrame
 from bundle.georeference.other_readings import check_readings
+from bundle.georeference.point_check import SurveyChecks
 from bundle.georeference.position_prior import PositionPrior
 from bundle.georeference.similarity_fit import fit_similarity
-from bundle.georeference.survey import Survey, surveyed
-from bundle.georeference.triangulated_targets import triangulate
+from bundle.georeference.survey import Survey
 from bundle.interface.georeference_options import ROBUST_SCALE
 from bundle.model.problem import Problem
 
 __all__ = ["GcpPriors", "gcp_priors"]
 
 Array = NDArray[np.float64]
-
-LEVEL_AFTER = 1e-3
-"""Significance level of the test in the adjusted model. It is small because covariances do not
-contain correlated errors of the cameras, which bend a model between and beyond its control points.
-"""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -69,7 +61,7 @@ class GcpPriors(Displayed):
         reference_system: reference system of the given coordinates; None if Cartesian.
         left_out: by name, residual (3,) of each point in the given problem, aligned by all other
             points, east, north, up [m]; nan if they do not determine the alignment.
-        suspects: names of points for which this residual is too large.
+        suspects: names of points for which this residual is too large for a model that is not bent.
         notes: sentences on ignored, inexact or suspicious data.
         gps: positions of the images; None without positions.
     """
@@ -99,51 +91,34 @@ class GcpPriors(Displayed):
         if [point.name for point in result.control_points] != names:
             raise InputError("result: expected the result of a solve with these control points")
         images = () if self.gps is None else self.gps.georeference(result).images
+        checks = result.survey_checks
         return Georeference(
             self.reference_system,
             self.origin,
             result.similarity,
             images,
             self.notes,
-            tuple(
-                self._judged(point, left_out)
-                for point, left_out in zip(
-                    result.control_points, self._found_after(result.problem), strict=True
-                )
-            ),
+            tuple(self._judged(point, checks) for point in result.control_points),
+            None if checks is None else checks.offset,
         )
 
-    def _judged(self, point: ControlPointError, after: Array | None) -> ControlPointError:
-        """Return a point with its leave-one-out residual.
+    def _judged(self, point: ControlPointError, checks: SurveyChecks | None) -> ControlPointError:
+        """Return a point with its test in the adjusted model.
 
         Args:
             point: point after the solve.
-            after: prediction of the point in the adjusted model, if it makes the point a suspect.
+            checks: tests after the solve; None if it did not converge.
         """
-        if after is not None:
-            return replace(point, leave_one_out=as_triple(after), suspect=True)
-        suspect = point.name in self.suspects
-        return replace(point, leave_one_out=self.left_out[point.name], suspect=suspect)
-
-    def _found_after(self, problem: Problem) -> list[Array | None]:
-        """Return for each suspect its prediction in the adjusted model, None for other points."""
-        points = self.control_points
-        if self.suspects:
-            return [None] * len(points)
-        targets = triangulate(problem, points, ImageIndex(problem), pixel_sigma=GCP_PIXEL_SIGMA)
-        used = np.array([not target.reason for target in targets], dtype=bool)
-        control = np.array([point.role == "control" for point in points], dtype=bool)[used]
-        place = np.array([point.position for point in points]).reshape(-1, 3)
-        measured = surveyed(targets, place, GCP_SIGMA).rows(used)
-        all_of_them = np.ones(len(measured), dtype=bool)
-        found = leave_one_out(measured, control, all_of_them, LEVEL_AFTER)
-        rows: list[Array | None] = [None] * len(points)
-        for row, residual, suspect in zip(
-            np.flatnonzero(used), found.residual, found.suspect, strict=True
-        ):
-            if suspect:
-                rows[row] = residual
-        return rows
+        check = None if checks is None else checks.points.get(point.name)
+        if check is None:
+            suspect = checks is None and point.name in self.suspects
+            return replace(point, leave_one_out=self.left_out[point.name], suspect=suspect)
+        return replace(
+            point,
+            leave_one_out=check.residual,
+            suspect=check.is_suspect,
+            redundancy=check.redundancy,
+        )
 
     def _display(self) -> Display:
         points = self.control_points
@@ -166,6 +141,7 @@ def gcp_priors(
     gcp_pixel_sigma: float = GCP_PIXEL_SIGMA,
     check_points: Iterable[str] = (),
     gps_sigma: Any = GPS_SIGMA,
+    gps_offset: str = "none",
     antenna: ArrayLike = (0.0, 0.0, 0.0),
     prior_loss: str = "trivial",
     prior_loss_scale: float = ROBUST_SCALE,
@@ -184,6 +160,8 @@ def gcp_priors(
         gcp_pixel_sigma: pixels, for measurements without their own.
         check_points: names of additional check points, which must not influence the solve.
         gps_sigma: metres, a number or (horizontal, vertical), for positions without their own.
+        gps_offset: "none", "up" or "all": offset of the positions to estimate, in height or along
+            all axes.
         antenna: (3,) position of the receiver in the camera frame, metres.
         prior_loss: robust loss of each control point's and each position's residual.
         prior_loss_scale: sigmas beyond which the loss is robust.
@@ -238,6 +216,7 @@ def gcp_priors(
             problem,
             positions,
             gps_sigma=gps_sigma,
+            gps_offset=gps_offset,
             antenna=antenna,
             prior_loss=prior_loss,
             prior_loss_scale=prior_loss_scale,

@@ -9,6 +9,7 @@ from bundle.base.records import dataclass
 from bundle.base.words import plural
 from bundle.georeference.alignment_result import ControlPointError, metres, root_mean_square
 from bundle.georeference.local_frame import LocalFrame
+from bundle.georeference.point_check import OffsetCheck, SurveyChecks
 from bundle.georeference.similarity import Similarity
 from bundle.model.problem import Problem
 
@@ -32,6 +33,10 @@ class Solved(Protocol):
     @property
     def control_points(self) -> tuple[ControlPointError, ...]:
         """Residuals of control and check points relative to the survey."""
+
+    @property
+    def survey_checks(self) -> SurveyChecks | None:
+        """Tests of control points and of an offset of the positions."""
 
 
 @dataclass(frozen=True)
@@ -64,6 +69,8 @@ class Georeference(Displayed):
         images: every image of the model, if positions of images were given.
         notes: sentences on ignored or inexact data.
         control_points: every control and check point.
+        offset: offset of the positions from the control points, estimated or tested; None: nothing
+            determines it.
     """
 
     reference_system: str | None
@@ -72,6 +79,7 @@ class Georeference(Displayed):
     images: tuple[PositionError, ...]
     notes: tuple[str, ...]
     control_points: tuple[ControlPointError, ...] = ()
+    offset: OffsetCheck | None = None
 
     @property
     def rms(self) -> tuple[float, float, float]:
@@ -126,6 +134,7 @@ class Georeference(Displayed):
             "gcps": [point.asdict() for point in self.control_points],
             "rms_enu": list(self.rms),
             "rms_enu_check": list(self.rms_of("check")),
+            **({} if self.offset is None else {"offset": self.offset.asdict()}),
             "notes": list(self.notes),
         }
 
@@ -141,6 +150,8 @@ class Georeference(Displayed):
             controls = sum(point.role == "control" for point in self.control_points)
             facts.append(("control points", f"{controls} of {len(self.control_points)}"))
             facts.append(("suspects", ", ".join(self.suspect_points) or "none"))
+        if self.offset is not None and (self.offset.is_significant or self.offset.is_estimated):
+            facts.append(("offset", self.offset.sentence))
         facts += [("rms", f"{rms} m east, north, up"), *(("note", note) for note in self.notes)]
         rows = tuple(
             (image.name, *map(metres, image.residual), f"{image.sigmas:.1f}")

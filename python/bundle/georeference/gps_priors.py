@@ -58,7 +58,11 @@ class GpsPriors(Displayed):
             raise InputError("result: expected the result of a solve that aligned the problem")
         problem = result.problem
         known = ProblemPriors.make(problem, self.priors)
-        residuals, sigmas = known.residuals(problem), known.sigmas(problem)
+        offset = np.zeros(3)
+        if any(prior.offset != "none" for prior in self.priors) and result.survey_checks:
+            found = result.survey_checks.offset
+            offset = np.zeros(3) if found is None else np.array(found.value)
+        residuals, sigmas = known.residuals(problem, offset), known.sigmas(problem, offset)
         place = {row: index for index, row in enumerate(known.rows.tolist())}
         images = []
         for row, name in enumerate(problem.image_names):
@@ -81,6 +85,7 @@ def gps_priors(
     *,
     images: str | os.PathLike[str] | None = None,
     gps_sigma: Any = GPS_SIGMA,
+    gps_offset: str = "none",
     antenna: ArrayLike = (0.0, 0.0, 0.0),
     prior_loss: str = "trivial",
     prior_loss_scale: float = ROBUST_SCALE,
@@ -100,6 +105,8 @@ def gps_priors(
         images: folder of the images, for "exif".
         gps_sigma: standard deviation in metres, a number or (horizontal, vertical), for positions
             without their own.
+        gps_offset: "up" or "all": estimate an offset of all positions, which control points in the
+            same solve determine.
         antenna: (3,) position of the receiver in the camera frame, x right, y down, z forward,
             metres.
         prior_loss: robust loss of each position's residual.
@@ -116,6 +123,7 @@ def gps_priors(
     default = parse_sigma("gps_sigma", gps_sigma)
     # Refuse wrong settings first, independently of the positions.
     settings: dict[str, Any] = {"loss": prior_loss, "loss_scale": prior_loss_scale}
+    settings["offset"] = gps_offset
     check_settings(antenna, settings)
     index = ImageIndex(problem, "gps: ")
     positions = given_gps(gps, images, problem)
@@ -166,6 +174,7 @@ def check_settings(antenna: ArrayLike, settings: dict[str, Any]) -> None:
         PositionPrior(0, (0.0, 0.0, 0.0), 1.0, lever_arm=antenna, **settings)
     except InputError as error:
         names = {"lever_arm": "antenna", "loss": "prior_loss", "loss_scale": "prior_loss_scale"}
+        names["offset"] = "gps_offset"
         _, _, message = str(error).partition(": ")
         name, colon, rest = message.partition(":")
         raise InputError(f"{names.get(name, name)}{colon}{rest}") from None

@@ -28,11 +28,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.base.records import dataclass
+from bundle.base.tails import f_tail
 from bundle.errors import InputError
 from bundle.georeference.correspondences import Correspondences
 from bundle.georeference.similarity_fit import SimilarityFit, fit_similarity
 
-__all__ = ["LEVEL", "LeaveOneOut", "leave_one_out", "probability_f2", "probability_t"]
+__all__ = ["LEVEL", "LeaveOneOut", "leave_one_out"]
 
 Array = NDArray[np.float64]
 
@@ -41,10 +42,6 @@ LEVEL = 0.05
 
 FEWEST = 3
 """Smallest number of points for a similarity."""
-
-NODES = 60
-MOST_FREEDOM = 1000
-"""Degrees of freedom above which Student's distribution is normal to four digits."""
 
 
 @dataclass(frozen=True)
@@ -119,10 +116,11 @@ def _predicted(points: Correspondences, control: NDArray[np.bool_], index: int) 
     sigma = np.where(np.isnan(residual), np.nan, np.sqrt(np.diag(covariance)))
     squared = float(residual[:2] @ np.linalg.solve(covariance[:2, :2], residual[:2]))
     sigma0, freedom = _sigma0(fit, slice(0, 2))
-    chances = [probability_f2(squared / (2 * sigma0**2), freedom)]
+    chances = [f_tail(squared / (2 * sigma0**2), 2, freedom)]
     if not math.isnan(residual[2]):
         sigma0, freedom = _sigma0(fit, slice(2, 3))
-        chances.append(probability_t(abs(residual[2]) / (sigma0 * sigma[2]), freedom))
+        # The square of Student's t is F with one degree of freedom.
+        chances.append(f_tail((residual[2] / (sigma0 * sigma[2])) ** 2, 1, freedom))
     return _Tests(residual, sigma, chances)
 
 
@@ -133,29 +131,3 @@ def _sigma0(fit: SimilarityFit, rows: slice) -> tuple[float, float]:
     if squared <= freedom or freedom < 1e-6:
         return 1.0, math.inf
     return math.sqrt(squared / freedom), freedom
-
-
-def probability_f2(value: float, freedom: float) -> float:
-    """Return the probability that F with 2 and ``freedom`` degrees of freedom exceeds a value."""
-    if math.isinf(freedom):
-        return math.exp(-value)
-    return math.exp(-0.5 * freedom * math.log1p(2 * value / freedom))
-
-
-def probability_t(value: float, freedom: float) -> float:
-    """Return the probability that Student's t is farther from zero than a value.
-
-    With tan(angle) = t / sqrt(nu) the density is that of cos(angle)^(nu - 1): a smooth integral,
-    computed by Gauss-Legendre quadrature. Below one degree of freedom, which has no meaning, the
-    probability is 1.
-    """
-    if freedom < 1:
-        return 1.0
-    if freedom > MOST_FREEDOM:
-        return math.erfc(value / math.sqrt(2))
-    nodes, weights = np.polynomial.legendre.leggauss(NODES)
-    # from the pole, where the cosine becomes the sine
-    angle = math.atan2(math.sqrt(freedom), value)
-    density = np.sin(angle * (nodes + 1) / 2) ** (freedom - 1)
-    total = math.lgamma((freedom + 1) / 2) - math.lgamma(freedom / 2) - 0.5 * math.log(math.pi)
-    return float(2 * math.exp(total) * (weights @ density) * angle / 2)

@@ -12,11 +12,15 @@ contribution to cost, gradient and Hessian is zero in double precision.
 
 from __future__ import annotations
 
+from dataclasses import field
+
 from numpy.typing import ArrayLike
 
 from bundle.base.records import dataclass
 from bundle.georeference.vector_prior import VectorPrior
 from bundle.graphs.factors.factors import PositionFactor
+from bundle.interface.georeference_options import GPS_OFFSETS
+from bundle.interface.option_fields import choice
 
 __all__ = ["PositionPrior"]
 
@@ -37,6 +41,8 @@ class PositionPrior(VectorPrior):
         loss: robust loss of :class:`bundle.SolveOptions`.
         loss_scale: length of the residual in sigmas beyond which the loss is robust; by default
             2.795, which 5 % of good positions exceed.
+        offset: "up" or "all": the position has an unknown offset, in height or along all axes,
+            which is the same for all such priors of a solve; "none" (the default): it has none.
 
     Raises:
         InputError: a value has a wrong type, shape or range; the message names the image.
@@ -44,8 +50,13 @@ class PositionPrior(VectorPrior):
 
     position: ArrayLike
     sigma: ArrayLike | None = None
+    offset: str = field(default="none", kw_only=True)
 
     noun = "position"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._set(offset=choice(f"{self.name}: offset", self.offset, GPS_OFFSETS))
 
     def factor(self, image_id: int) -> PositionFactor:
         """Return the factor of a solve for the image with this id."""

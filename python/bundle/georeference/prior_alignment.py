@@ -19,6 +19,7 @@ from bundle.base.records import dataclass
 from bundle.errors import InputError, brief
 from bundle.georeference.consensus import agreeing
 from bundle.georeference.correspondences import Correspondences
+from bundle.georeference.position_offset import PositionOffset
 from bundle.georeference.position_prior import PositionPrior
 from bundle.georeference.prior_images import rows_of_images
 from bundle.georeference.similarity import Similarity, moved
@@ -63,24 +64,48 @@ class ProblemPriors:
         found_rows = rows_of_images(problem, given)
         return ProblemPriors(given, found_rows, tuple(problem.image_ids[found_rows].tolist()))
 
-    def factors(self) -> list[PositionFactor]:
-        """Return a factor for each prior, in order."""
-        return [
-            prior.factor(image_id)
-            for prior, image_id in zip(self.priors, self.image_ids, strict=True)
-        ]
+    def offset_beside(self, problem: Problem) -> PositionOffset | None:
+        """Return the offset that priors have in common; None without such priors."""
+        asked = {prior.offset for prior in self.priors} - {"none"}
+        if not asked:
+            return None
+        return PositionOffset.beside(problem, "all" if "all" in asked else "up")
 
-    def residuals(self, problem: Problem) -> Array:
-        """Return (n, 3) positions in the problem minus measured positions; nan if unknown."""
+    def factors(self, offset: PositionOffset | None = None) -> list[PositionFactor]:
+        """Return a factor for each prior, in order."""
+        factors = []
+        for prior, image_id in zip(self.priors, self.image_ids, strict=True):
+            factor = prior.factor(image_id)
+            if offset is not None and prior.offset != "none":
+                factor = offset.of(factor, prior.offset)
+            factors.append(factor)
+        return factors
+
+    def typical_offset(self, problem: Problem) -> Array:
+        """Return the median (3,) of positions with an offset minus the model; 0 if unknown."""
+        chosen = [prior.offset != "none" for prior in self.priors]
+        away = -self.residuals(problem)[chosen]
+        known = np.isfinite(away).any(axis=0)
+        found = np.zeros(3)
+        found[known] = np.nanmedian(away[:, known], axis=0)
+        return found
+
+    def residuals(self, problem: Problem, offset: Array | None = None) -> Array:
+        """Return (n, 3) positions in the problem minus measured positions; nan if unknown.
+
+        Args:
+            problem: the problem.
+            offset: (3,) offset of the positions from the problem; None: 0.
+        """
         if not self.priors:
             return np.zeros((0, 3))
         antennas = problem.projection_centers[self.rows] + self._levers(problem)
         residuals: Array = antennas - self._positions()
-        return residuals
+        return residuals if offset is None else residuals + offset
 
-    def sigmas(self, problem: Problem) -> Array:
+    def sigmas(self, problem: Problem, offset: Array | None = None) -> Array:
         """Return (n,) lengths of the residuals in standard deviations."""
-        pairs = zip(self.priors, self.residuals(problem), strict=True)
+        pairs = zip(self.priors, self.residuals(problem, offset), strict=True)
         return np.array([np.linalg.norm(prior.whiten(row)) for prior, row in pairs])
 
     def align(self, problem: Problem) -> Similarity:

@@ -31,7 +31,7 @@ from bundle.georeference.vector_prior import UNKNOWN
 from bundle.graphs.factors.factors import PriorFactor
 from bundle.model.problem import Problem
 
-__all__ = ["TargetPriors"]
+__all__ = ["TargetPriors", "survey_sigmas"]
 
 Array = NDArray[np.float64]
 
@@ -99,7 +99,7 @@ class TargetPriors:
             PriorFactor(
                 ("point", point_id),
                 np.nan_to_num(np.array(entry.point.position)),
-                np.diag(1 / _sigmas(entry.point) ** 2),
+                np.diag(1 / survey_sigmas(entry.point) ** 2),
                 loss=entry.point.loss,
                 loss_scale=entry.point.loss_scale,
             )
@@ -185,7 +185,8 @@ def _free_ids(problem: Problem, count: int) -> tuple[int, ...]:
     return tuple(np.setdiff1d(among, problem.point_ids)[:count].tolist())
 
 
-def _sigmas(point: GroundControlPoint) -> Array:
+def survey_sigmas(point: GroundControlPoint) -> Array:
+    """Return the standard deviations (3,) of a point; an unknown height has a very large one."""
     horizontal, vertical = point.sigma or GCP_SIGMA
     if np.isnan(point.position[2]):
         vertical = UNKNOWN

@@ -13,6 +13,7 @@ from bundle.interface.options import LOSSES
 __all__ = [
     "GCP_PIXEL_SIGMA",
     "GCP_SIGMA",
+    "GPS_OFFSETS",
     "GPS_SIGMA",
     "GRAVITY_SIGMA",
     "ORIENTATION_SIGMA",
@@ -23,6 +24,7 @@ __all__ = [
 ]
 
 GPS_SIGMA = "2/5"
+GPS_OFFSETS = ("none", "up", "all")
 GCP_SIGMA = "0.02"
 """Default standard deviations in metres, horizontal and vertical, for files without them."""
 GCP_PIXEL_SIGMA = 0.5
@@ -66,6 +68,15 @@ class GeoreferenceOptions(Options):
         "metres",
         metavar="H[/V]",
         needs=("gps",),
+    )
+    gps_offset: str = option(
+        "none",
+        "--gps-offset",
+        "estimate an offset that all positions have from the control points: up, for heights of "
+        "two systems (ellipsoid and sea level), or along all axes",
+        choices=GPS_OFFSETS,
+        needs=("gps",),
+        late=True,
     )
     antenna: str = option(
         "0,0,0",

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+import dataclasses
+from typing import TYPE_CHECKING, Any
 
 import bundle._core as _core
 from bundle.base.arguments import check_function
@@ -15,7 +16,11 @@ from bundle.solving.ranks.launch import current
 from bundle.solving.ranks.one_process import warning
 from bundle.solving.result import Result
 
-__all__ = ["KeptSolver", "ThisProcess", "solve_prepared"]
+if TYPE_CHECKING:
+    from bundle.model.problem import Problem
+    from bundle.solving.rounds.run_state import State
+
+__all__ = ["KeptSolver", "ThisProcess", "finished", "solve_prepared"]
 
 
 class ThisProcess:
@@ -70,6 +75,23 @@ def solve_prepared(
     for sentence in result.summary.warnings:
         log("warning", "%s", sentence)
     return result
+
+
+def finished(prepared: Prepared, last: Result, state: State | None = None) -> Result:
+    """Convert the last result for the start to one for the problem of the request.
+
+    Its control points are tested when someone asks for it.
+    """
+    result = prepared.finished(last, state)
+    if prepared.placed.targets is None or last.summary.termination_type != "CONVERGENCE":
+        return result
+    from bundle.solving.survey_checks import check_survey  # few solves have control points
+
+    def solve_here(ready: Prepared) -> Problem:
+        return solve_prepared(ready, None, ThisProcess()).problem
+
+    at_minimum = prepared.at(last.problem)
+    return dataclasses.replace(result, _survey=lambda: check_survey(at_minimum, solve_here))
 
 
 def _default_executor() -> Executor:

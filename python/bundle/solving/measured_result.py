@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import field
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +29,7 @@ from bundle.solving.movement import Movement, movement
 
 if TYPE_CHECKING:
     from bundle.georeference.alignment_result import ControlPointError
+    from bundle.georeference.point_check import SurveyChecks
     from bundle.georeference.similarity import Similarity
     from bundle.model.clipped_errors import HeldOut
     from bundle.solving.constraints.camera_bounds import ActiveBound
@@ -54,6 +56,20 @@ class MeasuredResult(SolveRecord):
     held_out: HeldOut | None = None
     edits: tuple[Edit, ...] = ()
     observation_mask: NDArray[np.bool_] | None = None
+    _survey: Callable[[], SurveyChecks] | None = field(default=None, repr=False)
+
+    @cached_property
+    def survey_checks(self) -> SurveyChecks | None:
+        """Tests of control points and of an offset of positions, computed at the first access.
+
+        None without control points, and of a solve that did not converge.
+        """
+        return None if self._survey is None else self._survey()
+
+    def __getstate__(self) -> dict[str, Any]:
+        # Factors may be functions that do not pickle; the outcome of the tests does.
+        self.survey_checks  # noqa: B018
+        return vars(self) | {"_survey": None}
 
     @property
     def source_problem(self) -> Problem:

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from bundle.georeference.alignment_result import ControlPointError
     from bundle.georeference.attitude_priors import AttitudePrior
     from bundle.georeference.control_point import GroundControlPoint
+    from bundle.georeference.position_offset import PositionOffset
     from bundle.georeference.position_prior import PositionPrior
     from bundle.georeference.prior_alignment import ProblemPriors
     from bundle.georeference.problem_attitudes import ProblemAttitudes
@@ -38,12 +39,14 @@ class PlacedProblem(NamedTuple):
             velocities.
         similarity: similarity by which the problem was moved, if it was moved.
         targets: control and check points, if there are any.
+        offset: offset of measured positions, whose pose is the last image of `problem`.
     """
 
     problem: Problem
     factors: tuple[Factor, ...] = ()
     similarity: Similarity | None = None
     targets: TargetPriors | None = None
+    offset: PositionOffset | None = None
 
     @property
     def control_point_ids(self) -> tuple[int, ...]:
@@ -51,7 +54,9 @@ class PlacedProblem(NamedTuple):
         return () if self.targets is None else self.targets.point_ids
 
     def taken_from(self, problem: Problem) -> Problem:
-        """Return a refined or filtered version of this problem without control points."""
+        """Return a refined or filtered version of this problem as the user knows it."""
+        if self.offset is not None:
+            problem = self.offset.taken_from(problem)
         return problem if self.targets is None else self.targets.taken_from(problem)
 
     def control_points(self, problem: Problem) -> tuple[ControlPointError, ...]:
@@ -99,7 +104,8 @@ def place_at_priors(
             if align:
                 raise InputError(f"priors: {error}") from None
     start = problem if similarity is None else moved(problem, similarity)
-    of_priors: list[Factor] = [*known.factors()]
+    offset = known.offset_beside(problem)
+    of_priors: list[Factor] = [*known.factors(offset)]
     if turned is not None:
         turned.check(start)
         of_priors += turned.factors()
@@ -110,7 +116,28 @@ def place_at_priors(
         from bundle.georeference.problem_velocities import ProblemVelocities  # few solves have any
 
         of_priors += ProblemVelocities.make(start, velocities).factors(start)
-    return PlacedProblem(start, (*factors, *of_priors), similarity, targets)
+    if offset is not None:
+        _check_offset(known, targets)
+        start = offset.added_to(start, known.typical_offset(start))
+        of_priors += offset.factors()
+    return PlacedProblem(start, (*factors, *of_priors), similarity, targets, offset)
+
+
+def _check_offset(known: ProblemPriors, targets: TargetPriors | None) -> None:
+    """Raise an InputError if nothing determines the offset of positions."""
+    used = () if targets is None else targets.used
+    if any(prior.offset == "none" for prior in known.priors):
+        return  # other positions determine it
+    if not used:
+        raise InputError(
+            "gps_offset: expected control points in the model, which determine the offset of the "
+            "positions, found 0"
+        )
+    if all(np.isnan(entry.point.position[2]) for entry in used):
+        raise InputError(
+            "gps_offset: expected a control point with a height, which determines the offset of "
+            f"the positions, found {len(used)} without"
+        )
 
 
 def _attitudes(problem: Problem, priors: list[AttitudePrior]) -> ProblemAttitudes | None:
@@ -198,6 +225,8 @@ def _similarity(problem: Problem, known: ProblemPriors, targets: TargetPriors | 
     """
     if targets is None or not targets.used:
         return known.align(problem)
+    if any(prior.offset != "none" for prior in known.priors):
+        return _similarity_beside_offset(problem, known, targets)
     from bundle.georeference.correspondences import Correspondences
     from bundle.georeference.prior_alignment import robust_similarity
     from bundle.georeference.similarity_fit import fit_similarity
@@ -219,3 +248,28 @@ def _similarity(problem: Problem, known: ProblemPriors, targets: TargetPriors | 
         except InputError:
             pass
     return robust_similarity(joined, what)
+
+
+def _similarity_beside_offset(
+    problem: Problem, known: ProblemPriors, targets: TargetPriors
+) -> Similarity:
+    """Return the similarity to control points, whose positions have no offset.
+
+    If they do not determine it, positions of images give scale and rotation.
+
+    Raises:
+        InputError: neither control points nor positions determine scale and rotation.
+    """
+    from bundle.georeference.similarity import Similarity
+    from bundle.georeference.similarity_fit import fit_similarity
+
+    points = targets.correspondences()
+    try:
+        return fit_similarity(points, what="control points").similarity
+    except InputError:
+        turned = known.align(problem)
+    missing = points.target - turned.apply(points.source)
+    known_axes = np.isfinite(missing).any(axis=0)
+    shift = np.zeros(3)
+    shift[known_axes] = np.nanmean(missing[:, known_axes], axis=0)
+    return Similarity(turned.scale, turned.rotation, turned.translation + shift)

@@ -203,7 +203,7 @@ def solve(
 
         return solve_pose_graph(problem, options, progress=progress, **changes)  # type: ignore[arg-type]
     from bundle.interface.validation_options import HoldOutOptions
-    from bundle.solving.executors import solve_prepared
+    from bundle.solving.executors import finished, solve_prepared
     from bundle.solving.prepare import prepare
     from bundle.solving.request import SolveRequest
 
@@ -223,11 +223,11 @@ def solve(
         )
     )
     if not share.hold_out:
-        return prepared.finished(solve_prepared(prepared, progress))
+        return finished(prepared, solve_prepared(prepared, progress))
     from bundle.solving.held_out.measurement import HeldOutFit
 
     held_out = HeldOutFit(prepared, share)
     last = solve_prepared(prepared, progress)
     return held_out.measured(
-        prepared.finished(last), last, None, lambda kept: (solve_prepared(kept, progress), None)
+        finished(prepared, last), last, None, lambda kept: (solve_prepared(kept, progress), None)
     )

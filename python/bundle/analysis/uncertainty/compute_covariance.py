@@ -208,7 +208,7 @@ class _Recipe:
         points = out.get("points", np.zeros((0, 3, 3)))
         sensors = np.stack([problem.sensor_rig_ids, problem.sensor_camera_ids], axis=1)
         names = {
-            "pose": some("poses", problem.image_ids, out["poses"]),
+            "pose": some("poses", problem.image_ids, out["poses"][: problem.num_images]),
             "frame": some("poses", problem.frame_ids, out["frames"]),
             "sensor": some("poses", sensors, out["sensors"]),
             "camera": some("intrinsics", problem.camera_ids, out["cameras"]),

@@ -278,6 +278,9 @@ class PositionFactor(Factor):
         position: (3,) position of the antenna in the world frame.
         information: (3, 3) symmetric positive definite, along the world axes, or a number.
         lever_arm: (3,) position of the antenna in the camera frame; zeros: the projection centre.
+        offset: another pose, whose translation times `axes` is added to e: an unknown offset that
+            positions have in common; None: they have none.
+        axes: (3,) 1 for each coordinate with an offset, else 0.
 
     Raises:
         InputError: an argument is not numeric.
@@ -287,23 +290,25 @@ class PositionFactor(Factor):
     position: ArrayLike
     information: ArrayLike
     lever_arm: ArrayLike = field(default=(0.0, 0.0, 0.0), kw_only=True)
+    offset: Key | None = field(default=None, kw_only=True)
+    axes: ArrayLike = field(default=(1.0, 1.0, 1.0), kw_only=True)
 
     kind = "position"
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self._freeze_row("position", "lever_arm")
+        self._freeze_row("position", "lever_arm", "axes")
         self._freeze_matrix("information")
 
     @property
     def keys(self) -> tuple[Key, ...]:
         """Variables in the order of the Jacobians."""
-        return (self.key,)
+        return (self.key,) if self.offset is None else (self.key, self.offset)
 
     def core_arguments(self, name: str, sizes: tuple[int, ...]) -> tuple[Any, ...]:  # noqa: ARG002
         """See :meth:`Factor.core_arguments`."""
         information = as_information(name, np.asarray(self.information), 3)
-        return self.position, self.lever_arm, information
+        return self.position, self.lever_arm, information, self.axes
 
 
 @dataclass(frozen=True, eq=False, repr=False)

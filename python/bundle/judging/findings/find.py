@@ -24,7 +24,12 @@ from bundle.judging.findings.measured import Measured
 from bundle.judging.findings.minimum import not_refined
 from bundle.judging.findings.next_command import NextCommand
 from bundle.judging.findings.outliers import outliers
-from bundle.judging.findings.positions import is_tense, measured_positions, scale_drift
+from bundle.judging.findings.positions import (
+    is_tense,
+    measured_positions,
+    position_offset,
+    scale_drift,
+)
 from bundle.judging.findings.repaired import is_affordable, repaired
 from bundle.judging.findings.systematic import SystematicResiduals
 from bundle.judging.findings.wrong_attitudes import wrong_attitudes
@@ -33,13 +38,14 @@ from bundle.model.problem import Problem
 
 if TYPE_CHECKING:
     from bundle.analysis.uncertainty.covariance_result import Covariance
+    from bundle.georeference.point_check import SurveyChecks
 
 __all__ = ["find", "one_list"]
 
 IMPORTANCE = (
     *("not_refined", "outliers", "lens_model", "weak_joint", "undetermined_intrinsics", "motion"),
-    *("positions", "attitudes", "scale_drift", "focal_drift", "shared_lens", "image_residuals"),
-    "duplicate_points",
+    *("gps_offset", "positions", "attitudes", "scale_drift", "focal_drift", "shared_lens"),
+    *("image_residuals", "duplicate_points"),
 )
 """Kinds of findings, the most important first."""
 
@@ -74,6 +80,7 @@ def find(
     rounds: int = 0,
     covariance: Covariance | None = None,
     priors: Sequence[Any] = (),
+    survey: SurveyChecks | None = None,
     is_minimum: bool = False,
 ) -> tuple[Finding, ...]:
     """Return what a user should know about a model and do next.
@@ -88,6 +95,7 @@ def find(
         covariance: covariance of the intrinsics, scale "sigma0", if it has been computed; None:
             computed here if that takes milliseconds.
         priors: measured positions and attitudes of images in the frame of the problem.
+        survey: tests of control points and positions after the solve, or None.
         is_minimum: True if a solve with these options has just converged.
     """
     used = {problem.camera_models[camera] for camera in set(problem.image_camera.tolist())}
@@ -100,6 +108,7 @@ def find(
         rounds=rounds,
         covariance=covariance,
         priors=priors,
+        survey=survey,
         is_minimum=is_minimum,
     )
     found = [finding for finding in _findings(measured) if finding is not None]
@@ -131,12 +140,14 @@ def _findings(measured: Measured) -> Iterator[Finding | None]:
     yield joint
     yield duplicate_points(measured)
     yield wrong_attitudes(measured)
+    offset = position_offset(measured)
+    yield offset
     start = not_refined(measured)
     if start is not None:
         yield start
         return  # other tests need a minimum
     far = outliers(measured)
-    is_bent = is_tense(measured)
+    is_bent = offset is None and is_tense(measured)  # an offset bends the model
     can_repair = is_affordable(measured)
     free = repaired(measured) if can_repair and (far is not None or is_bent) else None
     drift = places = None

@@ -27,6 +27,7 @@ from bundle.model.rotations import quaternion_rotate
 
 if TYPE_CHECKING:
     from bundle.analysis.uncertainty.covariance_result import Covariance
+    from bundle.georeference.point_check import SurveyChecks
 
 __all__ = ["SMALLEST_SCALE", "Measured", "median", "median_by_group"]
 
@@ -59,6 +60,7 @@ class Measured:
         rounds: rounds of adjusting and filtering in this solve.
         covariance: covariance of intrinsics with scale "sigma0", or None.
         priors: measured positions of images.
+        survey: tests of control points and positions after the solve, or None.
         is_minimum: True if a solve with these options has just converged.
     """
 
@@ -68,6 +70,7 @@ class Measured:
     rounds: int = 0
     covariance: Covariance | None = None
     priors: Sequence[Any] = ()
+    survey: SurveyChecks | None = None
     is_minimum: bool = False
 
     @cached_property

@@ -30,7 +30,7 @@ from bundle.judging.findings.measured import Measured, median
 from bundle.model.problem import Problem
 from bundle.model.rotations import quaternion_inverse, quaternion_rotate
 
-__all__ = ["measured_positions", "scale_drift"]
+__all__ = ["is_tense", "measured_positions", "position_offset", "scale_drift"]
 
 CHI2_MEDIANS = {1: 0.4549, 2: 1.3863, 3: 2.3660}
 RATIO, BENT_FACTOR = 2.0, 1.5
@@ -86,6 +86,35 @@ def measured_positions(measured: Measured, *, model_bends: bool = False) -> Find
             evidence=evidence,
         )
     return None
+
+
+def position_offset(measured: Measured) -> Finding | None:
+    """Return the finding about an offset of positions from control points, or None.
+
+    ``solving/survey_checks.py`` has the test. Without the offset, a focal length absorbs it.
+    """
+    offset = None if measured.survey is None else measured.survey.offset
+    if offset is None or offset.is_estimated or not offset.is_significant:
+        return None
+    without, focal, sigma = offset.focal_lengths
+    cause = ": heights of two systems (ellipsoid, sea level)?" if offset.axes == "up" else "."
+    more = ""
+    if offset.bends_focal_length:
+        more = (
+            f" The focal length absorbs it: {without:.4g} px instead of {focal:.4g} +- {sigma:.2g}."
+            " With the offset only relief determines both: add oblique images, or a prior on f."
+        )
+    return Finding(
+        kind="gps_offset",
+        sentence=f"{offset.sentence}{cause}{more}",
+        command=measured.command.refine("--gps-offset", offset.axes),
+        evidence={
+            **offset.asdict(),
+            "focal_length": without,
+            "focal_length_with_offset": focal,
+            "focal_length_sigma": sigma,
+        },
+    )
 
 
 def is_tense(measured: Measured) -> bool:

@@ -9,6 +9,7 @@ import numpy as np
 from bundle.base.words import pixels, plural
 from bundle.errors import shown
 from bundle.georeference.alignment_result import ControlPointError, metres, root_mean_square
+from bundle.georeference.point_check import LEAST_REDUNDANCY
 from bundle.reports.sections import Section, Table
 
 __all__ = ["control_points", "plain_metres", "suspicions"]
@@ -19,8 +20,8 @@ def control_points(points: Sequence[ControlPointError], *, adjusted: bool = Fals
 
     Args:
         points: points to list.
-        adjusted: True after a solve: the table has sigmas, and only the length of each
-            leave-one-out error.
+        adjusted: True after a solve: the table has sigmas, only the length of each leave-one-out
+            error, and the size of an error that would be found.
     """
     if not points:
         return []
@@ -31,7 +32,11 @@ def control_points(points: Sequence[ControlPointError], *, adjusted: bool = Fals
             str(point.num_images),
             *map(metres, point.residual),
             *(
-                [_sigmas(point), plain_metres(float(np.linalg.norm(_known(point.leave_one_out))))]
+                [
+                    _sigmas(point),
+                    plain_metres(float(np.linalg.norm(_known(point.leave_one_out)))),
+                    _detectable(point),
+                ]
                 if adjusted
                 else map(metres, point.leave_one_out)
             ),
@@ -45,16 +50,22 @@ def control_points(points: Sequence[ControlPointError], *, adjusted: bool = Fals
             px = np.sqrt(np.mean([point.pixels**2 for point in chosen]))
             rms = map(plain_metres, root_mean_square(point.residual for point in chosen))
             label, count = f"total rms {kind}", plural(len(chosen), "point")
-            empty = [""] * (2 if adjusted else 3)
+            empty = [""] * 3
             cells.append((label, count, "", *rms, *empty, pixels(px)))
     head = ["control point", "role", "images", "east [m]", "north", "up"]
-    head += ["sigma", "left out"] if adjusted else ["without: east", "north", "up"]
+    head += ["sigma", "left out", "found from"] if adjusted else ["without: east", "north", "up"]
     return [Section(tables=[Table.of((*head, "[px]"), cells, left=2)])]
 
 
 def suspicions(points: Iterable[ControlPointError]) -> list[str]:
-    """Return one sentence per point with a probable gross error."""
-    return [
+    """Return one sentence per point with a probable gross error, one for points without a check."""
+    points = tuple(points)
+    unchecked = [shown(point.name) for point in points if point.is_unchecked]
+    said = [
+        f"{', '.join(unchecked)} cannot be checked: the other measurements hardly predict "
+        f"{'it' if len(unchecked) == 1 else 'them'}."
+    ]
+    return (said if unchecked else []) + [
         f"{shown(point.name)} is probably wrong: the other points place it "
         f"{', '.join(_offsets(point.leave_one_out))} of its coordinates."
         for point in points
@@ -65,6 +76,11 @@ def suspicions(points: Iterable[ControlPointError]) -> list[str]:
 def plain_metres(value: float) -> str:
     """Return metres with three decimals; "-" if unknown."""
     return "-" if np.isnan(value) else f"{value:.3f}"
+
+
+def _detectable(point: ControlPointError) -> str:
+    """Return the size of an error that a test finds; "-" if no test can."""
+    return plain_metres(point.detectable) if point.redundancy >= LEAST_REDUNDANCY else "-"
 
 
 def _sigmas(point: ControlPointError) -> str:

@@ -24,14 +24,32 @@ def place_sentences(georeference: Georeference) -> list[str]:
         rms = georeference.rms_of(kind)
         if not np.isnan(rms[0]):
             said.append(f"{noun}s {' / '.join(map(_plain, rms))}")
-    return [f"RMS east / north / up [m]: {'; '.join(said)}."] if said else []
+    sentences = [f"RMS east / north / up [m]: {'; '.join(said)}."] if said else []
+    return [*sentences, *_offset(georeference)]
+
+
+def _offset(georeference: Georeference) -> list[str]:
+    """Return the estimated offset of the positions in a sentence; a finding names others."""
+    offset = georeference.offset
+    if offset is None or not offset.is_estimated:
+        return []
+    _, focal, sigma = offset.focal_lengths
+    said = f"{offset.sentence}, estimated."
+    if not offset.is_significant:
+        return [f"{said} It is not significant (p = {offset.p:.2g}): leave out --gps-offset."]
+    if not sigma > 0:
+        return [said]
+    return [
+        f"{said} Relief alone tells it from the focal length, {focal:.1f} +- {sigma:.2g} px: "
+        "oblique images or a calibrated focal length make both certain."
+    ]
 
 
 def place_warnings(georeference: Georeference) -> list[str]:
     """Return the positions and control points that are probably wrong, then notes."""
-    suspects = georeference.suspects
+    suspects, offset = georeference.suspects, georeference.offset
     said = []
-    if suspects:
+    if suspects and (offset is None or offset.is_estimated or not offset.is_significant):
         worst = max(suspects, key=lambda image: image.sigmas)
         said.append(
             f"{plural(len(suspects), 'position')} off by over 3 sigmas, {shown(worst.name)} by "

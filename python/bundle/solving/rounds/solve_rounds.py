@@ -16,7 +16,7 @@ from bundle.interface.validation_options import HoldOutOptions
 from bundle.io.files import Source, as_problem
 from bundle.model.image_selection import ImageSelection
 from bundle.model.problem_keys import touched_ids
-from bundle.solving.executors import solve_prepared
+from bundle.solving.executors import finished, solve_prepared
 from bundle.solving.prepare import Prepared, prepare
 from bundle.solving.request import Bounds, PartRequest, RunPlan, SolveRequest
 from bundle.solving.result import Result
@@ -185,8 +185,8 @@ def run(request: SolveRequest, plan: RunPlan, progress: Progress | None = None) 
         return _run(prepared, start, plan.rounds, None, progress)
 
     last, state = _run(prepared, state, plan.rounds, checkpoint, progress)
-    finished = prepared.finished(last, state)
-    return finished if held_out is None else held_out.measured(finished, last, state, fit)
+    result = finished(prepared, last, state)
+    return result if held_out is None else held_out.measured(result, last, state, fit)
 
 
 # Most runs need no held-out fit, no checkpoint and no filter, whose imports would delay them.

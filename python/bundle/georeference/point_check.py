@@ -1,0 +1,193 @@
+"""Test of surveyed points after an adjustment, and the estimated offset of positions.
+
+v is the whitened residual L^-1 (X - X0) of the prior of a control point, w the weight of its loss,
+and P = L^-1 Cov(X) L^-T the whitened covariance of the adjusted point. All else predicts the point
+with the residual and its covariance
+
+    d = (I - w P)^-1 v,    C = I + P (I - w P)^-1,    T = d^T C^-1 d = v^T Q^+ v for w = 1,
+
+with Q = I - P, the cofactor of the residual: leave-one-out without another solve (Belsley, Kuh and
+Welsch 1980). T has a chi-squared distribution with as many degrees of freedom m as the survey has
+coordinates; if the scale of all sigmas is estimated with nu degrees of freedom,
+
+    T (nu - m) / (m (nu - T)) has F(m, nu - m).
+
+The mean of the eigenvalues of I - w P is the redundancy of the point: the share of an error that
+its residual shows. Below 0.1 the other measurements do not check the point.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.base.records import dataclass
+from bundle.base.tails import f_tail
+
+__all__ = ["LEAST_REDUNDANCY", "OffsetCheck", "PointCheck", "SurveyChecks", "scaled_tail"]
+
+Array = NDArray[np.float64]
+Triple = tuple[float, float, float]
+
+LEAST_REDUNDANCY = 0.1
+SMALLEST = 1e-9
+"""Eigenvalue of Q, relative to 1, below which a direction is not checked at all."""
+
+
+@dataclass(frozen=True)
+class OffsetCheck:
+    """Offset of measured positions from the control points.
+
+    Attributes:
+        axes: "up" or "all".
+        value: (3,) positions minus model, east, north, up [m].
+        sigma: (3,) its standard deviations; 0 along axes without an offset.
+        statistic: T.
+        p: probability of an offset as significant as this one if there is none.
+        is_estimated: True if the solve estimated it; False if its model has none.
+        focal_lengths: first focal length of the solve, the same with the offset, and its standard
+            deviation [px].
+    """
+
+    axes: str
+    value: Triple
+    sigma: Triple
+    statistic: float
+    p: float
+    is_estimated: bool
+    focal_lengths: Triple
+
+    LEVEL: ClassVar[float] = 1e-3
+    """Probability below which an offset is significant."""
+
+    @property
+    def is_significant(self) -> bool:
+        """True if an offset is more probable than none."""
+        return self.p < self.LEVEL
+
+    def explains(self, statistic: float) -> bool:
+        """Return True if it is significant, and more so than a point with this statistic."""
+        return self.is_significant and self.statistic > statistic
+
+    @property
+    def sentence(self) -> str:
+        """The offset with its sigma, such as "Positions lie 45.04 m (+- 0.25) above ..."."""
+        east, north, up = self.value
+        words = [_along(up, self.sigma[2], "above", "below")]
+        if self.axes == "all":
+            words = [
+                _along(east, self.sigma[0], "east of", "west of"),
+                _along(north, self.sigma[1], "north of", "south of"),
+                *words,
+            ]
+        return f"Positions lie {', '.join(words)} the control points"
+
+    @property
+    def bends_focal_length(self) -> bool:
+        """True if the focal length without the offset is far from that with it."""
+        without, with_it, sigma = self.focal_lengths
+        return abs(without - with_it) > max(sigma, 1e-3 * abs(with_it)) and sigma > 0
+
+    def asdict(self) -> dict[str, object]:
+        """Return the entry of ``georeference.json``."""
+        return {
+            "value": list(self.value),
+            "sigma": list(self.sigma),
+            "p": self.p,
+            "axes": self.axes,
+            "is_estimated": self.is_estimated,
+        }
+
+
+@dataclass(frozen=True)
+class PointCheck:
+    """Test of a surveyed point against all other measurements.
+
+    Attributes:
+        residual: (3,) prediction by all else minus survey, east, north, up [m]; nan if unknown.
+        statistic: T.
+        freedom: its degrees of freedom.
+        redundancy: mean redundancy of its coordinates.
+        is_suspect: True if a gross error is likely.
+    """
+
+    residual: Triple
+    statistic: float
+    freedom: int
+    redundancy: float
+    is_suspect: bool = False
+
+    @property
+    def is_checked(self) -> bool:
+        """True if other measurements check the point."""
+        return self.redundancy >= LEAST_REDUNDANCY
+
+    @staticmethod
+    def of(residual: Array, sigma: Array, covariance: Array, weight: float) -> PointCheck:
+        """Test a point.
+
+        Args:
+            residual: (3,) adjusted minus surveyed position.
+            sigma: (3,) standard deviations of the survey; infinite or nan: not surveyed.
+            covariance: (3, 3) covariance of the adjusted point.
+            weight: weight of the prior in the adjustment; 0: a check point.
+        """
+        axes = np.isfinite(residual) & np.isfinite(sigma)
+        known, scale = residual[axes], sigma[axes]
+        v = known / scale
+        p = covariance[np.ix_(axes, axes)] / np.outer(scale, scale)
+        values, vectors = np.linalg.eigh(0.5 * (p + p.T))
+        left = 1 - weight * values
+        seen = left > SMALLEST
+        # Along the eigenvectors of P all matrices are diagonal.
+        d = np.zeros(len(values))
+        d[seen] = (vectors.T @ v)[seen] / left[seen]
+        c = 1 + np.maximum(values, 0) / np.where(seen, left, np.inf)
+        full = np.full(3, np.nan)
+        full[axes] = scale * (vectors @ d)
+        east, north, up = full.tolist()
+        return PointCheck(
+            residual=(east, north, up),
+            statistic=float((d**2 / c).sum()),
+            freedom=len(known),
+            redundancy=float(np.clip(left, 0, 1).mean()) if len(known) else 0.0,
+        )
+
+
+@dataclass(frozen=True)
+class SurveyChecks:
+    """Tests of measured positions and control points after a solve.
+
+    Attributes:
+        offset: offset of the positions from the control points; None: nothing determines it.
+        points: the test of each control and check point in use, by name.
+    """
+
+    offset: OffsetCheck | None
+    points: Mapping[str, PointCheck]
+
+
+def scaled_tail(statistic: float, freedom: int, scale2: float, nu: float) -> float:
+    """Return the probability of a larger T if sigmas are right but for a common factor.
+
+    Args:
+        statistic: T by the stated sigmas.
+        freedom: its degrees of freedom.
+        scale2: squared factor on the sigmas; at most 1: the sigmas are right.
+        nu: degrees of freedom of its estimate.
+    """
+    if scale2 <= 1:
+        return f_tail(statistic / freedom, freedom, math.inf)
+    t = statistic / scale2
+    if nu <= freedom or t >= nu:
+        return 0.0 if t >= nu > freedom else 1.0
+    return f_tail(t * (nu - freedom) / (freedom * (nu - t)), freedom, nu - freedom)
+
+
+def _along(value: float, sigma: float, plus: str, minus: str) -> str:
+    digits = max(0, 1 - math.floor(math.log10(sigma))) if 0 < sigma < math.inf else 3
+    return f"{abs(value):.{digits}f} m (+- {sigma:.2g}) {plus if value > 0 else minus}"
