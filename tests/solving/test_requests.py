@@ -9,6 +9,7 @@ import pytest
 
 import bundle
 from bundle.interface.round_options import RoundOptions
+from bundle.model.estimates import VARIABLES
 from bundle.solving import prepare as preparation
 from bundle.solving.executors import solve_prepared
 from bundle.solving.prepare import prepare
@@ -22,7 +23,7 @@ from tests.solving.ranks.thread_crew import processes
 OPTIONS = bundle.SolveOptions(
     backend="fused", deterministic=True, num_threads=1, max_num_iterations=6
 )
-VALUES = ("cam_from_world", "camera_params", "points", "rig_from_world", "sensor_from_rig")
+VALUES = tuple(one.name for one in VARIABLES if not one.holder)
 
 
 def position(problem, row, weight=1e3):

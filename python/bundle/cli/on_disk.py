@@ -47,6 +47,11 @@ def on_disk(asked: Refinement) -> AbstractContextManager[None]:
     backend = asked.options.backend
     if backend == "ceres":
         raise InputError(f"{_FLAG}: expected the fused backend, found --backend ceres")
+    if asked.options.twists != "free":
+        raise InputError(
+            f"{_FLAG}: expected --twists free, found {asked.options.twists}, whose ties need all "
+            "of INPUT"
+        )
     from bundle.solving.slices.out_of_core import scratch_folder  # few runs need it
 
     return scratch_folder(folder)

@@ -14,8 +14,9 @@ t_c in its camera moves to s (R_c x + t_c). So
 
     R_c' = R_c R^T,  t_c' = s t_c - R_c' t,
 
-and no projection changes. Frames of rigs move as cameras do, and rigs scale with the scene: t_s' =
-s t_s for a sensor_from_rig. The translation of a rolling shutter's twist scales likewise.
+and no projection changes. Frames of rigs move as cameras do. What is in the frame of a camera or a
+rig scales with the scene: t_s' = s t_s for a sensor_from_rig, and likewise the translation of a
+rolling shutter's twist. ``bundle.model.estimates`` has the rule of each array.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from numpy.typing import NDArray
 
 from bundle.base.records import dataclass
 from bundle.georeference.moved_source import without_origin
+from bundle.model.estimates import VARIABLES, Variable, estimates, with_estimates
 from bundle.model.problem import Problem
 from bundle.model.rig_arrays import placed
 from bundle.model.rotations import (
@@ -35,7 +37,6 @@ from bundle.model.rotations import (
     quaternion_multiply,
     rotation_matrices,
 )
-from bundle.model.shutter_changes import scaled
 
 __all__ = ["Similarity", "moved", "scale_and_rotation", "umeyama"]
 
@@ -103,21 +104,27 @@ def scale_and_rotation(a: Array, b: Array) -> tuple[Array, Array]:
 
 def moved(problem: Problem, similarity: Similarity) -> Problem:
     """Return the problem moved by the similarity; observations and cameras do not change."""
-    changes = {"points": similarity.apply(problem.points)}
-    poses = _moved_poses(problem.cam_from_world, similarity)
+    known = estimates(problem)
+    values = {
+        one.name: _moved(known[one.name], one, similarity)
+        for one in VARIABLES
+        if one.name in known and one.similarity != "none"
+    }
     if problem.num_frames:
-        arms = problem.sensor_from_rig.copy()
-        arms[:, 4:] *= similarity.scale
-        changes["sensor_from_rig"] = arms
-        changes["rig_from_world"] = _moved_poses(problem.rig_from_world, similarity)
-        poses = placed(
-            {name: getattr(problem, name) for name in ("image_frame", "image_sensor")}
-            | {"cam_from_world": poses}
-            | changes
-        )
-    shutter = scaled(problem.rolling_shutter, similarity.scale)
-    found = problem.replace(cam_from_world=poses, rolling_shutter=shutter, **changes)
-    return without_origin(found)
+        rigs = {name: getattr(problem, name) for name in ("image_frame", "image_sensor")}
+        values["cam_from_world"] = placed(rigs | values)
+    return without_origin(with_estimates(problem, values, checked=True))
+
+
+def _moved(values: Array, variable: Variable, similarity: Similarity) -> Array:
+    """Return an array of a problem after a similarity of the world, as the table says."""
+    if variable.similarity == "pose":
+        return _moved_poses(values, similarity)
+    if variable.similarity == "point":
+        return similarity.apply(values)
+    moved = values.copy()
+    moved[:, variable.lengths] *= similarity.scale
+    return moved
 
 
 def _moved_poses(poses: NDArray[np.float64], similarity: Similarity) -> NDArray[np.float64]:

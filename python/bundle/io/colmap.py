@@ -158,9 +158,7 @@ def save(problem: Problem, folder: Path, *, binary: bool) -> tuple[str, ...]:
         OSError: the files could not be written completely.
         InputError: COLMAP cannot represent the problem.
     """
-    shutter = rolling_shutter_text(problem)
-    if shutter:
-        (folder / ROLLING_SHUTTER).write_text(shutter, "utf-8")
+    _write_shutter(problem, folder)
     model = _model(problem, binary=binary)
     return (
         write(problem, folder, binary=binary) if model is None else _rewrite(problem, folder, model)
@@ -190,6 +188,7 @@ def rewrite_like(
         InputError: the files of the source have changed.
     """
     problem.check_padding()
+    _write_shutter(problem, folder)
     source: Any = vars(problem)["source"]
     source.model.write(
         folder,
@@ -201,6 +200,12 @@ def rewrite_like(
         problem.sensor_from_rig,
         point_ids,
     )
+
+
+def _write_shutter(problem: Problem, folder: Path) -> None:
+    text = rolling_shutter_text(problem)
+    if text:
+        (folder / ROLLING_SHUTTER).write_text(text, "utf-8")
 
 
 def _rewrite(problem: Problem, folder: Path, model: _core.ColmapModel) -> tuple[str, ...]:

@@ -12,15 +12,16 @@ import numpy as np
 
 from bundle.errors import InputError, brief
 from bundle.model.cameras import camera_models
+from bundle.model.estimates import SHUTTER, VARIABLES
 from bundle.model.problem import Problem
 
 __all__ = ["KINDS", "SHUTTER_KINDS", "ProblemKeys", "parameter_names", "touched_ids"]
 
-KINDS = ("image", "camera", "point", "frame", "sensor")
-SHUTTER_KINDS = ("twist", "readout")
+KINDS = tuple(one.kind for one in VARIABLES if not one.holder)
+SHUTTER_KINDS = tuple(one.kind for one in VARIABLES if one.holder == SHUTTER)
 """Kinds of keys of rolling shutters: the twist of an image, the readout of a camera."""
 
-_OWNER = {"twist": "image", "readout": "camera"}
+_OWNER = {one.kind: one.rows.removesuffix("s") for one in VARIABLES}
 
 
 class ProblemKeys:
@@ -66,7 +67,7 @@ class ProblemKeys:
     def _ids(self, kind: str) -> list[Any]:
         problem = self._problem
         if kind != "sensor":
-            ids: list[Any] = getattr(problem, f"{_OWNER.get(kind, kind)}_ids").tolist()
+            ids: list[Any] = getattr(problem, f"{_OWNER[kind]}_ids").tolist()
             return ids
         rigs, cameras = problem.sensor_rig_ids.tolist(), problem.sensor_camera_ids.tolist()
         return list(zip(rigs, cameras, strict=True))

@@ -20,6 +20,8 @@ from numpy.typing import ArrayLike, NDArray
 from bundle.base.arrays import distinct, filled, freeze
 from bundle.base.records import dataclass
 from bundle.errors import InputError, brief
+from bundle.model import rig_arrays
+from bundle.model.estimates import VARIABLES, arrays_of, estimates, with_estimates
 from bundle.model.problem_arrays import ProblemArrays
 from bundle.model.rolling_shutter import RollingShutter, selected
 
@@ -97,30 +99,24 @@ class Selection(Generic[P]):
             cameras: as ``images``, for the parameters of cameras.
             points: as ``images``, for the coordinates of points.
         """
-
-        def put(
-            name: str, rows: _Indices, chosen: _Mask | None, old: Any = whole, new: Any = refined
-        ) -> NDArray[Any]:
-            """Return an array of the original problem with some rows replaced."""
-            mask = np.ones(len(rows), bool) if chosen is None else chosen
-            values: NDArray[Any] = getattr(old, name).copy()
-            values[rows[mask]] = getattr(new, name)[mask]
-            return values
-
-        values: dict[str, Any] = {
-            "cam_from_world": put("cam_from_world", self.images, images),
-            "camera_params": put("camera_params", self.cameras, cameras),
-            "points": put("points", self.points, points),
-        }
-        old, new = whole.rolling_shutter, refined.rolling_shutter
-        if old is not None and new is not None:
-            values["rolling_shutter"] = old.replace(
-                twist=put("twist", self.images, images, old, new),
-                readout=put("readout", self.cameras, cameras, old, new),
-            )
-        if len(self.frames):
-            values["rig_from_world"] = put("rig_from_world", self.frames, frames)
-        return whole.replace(**values)
+        chosen = {"images": images, "frames": frames, "cameras": cameras, "points": points}
+        old, new = estimates(whole), estimates(refined)
+        values: dict[str, Any] = {}
+        for one in VARIABLES:
+            rows, mask = getattr(self, one.rows), chosen.get(one.rows)
+            if one.name in old and one.name in new and len(rows):
+                mask = np.ones(len(rows), bool) if mask is None else mask
+                values[one.name] = old[one.name].copy()
+                values[one.name][rows[mask]] = new[one.name][mask]
+        if len(self.sensors):  # they also carry images outside of the selection
+            changed = (values["sensor_from_rig"] != whole.sensor_from_rig).any(axis=1)
+            sensor = whole.image_sensor
+            stale = (sensor >= 0) & changed[sensor]
+            stale[self.images if images is None else self.images[images]] = False
+            moved = np.flatnonzero(stale)
+            of_rigs = {"image_frame": whole.image_frame, "image_sensor": sensor, **values}
+            values["cam_from_world"][moved] = rig_arrays.placed(of_rigs)[moved]
+        return with_estimates(whole, values, checked=True)
 
 
 def select(
@@ -166,19 +162,19 @@ def select(
             sigma = whole.observation_sigma.take(rows)
             state["observation_sigma"] = freeze(sigma) if len(rows) else None
     if of_points is not None:
-        take(chosen["points"], "points", "point_ids")
+        take(chosen["points"], *arrays_of("points"), "point_ids")
         renumber("observation_point", chosen["points"], whole.num_points)
     if of_images is not None:
         rows = chosen["images"]
-        take(rows, "cam_from_world", "image_ids", "image_camera")
+        take(rows, *arrays_of("images"), "image_ids", "image_camera")
         state["image_names"] = tuple(whole.image_names[row] for row in rows.tolist())
         renumber("observation_image", rows, whole.num_images)
         if whole.num_frames:
             take(rows, "image_frame", "image_sensor")
             frames, sensors = _rigs_of(whole, rows)
             chosen |= {"frames": frames, "sensors": sensors}
-            take(frames, "rig_from_world", "frame_ids", "frame_rig_ids")
-            take(sensors, "sensor_from_rig", "sensor_rig_ids", "sensor_camera_ids")
+            take(frames, *arrays_of("frames"), "frame_ids", "frame_rig_ids")
+            take(sensors, *arrays_of("sensors"), "sensor_rig_ids", "sensor_camera_ids")
             renumber("image_frame", frames, whole.num_frames)
             renumber("image_sensor", sensors, whole.num_sensors)
             if not len(frames):
@@ -186,7 +182,7 @@ def select(
                 state |= {"image_frame": nothing, "image_sensor": nothing}
     if of_cameras is not None:
         rows = chosen["cameras"]
-        take(rows, "camera_ids", "camera_params", "camera_sizes")
+        take(rows, *arrays_of("cameras"), "camera_ids", "camera_sizes")
         state["camera_models"] = tuple(whole.camera_models[row] for row in rows.tolist())
         renumber("image_camera", rows, whole.num_cameras)
         if (state["image_camera"] < 0).any():

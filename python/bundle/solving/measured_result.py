@@ -116,6 +116,11 @@ class MeasuredResult(SolveRecord):
         return movement(self.source_problem, self.problem, self.similarity)
 
     @cached_property
+    def rmse_global_shutters(self) -> float:
+        """RMSE in pixels at the input, after all edits, if all shutters were global."""
+        return self._measure(self.initial_problem.replace(rolling_shutter=None)).rmse
+
+    @cached_property
     def worst_images(self) -> tuple[ImageError, ...]:
         """Images with the largest errors at the output, computed at the first access."""
         options = self.options

@@ -17,6 +17,7 @@ from bundle.base.records import dataclass
 from bundle.errors import InputError
 from bundle.interface.options import SolveOptions
 from bundle.interface.solve_record import Progress, record_fields, with_warnings
+from bundle.model.estimates import with_estimates
 from bundle.model.problem import Problem
 from bundle.model.rolling_shutter import refuse
 from bundle.model.unobserved import are_images_unrelated
@@ -27,7 +28,7 @@ from bundle.solving.points_first_look import with_model_alarm
 from bundle.solving.request import Bounds, PartRequest, SolveRequest
 from bundle.solving.result import Result
 from bundle.solving.sensor_changes import weak_baseline
-from bundle.solving.shutter_gain import refined_shutter
+from bundle.solving.shutter_gain import known_readouts
 
 if TYPE_CHECKING:
     from bundle.graphs.factors.factors import Factor
@@ -38,10 +39,7 @@ if TYPE_CHECKING:
     from bundle.solving.rounds.rest_prior import RestPrior
     from bundle.solving.rounds.run_state import State
 
-__all__ = ["STATE", "Executor", "Prepared", "prepare"]
-
-# Arrays of a problem that a solve returns; arrays of rigs only if the problem has rigs.
-STATE = ("cam_from_world", "camera_params", "points", "rig_from_world", "sensor_from_rig")
+__all__ = ["Executor", "Prepared", "prepare"]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -96,12 +94,9 @@ class Prepared:
         """Return the output of an executor as a result of the start, with all warnings."""
         options, known, limits = self.layout
         before = self.before
-        moved = {name: output[name] for name in STATE if name in output}
-        warnings = {"one_process": output.get("alone", "")}
-        if "twist" in output and before.rolling_shutter is not None:
-            moved["rolling_shutter"], outside = refined_shutter(before, output)
-            warnings["readout_outside"] = outside
-        refined = before._moved(**moved)
+        values, outside = known_readouts(before, output)
+        warnings = {"one_process": output.get("alone", ""), "readout_outside": outside}
+        refined = with_estimates(before, values)
         if known is not None and options.check_solution:
             from bundle.graphs.factors.problem_factors import wrong_factor  # slow to import
 

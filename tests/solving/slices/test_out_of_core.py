@@ -209,6 +209,7 @@ def numbers(measured):
         (["--check-gradients"], "--check-gradients"),
         (["--hold-out", "5"], "--hold-out"),
         (["--backend", "ceres"], "--backend"),
+        (["--twists", "tied", "--twist-sigma", "0.01,0.05"], "--twists"),
     ],
 )
 def test_what_needs_all_of_input_is_refused_by_name(run, inputs, tmp_path, flags, named):  # noqa: F811

@@ -30,12 +30,13 @@ from bundle.graphs.factors.factor_graph import FactorGraph
 from bundle.graphs.factors.factor_report import FactorCheck
 from bundle.graphs.factors.factors import Factor
 from bundle.graphs.factors.variables import Array, Key, as_list
+from bundle.model.estimates import POSE_WIDTH, VARIABLES, estimates
 from bundle.model.problem import Problem
 from bundle.model.problem_keys import KINDS, SHUTTER_KINDS, ProblemKeys, parameter_names
 
 __all__ = ["ProblemFactors", "check_factors", "wrong_factor"]
 
-_POSES = {"image": "cam_from_world", "frame": "rig_from_world", "sensor": "sensor_from_rig"}
+_ARRAYS = {one.kind: one for one in VARIABLES}
 
 
 _WITHOUT_SCALE = ("twist_tie", "direction", "rotation", "heading")
@@ -101,7 +102,7 @@ class ProblemFactors:
     """
 
     def __init__(self, problem: Problem, factors: Iterable[Factor]) -> None:
-        self._problem = problem
+        self._problem, self._values = problem, estimates(problem)
         kinds = KINDS if problem.rolling_shutter is None else (*KINDS, *SHUTTER_KINDS)
         self._keys = ProblemKeys(problem, kinds, "variable")
         self._graph = FactorGraph()
@@ -123,10 +124,8 @@ class ProblemFactors:
 
     def values_in(self, output: Mapping[str, Any]) -> dict[Key, Array]:
         """Return the values of the variables in the output of the core's solver, by key."""
-        arrays = {**_POSES, "camera": "camera_params", "point": "points"}
-        arrays |= {kind: kind for kind in SHUTTER_KINDS}
         return {
-            key: np.atleast_1d(np.asarray(output[arrays[kind]])[index])[: len(value)]
+            key: np.atleast_1d(np.asarray(output[_ARRAYS[kind].name])[index])[: len(value)]
             for (kind, index), (key, value) in zip(
                 self._places, self._graph.values.items(), strict=True
             )
@@ -167,7 +166,7 @@ class ProblemFactors:
         """
         values = self._graph.values
         variables = [
-            (kind, index, 6 if kind in _POSES else len(values[key]))
+            (kind, index, _ARRAYS[kind].tangent or len(values[key]))
             for (kind, index), key in zip(self._places, self._graph.keys, strict=True)
         ]
         return variables, self._graph.information()[0]
@@ -187,14 +186,8 @@ class ProblemFactors:
         self._places.append((kind, index))
 
     def _value(self, name: str, kind: str, index: int) -> tuple[Array, str]:
-        problem = self._problem
-        if kind in _POSES:
-            pose: Array = getattr(problem, _POSES[kind])[index]
-            return pose, "se3"
-        if kind == "point":
-            return problem.points[index], "euclidean"
-        if kind in SHUTTER_KINDS and problem.rolling_shutter is not None:
-            value = getattr(problem.rolling_shutter, kind)[index]
-            return np.atleast_1d(value), "euclidean"
-        parameters = parameter_names(name, problem, index)
-        return problem.camera_params[index, : len(parameters)], "euclidean"
+        of = _ARRAYS[kind]
+        value = np.atleast_1d(self._values[of.name][index])
+        if kind == "camera":
+            value = value[: len(parameter_names(name, self._problem, index))]
+        return value, "se3" if of.width == POSE_WIDTH else "euclidean"

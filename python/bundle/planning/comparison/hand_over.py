@@ -5,6 +5,7 @@ Data that is needed only for writing a model (names, the original reconstruction
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 from typing import Any, Literal
@@ -12,12 +13,13 @@ from typing import Any, Literal
 import numpy as np
 
 from bundle.base.arrays import freeze
+from bundle.model.estimates import estimates, with_estimates
 from bundle.model.problem import Problem
+from bundle.model.rolling_shutter import RollingShutter
 
 __all__ = ["restore", "restore_solution", "store", "store_solution"]
 
 _REST = "problem.json"
-_SOLVED = ("cam_from_world", "camera_params", "points", "rig_from_world", "sensor_from_rig")
 
 
 def store(problem: Problem, folder: Path) -> None:
@@ -30,6 +32,7 @@ def store(problem: Problem, folder: Path) -> None:
         "camera_models": problem.camera_models,
         "image_names": problem.image_names,
         "format": problem.format,
+        "rolling_shutter": _as_lists(problem.rolling_shutter),
     }
     (folder / _REST).write_text(json.dumps(rest))
 
@@ -41,16 +44,31 @@ def restore(folder: Path, mmap_mode: Literal["r"] | None = None) -> Problem:
         path.stem: freeze(np.load(path, mmap_mode=mmap_mode))
         for path in sorted(folder.glob("*.npy"))
     }
-    return Problem(**arrays, **json.loads((folder / _REST).read_text()))
+    rest = json.loads((folder / _REST).read_text())
+    if rest["rolling_shutter"] is not None:
+        rest["rolling_shutter"] = RollingShutter(**rest["rolling_shutter"])
+    return Problem(**arrays, **rest)
 
 
 def store_solution(problem: Problem, path: Path) -> None:
     """Write the values that a solve changes."""
     with path.open("wb") as file:
-        np.savez(file, **{name: getattr(problem, name) for name in _SOLVED})
+        np.savez(file, **dict[str, Any](estimates(problem)))
 
 
 def restore_solution(problem: Problem, path: Path) -> Problem:
     """Return the problem with the values of a stored solution."""
     with np.load(path) as arrays:
-        return problem.replace(**{name: arrays[name] for name in _SOLVED})
+        return with_estimates(problem, arrays, checked=True)
+
+
+def _as_lists(shutter: RollingShutter | None) -> dict[str, Any] | None:
+    """Return the fields of rolling shutters as JSON values, which keep every bit."""
+    if shutter is None:
+        return None
+    fields = {field.name: getattr(shutter, field.name) for field in dataclasses.fields(shutter)}
+    del fields["axis"]  # computed from the directions
+    return {
+        name: value.tolist() if isinstance(value, np.ndarray) else value
+        for name, value in fields.items()
+    }

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,9 +25,10 @@ from numpy.typing import NDArray
 from bundle.base.arrays import freeze
 from bundle.interface.validation_options import HoldOutOptions
 from bundle.model.clipped_errors import HeldOut, errors_or_nan, summarize_clipped
+from bundle.model.estimates import estimates, with_estimates
 from bundle.model.problem import Problem
 from bundle.solving.held_out.hold_out import choose
-from bundle.solving.prepare import STATE, Prepared
+from bundle.solving.prepare import Prepared
 from bundle.solving.result import Result
 
 if TYPE_CHECKING:
@@ -98,12 +99,12 @@ def with_values(problem: Problem, refined: Problem, state: State | None = None) 
         refined: the same cameras, images and points with other values; observations may differ.
         state: rounds that removed points of `refined`; these points keep their values.
     """
-    values: dict[str, Any] = {name: getattr(refined, name) for name in STATE}
+    values = estimates(refined)
     if state is not None and refined.num_points != problem.num_points:
         points = problem.points.copy()
         points[state.point_mask] = refined.points
         values["points"] = freeze(points)
-    return problem._moved(**values)
+    return with_estimates(problem, values)
 
 
 def _candidates(prepared: Prepared) -> NDArray[np.bool_]:

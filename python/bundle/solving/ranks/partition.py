@@ -15,6 +15,7 @@ bit for bit to those of one process.
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,7 @@ from numpy.typing import NDArray
 import bundle._core as _core
 from bundle.base.records import dataclass
 from bundle.errors import InputError
+from bundle.model.estimates import SHUTTER, VARIABLES
 from bundle.model.problem import Problem
 
 __all__ = [
@@ -37,15 +39,17 @@ __all__ = [
 
 # Arrays of the full problem that each part has unchanged; arrays of rigs only if it has rigs.
 _SHARED = (
-    *("cam_from_world", "image_ids", "image_camera", "image_names"),
-    *("camera_ids", "camera_models", "camera_params", "camera_sizes"),
-    *("rig_from_world", "sensor_from_rig", "image_frame", "image_sensor"),
+    *(one.name for one in VARIABLES if one.division == "shared"),
+    *("image_ids", "image_camera", "image_names", "camera_ids", "camera_models", "camera_sizes"),
+    *("image_frame", "image_sensor"),
     *("frame_ids", "frame_rig_ids", "sensor_rig_ids", "sensor_camera_ids"),
+    SHUTTER,
 )
 
 
 _OWN = (
-    *("points", "point_ids", "observation_image", "observation_point"),
+    *(one.name for one in VARIABLES if one.division == "own"),
+    *("point_ids", "observation_image", "observation_point"),
     *("observation_xy", "observation_keypoint", "observation_sigma"),
 )
 
@@ -127,6 +131,12 @@ class ProblemPart:
         if name != "shared" and name in self.shared:
             return self.shared[name]
         raise AttributeError(name)
+
+    def _moved(self, **state: Any) -> ProblemPart:
+        """Return a copy with other arrays, which must be immutable and valid."""
+        own = {name: state[name] for name in state if name in vars(self)}
+        shared = {name: state[name] for name in state if name not in own}
+        return dataclasses.replace(self, **own, shared=self.shared | shared)
 
 
 def shared_of(problem: Problem) -> dict[str, Any]:

@@ -7,8 +7,8 @@ number of threads). The file is replaced atomically (``bundle.io.atomic.atomic_w
 temporary file in the same folder, flush it, rename it). A kill at any instant leaves a valid
 checkpoint.
 
-A checkpoint takes 24 bytes per point, 56 per image (and per frame of a rig) and one bit per
-observation. Its cost is this size and the wait for the disk.
+A checkpoint takes 24 bytes per point, 56 per image (and per frame of a rig), 48 more per image with
+a rolling shutter, and one bit per observation. Its cost is this size and the wait for the disk.
 """
 
 from __future__ import annotations
@@ -28,8 +28,9 @@ from bundle.interface.options import SolveOptions
 from bundle.interface.process_record import ProcessRecord
 from bundle.interface.summary import Summary
 from bundle.io.atomic import atomic_write as atomic
+from bundle.model.estimates import estimates, with_estimates
 from bundle.model.problem import Problem
-from bundle.solving.prepare import STATE, Prepared
+from bundle.solving.prepare import Prepared
 from bundle.solving.result import Result
 from bundle.solving.round_record import Round
 from bundle.solving.rounds.input_digest import (
@@ -117,15 +118,15 @@ def write(path: Path, state: State, fingerprint: Mapping[str, Any]) -> None:
         "has_ended": state.end is not None,
         "so_far": None if done is None else _record(done),
     }
-    arrays: dict[str, Any] = {} if done is None else _prefixed(done.iterations)
+    kept: dict[str, Any] = {**estimates(state.problem)}
+    kept |= {} if done is None else _prefixed(done.iterations)
     with atomic.replace_file(path) as temporary, temporary.open("wb") as file:
         np.savez(
             file,
             meta=np.frombuffer(json.dumps(meta).encode(), np.uint8),
-            **{name: getattr(state.problem, name) for name in STATE},
+            **kept,
             observation_mask=np.packbits(state.observation_mask),
             point_mask=np.packbits(state.point_mask),
-            **arrays,
         )
 
 
@@ -184,7 +185,7 @@ def _state(
         for name, size in zip(("observation_mask", "point_mask"), sizes, strict=True)
     ]
     left = start.select(observations=masks[0], points=masks[1]).problem
-    problem = left.replace(**{name: arrays[name] for name in STATE})
+    problem = with_estimates(left, {name: arrays[name] for name in estimates(left)}, checked=True)
     done = meta["so_far"]
     if done is not None:
         done = result_of_record(done, arrays, problem, options)

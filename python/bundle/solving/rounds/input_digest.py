@@ -114,7 +114,9 @@ def digest_of_parts(cameras: Problem, sums: _Sums) -> str:
         if name == "source" or name in _ROWS or name.startswith("observation_"):
             continue
         value = getattr(cameras, name)
-        if isinstance(value, np.ndarray):
+        if dataclasses.is_dataclass(value):
+            digest.update(f"{name} {digest_of_fields(value)}".encode())
+        elif isinstance(value, np.ndarray):
             digest.update(f"{name} {value.dtype} {value.shape}".encode())
             digest.update(np.ascontiguousarray(value).data)
         else:

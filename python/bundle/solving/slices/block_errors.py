@@ -19,7 +19,7 @@ from bundle.model.reprojection import (
 from bundle.solving.kept_errors import Inliers, KeptErrors, Measured, PixelErrors, inlier_sums
 from bundle.solving.slices.slice_reading import blocks
 
-__all__ = ["measure_on_disk", "point_errors_on_disk"]
+__all__ = ["measure_on_disk", "point_errors_on_disk", "rmse_on_disk"]
 
 
 def measure_on_disk(before: PixelErrors, after: PixelErrors, limit: float | None) -> Measured:
@@ -55,6 +55,12 @@ def measure_on_disk(before: PixelErrors, after: PixelErrors, limit: float | None
         before=compared[0], after=compared[1], num_observations=num_observations, inliers=inliers
     )
     return Measured(first, last, kept)
+
+
+def rmse_on_disk(found: PixelErrors) -> float:
+    """Return the RMSE of the errors that count; they are overwritten."""
+    size = len(found.errors)
+    return _summarize(_compressed(found, found, None, size), 0).rmse
 
 
 def point_errors_on_disk(

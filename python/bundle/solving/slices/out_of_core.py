@@ -21,8 +21,9 @@ from bundle.errors import InputError, shown
 from bundle.interface.solve_record import Progress
 from bundle.io import colmap
 from bundle.solving.kept_errors import PixelErrors
-from bundle.solving.prepare import STATE, Executor, Prepared
-from bundle.solving.slices.block_errors import measure_on_disk, point_errors_on_disk
+from bundle.solving.prepare import Executor, Prepared
+from bundle.solving.result import Result
+from bundle.solving.slices.block_errors import measure_on_disk, point_errors_on_disk, rmse_on_disk
 from bundle.solving.slices.scratch_size import RESIDENT_BYTES, refuse_small_disk
 from bundle.solving.slices.slice_process import Process
 from bundle.solving.slices.slice_reading import Survey
@@ -97,8 +98,7 @@ class LoneProcess(Process):
         """
         options = prepared.layout.options.asdict() | {"backend": "fused"}
         output = _core.solve(self._part, options, progress, None, None)
-        state = {name: output[name] for name in STATE if name in output}
-        self._move(state.pop("points"), state)
+        self._move(output)
         return output
 
     def point_errors(self, num_threads: int) -> list[NDArray[np.float64]]:
@@ -107,6 +107,13 @@ class LoneProcess(Process):
         part = self._part
         lost = colmap.NO_PROJECTION
         return [point_errors_on_disk(*found, part.observation_point, len(part.points), lost)]
+
+    def rmse_global_shutters(self, options: dict[str, Any]) -> float:
+        """Return the RMSE at the input if all shutters were global, in pixels."""
+        part, cheirality = self.slice.part, options["cheirality"]
+        part = part._moved(rolling_shutter=None)
+        found = _core.reprojection_errors(part, options["num_threads"], cheirality)
+        return rmse_on_disk(PixelErrors(*found, cheirality))
 
     def _measured(self, before: PixelErrors, after: PixelErrors, limit: float | None) -> Any:
         return measure_on_disk(before, after, limit)
@@ -132,5 +139,11 @@ class OutOfCoreRefinement(SlicedRefinement):
 
     def _started(self, crew: SliceCrew, found: Survey) -> tuple[Process, Executor]:
         refuse_small_disk(self._folder, found.num_observations, len(found.owner))
-        process = LoneProcess(crew.meeting(), self._path, found)
-        return process, OneSlice(process)
+        self._lone = LoneProcess(crew.meeting(), self._path, found)
+        return self._lone, OneSlice(self._lone)
+
+    def measure(self, result: Result) -> None:
+        """See :meth:`SlicedRefinement.measure`."""
+        super().measure(result)
+        if result.problem.rolling_shutter is not None:
+            vars(result)["rmse_global_shutters"] = self._lone.rmse_global_shutters(self._options)

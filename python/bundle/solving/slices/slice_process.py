@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +12,10 @@ from numpy.typing import NDArray
 import bundle._core as _core
 from bundle.base.arrays import freeze
 from bundle.io import colmap
+from bundle.model.estimates import with_estimates
 from bundle.model.worst_images import sums_of_images
 from bundle.solving import kept_errors
 from bundle.solving.kept_errors import PixelErrors
-from bundle.solving.prepare import STATE
 from bundle.solving.ranks.crew import Job, PartOfOutput, Ranks
 from bundle.solving.ranks.divided_solve import work_on
 from bundle.solving.ranks.partition import ProblemPart
@@ -85,7 +84,7 @@ class Process:
             mine = None if points is None else points[survey.owner == rank]
             given = self._meeting.broadcast(mine)
             own = given if rank == self._meeting.rank else own
-        self._move(freeze(np.array(own)), state)
+        self._move({**state, "points": freeze(np.array(own))})
 
     def solve(
         self, options: dict[str, Any], progress: _Progress | None = None
@@ -97,8 +96,7 @@ class Process:
         own_options = options | {"fixed_point_ids": fixed.tolist()}
         job = Job(part, own_options, None, None, self.slice.image_is_observed)
         output, given = work_on(job, ranks, progress)
-        state = {name: freeze(output[name]) for name in STATE if name in output}
-        self._move(state.pop("points"), state)
+        self._move(output)
         return output, self._meeting.gather(given), ranks
 
     def point_errors(self, num_threads: int) -> list[NDArray[np.float64]] | None:
@@ -133,9 +131,9 @@ class Process:
         """Return the statistics of the errors of all processes, which are reordered."""
         return kept_errors.measure(before, after, None, limit, DividedErrors(self._meeting))
 
-    def _move(self, points: NDArray[np.float64], state: dict[str, Any]) -> None:
-        shared = self._part.shared | state
-        self._part = dataclasses.replace(self._part, points=points, shared=shared)
+    def _move(self, values: Mapping[str, Any]) -> None:
+        """Continue from other values, such as those in the output of the core."""
+        self._part = with_estimates(self._part, values)
         self._errors = {}
 
     def _errors_now(self, num_threads: int, cheirality: str) -> tuple[Any, Any]:

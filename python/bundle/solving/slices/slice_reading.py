@@ -15,6 +15,7 @@ from bundle.base.records import dataclass
 from bundle.errors import InputError, shown
 from bundle.io import bal, colmap
 from bundle.io.atomic.model_files import ROLLING_SHUTTER
+from bundle.io.rolling_shutter_file import with_rolling_shutter
 from bundle.model.problem import Problem
 from bundle.solving.ranks.crew import Ranks
 from bundle.solving.ranks.partition import ProblemPart, divide_tracks, shared_of
@@ -94,7 +95,7 @@ def survey(path: Path, num_parts: int) -> Survey:
     """
     ids = None
     if path.is_dir():
-        if (path / ROLLING_SHUTTER).is_file():
+        if num_parts > 1 and (path / ROLLING_SHUTTER).is_file():
             raise InputError(
                 f"{shown(path)}: expected a model without a rolling shutter, which slices of "
                 f"several processes do not support, found {ROLLING_SHUTTER}"
@@ -208,6 +209,7 @@ def _colmap_slice(
     points, *observations = (fields[name] for name in ("points", *names))
     nothing = {name: np.array(fields[name][:0]) for name in ("points", *names)}
     cameras = colmap.problem_of(path, model, fields | nothing | {"point_ids": ids[:0]})
+    cameras = with_rolling_shutter(cameras, path)
     if len(mine) == len(ids):
         part = _part(cameras, points, ids, section, *observations)
         part.observation_keypoint = None

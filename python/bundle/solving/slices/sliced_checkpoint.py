@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from bundle.base.arrays import freeze
 from bundle.base.records import dataclass
 from bundle.interface.options import SolveOptions
+from bundle.model.estimates import estimates
 from bundle.model.problem import Problem
-from bundle.solving.prepare import STATE
 from bundle.solving.result import Result
 from bundle.solving.rounds.checkpoint import check_target, read_by, result_of_record, write
 from bundle.solving.rounds.input_digest import digest_of_parts, plain_fingerprint
@@ -27,7 +27,7 @@ class Kept:
     """Content of a checkpoint.
 
     Attributes:
-        state: arrays of the entire model, by the names in ``prepare.STATE``.
+        state: arrays of the entire model, by the names in ``estimates.VARIABLES``.
         so_far: result of the adjustment so far; its problem has no points.
         has_ended: True if nothing is left to do.
     """
@@ -88,9 +88,9 @@ class SlicedCheckpoint:
         """
 
         def kept(meta: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Kept:
-            state = {name: freeze(np.array(arrays[name], np.float64)) for name in STATE}
-            expected = {name: getattr(self._cameras, name).shape for name in STATE}
+            expected = {name: of.shape for name, of in estimates(self._cameras).items()}
             expected["points"] = (len(self._found.owner), 3)
+            state = {name: freeze(np.array(arrays[name], np.float64)) for name in expected}
             for name, shape in expected.items():
                 if state[name].shape != shape or not np.isfinite(state[name]).all():
                     raise ValueError(f"{name}: expected shape {shape}, found {state[name].shape}")

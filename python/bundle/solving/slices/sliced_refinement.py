@@ -20,6 +20,7 @@ from bundle.io import bal, colmap
 from bundle.io.atomic import atomic_write as atomic
 from bundle.io.georeference_file import remove_georeference
 from bundle.io.open import save_model
+from bundle.model.estimates import with_estimates
 from bundle.model.problem import Problem
 from bundle.model.worst_images import worst_of_sums
 from bundle.solving.executors import solve_prepared
@@ -173,7 +174,7 @@ class SlicedRefinement:
         if resume is not None and resume.exists():
             kept = keeper.read(resume, settled)
             state = kept.state
-            start = start._moved(**state)
+            start = with_estimates(start, state)
             self._process.run_on_all("restart", state, points=state.pop("points"))
             so_far, has_ended = kept.so_far, kept.has_ended
             if so_far is not None:
