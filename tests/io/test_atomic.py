@@ -157,11 +157,12 @@ def test_links_stay_links(tmp_path: Path) -> None:
 def test_files_that_are_refused(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / "folder").mkdir()
+    (tmp_path / "file").touch()
     for name, message in {
         "folder": "folder: expected a file or a new path, found a folder",
         "pipe": "pipe: expected a file or a new path, found a device or pipe",
-        "missing/out.txt": "expected a folder .*/missing to write into; it is missing",
-        "pipe/out.txt": "expected a folder .*/pipe to write into; it is missing",
+        "file/out.txt": "expected a folder .*/file to write into, found a file",
+        "pipe/out.txt": "expected a folder .*/pipe to write into, found a file or pipe",
     }.items():
         with pytest.raises(bundle.InputError, match=message):
             atomic.check_file(tmp_path / name)
@@ -177,7 +178,7 @@ def test_folders_that_are_refused(tmp_path: Path) -> None:
         "file": "file: expected a COLMAP model folder or a new path, found a file",
         "thesis": r"expected a COLMAP model, an empty folder or a new path, .*\(chapter1.tex\)",
         "half": r"expected a COLMAP model, an empty folder or a new path, .*\(cameras.bin\)",
-        "missing/model": "expected a folder .*/missing to write into; it is missing",
+        "file/a/model": "expected a folder .*/file to write into, found a file",
     }.items():
         with pytest.raises(bundle.InputError, match=message):
             atomic.check_folder(tmp_path / name)
@@ -188,6 +189,31 @@ def test_folders_that_are_refused(tmp_path: Path) -> None:
             pytest.fail("nothing may be written")
 
 
+def test_missing_folders_above_are_created_with_the_output_or_not_at_all(tmp_path: Path) -> None:
+    with atomic.replace_file(tmp_path / "a/b/out.txt") as temporary:
+        temporary.write_text("new")
+    with atomic.replace_folder(tmp_path / "c/d/model") as temporary:
+        write_tree(temporary, NEW_MODEL)
+    assert (tmp_path / "a/b/out.txt").read_text() == "new"
+    assert tree(tmp_path / "c/d/model") == NEW_MODEL
+    before = tree(tmp_path)
+    for replace in (atomic.replace_file, atomic.replace_folder):
+        for place in ("e/f/g", "a/b/h/i", "c/d/j"):
+            with pytest.raises(KeyboardInterrupt), replace(tmp_path / place):
+                raise KeyboardInterrupt
+    with pytest.raises(OSError, match="stop"), atomic.made_folder(tmp_path / "k/l"):
+        raise OSError("stop")
+    assert tree(tmp_path) == before
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a", "c"]
+    assert sorted(path.name for path in (tmp_path / "a/b").iterdir()) == ["out.txt"]
+    # What another process has put there meanwhile stays.
+    with pytest.raises(OSError, match="stop"), atomic.made_folder(tmp_path / "k/l"):
+        (tmp_path / "k/other").touch()
+        raise OSError("stop")
+    assert tree(tmp_path / "k") == {"other": ""}
+    assert not (tmp_path / "k/l").exists()
+
+
 @pytest.mark.parametrize("check", [atomic.check_file, atomic.check_folder])
 def test_write_protection_is_respected(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, check
@@ -196,6 +222,8 @@ def test_write_protection_is_respected(
     monkeypatch.setattr(os, "access", lambda path, _: Path(path) != tmp_path)
     with pytest.raises(PermissionError, match="is not writable"):
         check(tmp_path / "out")
+    with pytest.raises(PermissionError, match="is not writable"):
+        check(tmp_path / "new/below/out")
 
 
 def test_owner_and_permissions_stay(tmp_path: Path) -> None:

@@ -144,7 +144,7 @@ def test_check_target_refuses_what_save_would(tmp_path: Path, problem) -> None:
         (problem, "folder", "bal"),
         (problem, "folder", "colmap"),
         (problem, "folder/file.txt", "colmap"),
-        (problem, "missing/out.txt", None),
+        (problem, "folder/file.txt/out.txt", None),
         (fisheye, "out.txt", None),
     ):
         with pytest.raises(bundle.InputError) as checked:

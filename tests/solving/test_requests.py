@@ -195,9 +195,9 @@ def test_the_first_of_two_errors_is_that_of_the_earlier_check(function, first):
         ({"resume": 3}, {"align": True, "only_images": [99]}, "resume: "),
         ({"align": True, "only_images": [1]}, {"priors": [3]}, "align: "),
         ({"only_images": [99]}, {"constraints": ["camera 99: f fixed"]}, "only_images: "),
-        ({"constraints": ["camera 99: f fixed"]}, {"checkpoint": "/no/where"}, "constraints"),
-        ({"checkpoint": "/no/where"}, {"factors": [3]}, "/no/where: "),
-        ({"checkpoint": "/no/where"}, {"bounds": {("camera", 99): (0, 1)}}, "/no/where: "),
+        ({"constraints": ["camera 99: f fixed"]}, {"checkpoint": "/dev/null/x"}, "constraints"),
+        ({"checkpoint": "/dev/null/x"}, {"factors": [3]}, "/dev/null/x: "),
+        ({"checkpoint": "/dev/null/x"}, {"bounds": {("camera", 99): (0, 1)}}, "/dev/null/x: "),
     ],
 )
 def test_rounds_check_their_limits_and_files_before_factors(earlier, later, words):

@@ -127,7 +127,7 @@ def check_paths(actions: Iterable[argparse.Action], arguments: argparse.Namespac
 
     Raises:
         InputError: two paths conflict (see the top of this file), a suffix is that of another
-            format, the path of a file is a folder, its parent folder does not exist, or a
+            format, the path of a file is a folder, a path above it is no folder, or a
             reconstruction exists at the path.
         OSError: write permission is missing.
     """

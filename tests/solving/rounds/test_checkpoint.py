@@ -327,7 +327,7 @@ def test_the_command_goes_on(run, model, tmp_path):
         (["--checkpoint", "{out}"], "out"),
         (["--checkpoint", "{model}"], "model"),
         (["--checkpoint", "{model}/points3D.bin"], "points3D.bin"),
-        (["--checkpoint", "{model}/none/run"], "none"),
+        (["--checkpoint", "{model}/cameras.bin/run"], "cameras.bin"),
         (["--checkpoint", ""], "--checkpoint"),
         (["--checkpoint", "run", "--checkpoint-interval", "0"], "--checkpoint-interval"),
         (["--checkpoint-interval", "3"], "--checkpoint-interval: valid only with --checkpoint"),

@@ -14,8 +14,9 @@ failure leaves either the old or the new content, never a mixture:
 
 A killed process may leave a temporary file; the next process that writes there removes it
 (``bundle.io.atomic.temporary``). If two processes write to the same path, the last one wins.
-Symbolic links to the destination are followed, so a link stays a link. Owner and permissions are
-kept as far as the system allows.
+Missing folders above the destination are created; an error removes them again. Symbolic links to
+the destination are followed, so a link stays a link. Owner and permissions are kept as far as the
+system allows.
 """
 
 from __future__ import annotations
@@ -49,6 +50,7 @@ from bundle.io.atomic.temporary import (
 __all__ = [
     "check_file",
     "check_folder",
+    "made_folder",
     "recover",
     "replace_file",
     "replace_folder",
@@ -70,7 +72,7 @@ def check_file(path: Path) -> None:
     """Raise the errors that ``replace_file`` raises before anything is written.
 
     Raises:
-        InputError: the path is a folder, a device or a pipe, or its parent folder does not exist.
+        InputError: the path is a folder, a device or a pipe, or a path above it is no folder.
         PermissionError: the file or its folder is write-protected.
     """
     target = Path(os.path.realpath(path))
@@ -83,8 +85,8 @@ def check_file(path: Path) -> None:
         raise InputError(
             f"{shown(path)}: expected a file that can be replaced, found a mount point"
         )
-    _check_writable(path, target if target.exists() else target.parent)
-    _check_writable(path, target.parent)
+    _check_writable(path, target if target.exists() else _existing(target.parent))
+    _check_writable(path, _existing(target.parent))
 
 
 def check_folder(path: Path) -> None:
@@ -92,7 +94,7 @@ def check_folder(path: Path) -> None:
 
     Raises:
         InputError: the path is a file or device, or a folder that is neither empty nor a COLMAP
-            model, or its parent folder does not exist.
+            model, or a path above it is no folder.
         PermissionError: the folder, or the parent of a new folder, is write-protected.
     """
     target = Path(os.path.realpath(path))
@@ -102,7 +104,7 @@ def check_folder(path: Path) -> None:
         )
     _check_parent(path, target)
     if not target.exists():
-        _check_writable(path, target.parent)
+        _check_writable(path, _existing(target.parent))
         return
     if not target.is_dir():
         raise InputError(
@@ -133,7 +135,11 @@ def replace_file(path: Path) -> Iterator[Path]:
     target = Path(os.path.realpath(path))
     remove_leftovers(target.parent)
     mode = 0o600 | stat.S_IMODE(target.stat().st_mode) if target.exists() else 0o666
-    with _blaming(path), temporary_file(target.parent, mode) as temporary:
+    with (
+        _blaming(path),
+        made_folder(target.parent),
+        temporary_file(target.parent, mode) as temporary,
+    ):
         yield temporary.path
         _take_over_file(target, temporary.path)
         flush(temporary.path)
@@ -160,7 +166,11 @@ def replace_folder(path: Path) -> Iterator[Path]:
     for folder in (target.parent, target):
         remove_leftovers(folder)
     beside = not exists or exchange.can_exchange(target)
-    with _blaming(path), temporary_folder(target.parent if beside else target) as temporary:
+    with (
+        _blaming(path),
+        made_folder(target.parent),
+        temporary_folder(target.parent if beside else target) as temporary,
+    ):
         new = temporary.path / NEW
         new.mkdir()
         if exists:
@@ -177,11 +187,35 @@ def replace_folder(path: Path) -> Iterator[Path]:
         flush_folder(target.parent)
 
 
+@contextmanager
+def made_folder(folder: Path) -> Iterator[None]:
+    """Create a folder and the missing ones above it; after an error remove those that are empty.
+
+    Raises:
+        OSError: a system call fails.
+    """
+    missing = []
+    place = folder
+    while not place.exists():
+        missing.append(place)
+        place = place.parent
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for one in missing:
+            flush_folder(one.parent)
+        yield
+    except BaseException:
+        for one in missing:
+            with contextlib.suppress(OSError):  # another process has written there
+                one.rmdir()
+        raise
+
+
 def write_text(path: Path, text: str) -> None:
     """Write a text to a file atomically, or into a device or pipe.
 
     Raises:
-        InputError: the path is a folder, or its parent is not a folder.
+        InputError: the path is a folder, or a path above it is no folder.
         OSError: a system call fails; the error names the path.
     """
     if is_stream(path):
@@ -228,10 +262,18 @@ def _take_over_file(old: Path, new: Path) -> None:
 
 
 def _check_parent(path: Path, target: Path) -> None:
-    if not target.parent.is_dir():
+    place = _existing(target.parent)
+    if not place.is_dir():
         raise InputError(
-            f"{shown(path)}: expected a folder {shown(target.parent)} to write into; it is missing"
+            f"{shown(path)}: expected a folder {shown(place)} to write into, found a file or pipe"
         )
+
+
+def _existing(folder: Path) -> Path:
+    """Return the nearest path above that exists, or the folder itself."""
+    while not folder.exists() and folder != folder.parent:
+        folder = folder.parent
+    return folder
 
 
 def _check_writable(path: Path, target: Path) -> None:

@@ -49,8 +49,8 @@ def check(problem: Problem, path: Path) -> None:  # noqa: ARG001
 def write(problem: Problem, path: Path) -> tuple[str, ...]:
     """Write the files of an OpenSfM project into a folder; return sentences on what is lost."""
     content = _reconstruction(problem)
-    path.mkdir(exist_ok=True)
     with ExitStack() as stack:  # both files are complete before either replaces an old one
+        stack.enter_context(atomic.made_folder(path))
         tracks = stack.enter_context(atomic.replace_file(path / TRACKS))
         model = stack.enter_context(atomic.replace_file(path / "reconstruction.json"))
         _write_tracks(problem, tracks)

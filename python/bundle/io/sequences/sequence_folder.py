@@ -125,22 +125,22 @@ def save_sequence(sequence: Sequence, path: str | os.PathLike[str]) -> None:
     """Write a sequence folder; numbers read back unchanged.
 
     Raises:
-        InputError: the path is a file, or its parent folder does not exist.
+        InputError: for the reasons of :func:`check_sequence_target`.
         OSError: a system call fails.
     """
     folder = as_path(path)
     check_sequence_target(path)
-    folder.mkdir(exist_ok=True)
-    rates, forces = sequence.gyro, sequence.accel
-    atomic.write_text(
-        folder / "imu.csv",
-        csv_lines(IMU_HEAD, sequence.imu_timestamps_ns, *rates.T, *forces.T),
-    )
-    atomic.write_text(
-        folder / "tracks.csv",
-        csv_lines(TRACKS_HEAD, sequence.track_timestamps_ns, sequence.track_ids, *sequence.xy.T),
-    )
-    atomic.write_text(folder / "calibration.yaml", calibration_text(sequence.calibration))
+    rates, forces, xy = sequence.gyro, sequence.accel, sequence.xy
+    texts = {
+        "imu.csv": csv_lines(IMU_HEAD, sequence.imu_timestamps_ns, *rates.T, *forces.T),
+        "tracks.csv": csv_lines(
+            TRACKS_HEAD, sequence.track_timestamps_ns, sequence.track_ids, *xy.T
+        ),
+        "calibration.yaml": calibration_text(sequence.calibration),
+    }
+    with atomic.made_folder(folder):
+        for name, text in texts.items():
+            atomic.write_text(folder / name, text)
 
 
 def check_sequence_target(path: str | os.PathLike[str]) -> None:
@@ -148,15 +148,12 @@ def check_sequence_target(path: str | os.PathLike[str]) -> None:
 
     Raises:
         InputError: the path is a file or a folder with other content, it has the suffix of a file,
-            or its parent folder does not exist.
+            or a path above it is no folder.
     """
     folder = Path(os.path.realpath(as_path(path)))
     if not folder.exists():
         check_name(path, "a folder")
-        if not folder.parent.is_dir():
-            raise InputError(
-                f"{shown(path)}: expected a folder to write to, found no {shown(folder.parent)}"
-            )
+        atomic.check_folder(Path(path))
         return
     if not folder.is_dir():
         raise InputError(f"{shown(path)}: expected a sequence folder or a new path, found a file")

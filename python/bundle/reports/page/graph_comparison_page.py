@@ -29,7 +29,7 @@ def write_graph_comparison(
         orders_only: True if the methods differ in the elimination order alone.
 
     Raises:
-        InputError: the path is a folder, or its parent is not a folder.
+        InputError: the path is a folder, or a path above it is no folder.
         OSError: the file cannot be written.
     """
     usable = [run for run in found.runs if not run.failure]

@@ -75,7 +75,7 @@ def write_inspection(
         network: network of these predictions: gigabits per second, latency in microseconds.
 
     Raises:
-        InputError: the path is a folder, or its parent is not a folder.
+        InputError: the path is a folder, or a path above it is no folder.
         OSError: the file cannot be written.
     """
     path = as_path(path)

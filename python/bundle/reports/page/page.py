@@ -76,7 +76,7 @@ def write_page(
         script: module that reads the data instead of the elimination player; "" for no module.
 
     Raises:
-        InputError: the path is a folder, its parent is not a folder, or its suffix is that of
+        InputError: the path is a folder, a path above it is no folder, or its suffix is that of
             another format.
         OSError: the file cannot be written.
     """

@@ -34,7 +34,7 @@ def write_validation(
         name: name of the input.
 
     Raises:
-        InputError: the path is a folder, or its parent is not a folder.
+        InputError: the path is a folder, or a path above it is no folder.
         OSError: the file cannot be written.
     """
     check_type("validation", validation, Validation)
