@@ -9,7 +9,7 @@ from bundle.base.words import FORMATS
 from bundle.cli.option_flags import add_options
 from bundle.cli.path_checks import PathArgument, a_path, reconstruction, report_path
 from bundle.errors import InputError
-from bundle.io.formats.read_options import ReadOptions
+from bundle.io.formats.read_options import ORIGINS, ReadOptions
 from bundle.io.georeference_file import GEOREFERENCE
 from bundle.io.recognition import OUTPUT_FORMATS
 
@@ -35,7 +35,7 @@ MOVED = (
 
 POSITIONS = ("gps", "images", "gps_sigma", "gps_offset", "antenna")
 CONTROL_POINTS = ("gcp", "gcp_sigma", "gcp_pixel_sigma", "check_points")
-READING = ("input_format", "image_size", "image_list", "reconstruction")
+READING = ("input_format", "image_size", "image_list", "reconstruction", "pixel_origin")
 """Destinations of the flags of :func:`add_input_format`."""
 ATTITUDES = ("gravity", "gravity_sigma", "orientations", "orientation_sigma")
 VELOCITIES = ("velocities", "velocity_sigma")
@@ -147,6 +147,12 @@ def add_input_format(parser: argparse.ArgumentParser) -> None:
         type=int,
         help="number of the reconstruction in a file with several, from 0 (default: the only one)",
     )
+    group.add_argument(
+        "--pixel-origin",
+        choices=ORIGINS,
+        help="origin of the pixels of an NVM file: the center of the image, or the upper left "
+        f"corner, as COLMAP writes it (default: {ORIGINS[0]})",
+    )
 
 
 def given_of(arguments: argparse.Namespace, *names: str) -> tuple[str, ...]:
@@ -168,7 +174,11 @@ def read_options(given: argparse.Namespace) -> ReadOptions:
     """
     try:
         return ReadOptions.of(
-            given.input_format, given.image_size, given.image_list, given.reconstruction
+            given.input_format,
+            given.image_size,
+            given.image_list,
+            given.reconstruction,
+            given.pixel_origin or ORIGINS[0],
         )
     except InputError as error:
         raise InputError(f"--{str(error).replace('image_size', 'image-size')}") from None

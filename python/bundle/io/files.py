@@ -35,6 +35,7 @@ def load(
     image_size: tuple[int, int] | str | None = None,
     image_list: str | os.PathLike[str] | None = None,
     reconstruction: int | None = None,
+    pixel_origin: str = "center",
 ) -> Any:
     """Read a reconstruction or a pose graph; the content decides its format.
 
@@ -46,6 +47,8 @@ def load(
             "unknown"; None: from the photographs.
         image_list: list.txt of a Bundler model; None: in its folder or the folder above.
         reconstruction: number of the reconstruction in a file with several, from 0.
+        pixel_origin: origin of the pixels of an NVM file: the "center" of the image, or the upper
+            left "corner", as COLMAP writes it.
 
     Returns:
         A :class:`bundle.Problem`, or a :class:`bundle.PoseGraph` for a g2o file.
@@ -56,7 +59,7 @@ def load(
         OSError: the path does not exist or cannot be read.
     """
     if not is_pose_graph_file(path):
-        options = ReadOptions.of(format, image_size, image_list, reconstruction)
+        options = ReadOptions.of(format, image_size, image_list, reconstruction, pixel_origin)
         return io.load(path, options=options)
     from bundle.io.g2o_files import (
         load_g2o,  # late, as in save: refinements of models do not use it

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
+import re
 import warnings
 from collections.abc import Callable, Collection
 from pathlib import Path
@@ -25,8 +26,15 @@ from bundle.io.atomic.model_files import (
 )
 from bundle.io.atomic.replaced_paths import RecoveryWarning
 from bundle.io.file_names import check_name, format_of_name
-from bundle.io.formats.read_options import ReadOptions
-from bundle.io.formats.registry import FOLDERS, Format, file_at, find_format, format_for_name
+from bundle.io.formats.read_options import ORIGINS, ReadOptions
+from bundle.io.formats.registry import (
+    FOLDERS,
+    Format,
+    file_at,
+    find_format,
+    format_for_name,
+    format_written,
+)
 from bundle.io.georeference_file import remove_georeference
 from bundle.io.model_notes import check_is_model
 from bundle.io.recognition import (
@@ -49,6 +57,7 @@ __all__ = [
     "save_model",
 ]
 
+_WORD = re.compile(r"\.[A-Za-z]+")
 _BAL_SUFFIXES = (".txt", ".txt.gz", ".txt.bz2")
 
 
@@ -73,6 +82,8 @@ def load(
     recover(path)
     options = dataclasses.replace(options or ReadOptions(), progress=progress)
     imported = _imported(path, options)
+    if options.pixel_origin != ORIGINS[0] and (imported is None or imported.name != "nvm"):
+        raise InputError(f"{shown(path)}: expected an NVM file for another pixel origin")
     if imported is not None:
         return imported.reading().read(file_at(path, imported), options)  # type: ignore[no-any-return]
     if path.is_dir():
@@ -192,12 +203,16 @@ def output_format(
     * An explicit format.
     * The path. Names in ".txt", ".txt.gz" and ".txt.bz2" mean BAL, ".out" Bundler, ".nvm" NVM. An
       existing folder or a trailing slash means COLMAP: text if the folder holds a text model,
-      binary if it holds a binary model; a folder with reconstruction.json means OpenSfM.
+      binary if it holds a binary model; a folder with reconstruction.json means OpenSfM. An
+      existing transforms.json of any name stays one.
     * The format of the problem; COLMAP for a problem from memory. COLMAP is text
-      if the problem was read from a text model at ``source``, otherwise binary.
+      if the problem was read from a text model at ``source``, otherwise binary. A new path must
+      not have a suffix of letters (``x.foo``): it would be the name of neither a folder nor a file
+      of that format.
 
     Raises:
-        InputError: the explicit format is unknown, or the name has the suffix of another format.
+        InputError: the explicit format is unknown, or the name has the suffix of another format, or
+            an unknown one.
     """
     folder = as_path(path)
     if format is not None:
@@ -215,7 +230,15 @@ def output_format(
     by_name = format_for_name(folder)
     if by_name is not None:
         return by_name.name
+    known = None if folder.is_dir() else format_written(folder)
+    if known is not None:
+        return known.name
     check_name(path, "a folder or of a BAL file (.txt, .txt.gz, .txt.bz2)", compressed=".txt")
+    if _WORD.fullmatch(folder.suffix) and not folder.exists():
+        raise InputError(
+            f"{shown(path)}: expected a name without a suffix, or with that of a format, found "
+            f"{shown(folder.suffix)}; a slash at the end makes it a folder, or give --format"
+        )
     own = find_format(source_format)
     if own is not None and own.writes:
         return own.name

@@ -12,7 +12,7 @@ from typing import TypeGuard
 from bundle.base.words import FORMATS
 from bundle.io.atomic.model_files import MODEL_FILES, missing_model_files
 from bundle.io.file_names import format_of_name
-from bundle.io.formats.registry import BUILT_IN, Format, format_at
+from bundle.io.formats.registry import BUILT_IN, Format, format_at, format_written
 from bundle.io.python_objects import is_python_object
 
 __all__ = [
@@ -166,6 +166,9 @@ def other_format_at(path: Path) -> str | None:
             return words
     if path.stem == "sfm_data" and path.suffix in (".bin", ".xml", ".ply", ".baf"):
         return "OpenMVG's, but not JSON; openMVG_main_ConvertSfM_DataFormat makes sfm_data.json"
+    written = format_written(path)
+    if written is not None:
+        return f"{written.what}, which has cameras and no tracks"
     known = (words for begin, words in _BEGINNINGS.items() if beginning.startswith(begin))
     by_name = format_of_name(path) if path.suffix.lower() != ".txt" else None
     return next(known, by_name)

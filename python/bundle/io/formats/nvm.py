@@ -7,7 +7,14 @@ projection m of a world point X, x to the right and y down from the centre of th
 
 the distortion acts on the measurement. COLMAP has no such lens; with r = 0 it is SIMPLE_PINHOLE,
 otherwise RADIAL is fitted. The sizes of the images are not in the file. They are taken from the
-photographs, if those exist.
+photographs, if those exist. Quaternions are normalised, as PBA does.
+
+COLMAP writes pixels from the upper left corner of the image and leaves the principal point out
+(``pixel_origin`` "corner"): m is then the pixel minus the principal point, which is taken to be the
+middle of the image or, where its size is unknown, the middle of all observations.
+
+Programs that write six digits lose a scene far from its origin, such as in UTM: a step s between
+two coordinates moves the pixels of points at the depth d by up to f s / d.
 
 R9T has R, row by row, and t = -R C in place of the quaternion and C. A space in the name of an
 image is written as ".
@@ -18,6 +25,7 @@ Source: http://ccwu.me/vsfm/doc.html#nvm and PBA (C. Wu et al., Multicore Bundle
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -28,6 +36,7 @@ from numpy.typing import NDArray
 import bundle._core as _core
 from bundle.base.words import plural
 from bundle.errors import InputError, brief, shown
+from bundle.io.atomic.replaced_paths import NoteWarning
 from bundle.io.formats.fitted_lens import NUM_RADII, fitted_lens
 from bundle.io.formats.image_sizes import UNKNOWN_SIZES, image_sizes
 from bundle.io.formats.imported_model import Imported, checked_rotations, pixels, unique_keys
@@ -40,8 +49,18 @@ __all__ = ["SPACE", "read", "undistorted_scale"]
 
 _FIELDS = "f qw qx qy qz cx cy cz r 0"
 _FIELDS_R9T = "f r11 r12 r13 r21 r22 r23 r31 r32 r33 t1 t2 t3 r 0"
+_UNKNOWN_CENTER = (
+    "Image sizes are unknown: the principal point is the middle of the observations. "
+    "--image-size W,H gives it."
+)
 SPACE = '"'
 """Character of the file for a space in the name of an image."""
+LENGTHS = (0.9, 1.1)
+"""Lengths of quaternions that are normalised; others are no rotation."""
+STEPS = tuple(10.0**power for power in range(4, -5, -1))
+"""Steps of coordinates that count as rounded, in units of the file."""
+LARGEST_ROUNDING = 1.0
+"""Largest movement of pixels by rounded coordinates without a note, in pixels."""
 _MARGIN = 1.05  # of the radius of the farthest observation
 
 
@@ -64,7 +83,11 @@ def read(path: Path, options: ReadOptions) -> Problem:
         options,
         shown(path),
     )
-    return _imported(path, cameras, tracks, names, sizes, center).problem()
+    is_corner = options.pixel_origin == "corner"
+    rounded = _rounding(cameras, tracks)
+    if rounded:
+        warnings.warn(f"{shown(path)}: {rounded}", NoteWarning, stacklevel=2)
+    return _imported(path, cameras, tracks, names, sizes, center, is_corner).problem()
 
 
 def _head(
@@ -147,6 +170,7 @@ def _imported(
     names: list[str],
     sizes: NDArray[np.int64],
     fixed_center: NDArray[np.float64] | None,
+    is_corner: bool,
 ) -> Imported:
     focal, wxyz, position, distortion = (
         cameras[:, 0],
@@ -154,19 +178,26 @@ def _imported(
         cameras[:, 5:8],
         cameras[:, 8],
     )
+    lengths = np.linalg.norm(wxyz, axis=1)
     for what, wrong in (
         ("a focal length above 0", ~(focal > 0)),
-        ("a quaternion of length 1", ~(np.abs(np.linalg.norm(wxyz, axis=1) - 1) < 1e-3)),
+        ("a quaternion of length 1", ~((LENGTHS[0] < lengths) & (lengths < LENGTHS[1]))),
     ):
         if wrong.any():
             camera = int(np.argmax(wrong))
             raise InputError(f"{shown(path)}: camera {camera}: expected {what}, found another")
-    q = wxyz[:, [1, 2, 3, 0]] / np.linalg.norm(wxyz, axis=1)[:, None]
+    q = wxyz[:, [1, 2, 3, 0]] / lengths[:, None]
     image, xy = tracks["image"], tracks["xy"]
     center = sizes / 2 if fixed_center is None else np.tile(fixed_center, (len(cameras), 1))
     notes = []
     if fixed_center is None and not sizes.all() and len(cameras):
-        notes.append(UNKNOWN_SIZES)
+        if is_corner and len(xy):
+            center = np.where(sizes > 0, center, (xy.min(axis=0) + xy.max(axis=0)) / 2)
+            notes.append(_UNKNOWN_CENTER)
+        else:
+            notes.append(UNKNOWN_SIZES)
+    if is_corner:
+        xy = xy - center[image]
     key = unique_keys(image, tracks["key"])
     if key is None and len(image):
         notes.append("Keypoints are not numbered in the file: an index occurs twice in an image.")
@@ -206,6 +237,36 @@ def _imported(
         notes=notes,
         data={"distortion": distortion, "params": params},
     )
+
+
+def _rounding(cameras: NDArray[np.float64], tracks: dict[str, Any]) -> str:
+    """Return a sentence about coordinates whose rounding moves pixels; "" if it does not."""
+    points, centers, image = tracks["points"], cameras[:, 5:8], tracks["image"]
+    if not len(image):
+        return ""
+    every = np.concatenate([points, centers])
+    step = max(map(_step, every.T))
+    distance = np.linalg.norm(points[tracks["point"]] - centers[image], axis=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        moved = step * float(np.median(cameras[image, 0] / distance))
+    if not moved > LARGEST_ROUNDING:
+        return ""
+    return (
+        f"coordinates of up to {np.abs(every).max():.3g} are rounded to multiples of {step:g}, "
+        f"which moves pixels by up to {moved:.2g}: poses and points are wrong by that, not the "
+        "lenses; export coordinates about a local origin"
+    )
+
+
+def _step(values: NDArray[np.float64]) -> float:
+    """Return the step to which at least five digits of all values are rounded, or 0."""
+    largest = np.abs(values).max()
+    for step in STEPS:
+        if largest >= 1e4 * step:
+            scaled = values / step
+            if (np.abs(scaled - np.rint(scaled)) < 1e-6).all():
+                return step
+    return 0.0
 
 
 def undistorted_scale(

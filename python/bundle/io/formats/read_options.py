@@ -12,11 +12,13 @@ from typing import Any
 from bundle.base.paths import as_path
 from bundle.base.records import dataclass
 from bundle.errors import InputError, brief
+from bundle.interface.option_fields import choice
 from bundle.io.database_images import is_database
 
-__all__ = ["UNKNOWN", "ReadOptions"]
+__all__ = ["ORIGINS", "UNKNOWN", "ReadOptions"]
 
 UNKNOWN = "unknown"
+ORIGINS = ("center", "corner")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,6 +33,8 @@ class ReadOptions:
             folder or in the folder above.
         reconstruction: number of the reconstruction in a file with several, from 0; None: the only
             one.
+        pixel_origin: origin of the pixels of an NVM file: "center" of the image, as VisualSFM has
+            it, or the upper left "corner", as COLMAP writes it.
         progress: function that is called repeatedly with the bytes of text read so far.
     """
 
@@ -38,6 +42,7 @@ class ReadOptions:
     image_size: tuple[int, int] | Path | None = None
     image_list: Path | None = None
     reconstruction: int | None = None
+    pixel_origin: str = ORIGINS[0]
     progress: Callable[[int], None] | None = None
 
     def changed(self) -> bool:
@@ -50,6 +55,7 @@ class ReadOptions:
         image_size: Any = None,
         image_list: str | os.PathLike[str] | None = None,
         reconstruction: Any = None,
+        pixel_origin: Any = ORIGINS[0],
         progress: Callable[[int], None] | None = None,
     ) -> ReadOptions:
         """Check values from users.
@@ -70,6 +76,7 @@ class ReadOptions:
             image_size=None if image_size is None else _size(image_size),
             image_list=None if image_list is None else as_path(image_list, "image_list"),
             reconstruction=reconstruction,
+            pixel_origin=choice("pixel_origin", pixel_origin, ORIGINS),
             progress=progress,
         )
 

@@ -23,7 +23,15 @@ from typing import Any
 from bundle.base.records import dataclass
 from bundle.errors import InputError, shown
 
-__all__ = ["FOLDERS", "Format", "file_at", "find_format", "format_at", "format_for_name"]
+__all__ = [
+    "FOLDERS",
+    "Format",
+    "file_at",
+    "find_format",
+    "format_at",
+    "format_for_name",
+    "format_written",
+]
 
 GROUP = "bundle.formats"
 
@@ -37,7 +45,8 @@ class Format:
         what: kind of content for messages, such as "a Bundler model".
         module: module (or its dotted name) with ``read`` and ``write``, or one of them.
         writer: module with ``write`` and ``check``; None: ``module``.
-        pattern: regular expression that matches the first 4096 bytes of a file; empty: none.
+        pattern: regular expression that matches the first 4096 bytes of a file; empty: none. Of a
+            format without a reader it serves to name the content.
         members: names of files that make a folder a project of this format.
         suffixes: ends of names of output files.
         is_folder: True if the output is a folder.
@@ -115,6 +124,7 @@ BUILT_IN = (
         name="transforms",
         what="nerfstudio's transforms.json",
         module=f"{_HERE}.transforms",
+        pattern=rb'\s*\{.{,3000}"(transform_matrix|camera_angle_x|fl_x)"\s*:',
         suffixes=("transforms.json",),
         reads=False,
     ),
@@ -199,6 +209,15 @@ def format_at(path: Path, beginning: bytes, *, others: bool = True) -> Format | 
         ):
             return known
     return None
+
+
+def format_written(path: Path) -> Format | None:
+    """Return the format of a file that this package writes and does not read, by its content."""
+    if not path.is_file():
+        return None
+    with path.open("rb") as file:
+        beginning = file.read(4096)
+    return next((f for f in BUILT_IN if not f.reads and f.matches(beginning)), None)
 
 
 def format_for_name(path: Path) -> Format | None:
