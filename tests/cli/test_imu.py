@@ -64,6 +64,59 @@ def test_models_are_written_in_metres_with_z_up(run, folder, made):
     assert not [f for f in report["findings"] if f["kind"] == "not_refined"]
 
 
+def test_a_contradiction_comes_first_and_nothing_is_written(run, folder):
+    """Extrinsics that are off by 6 degrees: exit status 1, and a report that names them."""
+    path = folder / "sequence" / "calibration.yaml"
+    lines = path.read_text().splitlines()
+    row = next(k for k, line in enumerate(lines) if line.startswith("camera_from_imu"))
+    given = np.array(json.loads(lines[row].partition(":")[2]))
+    turned = Rotation.from_euler("y", 6, degrees=True) * Rotation.from_quat(given[:4])
+    lines[row] = f"camera_from_imu: {[*turned.as_quat().tolist(), *given[4:].tolist()]}"
+    path.write_text("\n".join(lines))
+    words = [*words_of(folder), "--refine", "poses,points", "--loss", "cauchy"]
+    code, out, _ = refine(run, folder, *words)
+    assert code == 1
+    assert not (folder / "out").exists()
+    report = json.loads((folder / "r.json").read_text())
+    assert report["headline"][0].startswith("Not usable: images and IMU contradict each other")
+    assert "In metres" not in out
+    assert report["summary"]["is_solution_usable"] is False
+    first, second = report["findings"][:2]
+    assert (first["kind"], first["is_problem"]) == ("imu_contradiction", True)
+    assert first["evidence"]["cause"] == second["kind"] == "camera_from_imu"
+    assert "imu.csv: line " in first["sentence"]
+    found = report["imu"]
+    assert found["chi2"] > found["chi2_bound"] > found["chi2_freedom"]
+    assert len(found["interval_chi2"]) == found["chi2_freedom"] / 6
+    assert 1 / found["noise_scale"] ** 2 <= found["variance_factor"] <= 1
+
+
+def test_a_leap_of_a_sample_is_named_by_its_line(run, folder):
+    path = folder / "sequence" / "imu.csv"
+    lines = path.read_text().splitlines()
+    words = lines[600].split(",")
+    lines[600] = ",".join([words[0], "25.0", *words[2:]])
+    path.write_text("\n".join(lines))
+    code, _, _ = refine(run, folder, *words_of(folder), "--refine", "poses,points")
+    assert code == 0
+    first = json.loads((folder / "r.json").read_text())["findings"][0]
+    assert (first["kind"], first["is_problem"]) == ("imu_samples", False)
+    assert f"{path}: line 601" in first["sentence"]
+
+
+@pytest.mark.parametrize(("factor", "unit"), [(1000, "microseconds"), (1000000, "milliseconds")])
+def test_stamps_in_another_unit_are_named(run, folder, factor, unit):
+    for path, column in ((folder / "sequence" / "imu.csv", 0), (folder / "times.csv", 1)):
+        head, *lines = path.read_text().splitlines()
+        rows = [line.split(",") for line in lines]
+        for one in rows:
+            one[column] = str(int(one[column]) // factor)
+        path.write_text("\n".join([head, *map(",".join, rows)]))
+    code, _, err = refine(run, folder, *words_of(folder))
+    assert code == 2
+    assert unit in err.splitlines()[-1]
+
+
 def test_positions_and_samples_together(run, folder, made):
     _, flight, stamps = made
     problem = bundle.load(folder / "model")

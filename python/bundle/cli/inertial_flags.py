@@ -145,6 +145,7 @@ def adjusted_with_imu(
     from bundle.io.sequences.sensor_yaml import kind_of_yaml
     from bundle.model.sequence.calibration import load_calibration
     from bundle.model.sequence.sequence import check_imu
+    from bundle.model.sequence.stamp_units import check_stamp_unit
     from bundle.model.sequence.yaml_files import read_yaml
 
     times = read_image_times(given.frame_times, problem)
@@ -157,6 +158,7 @@ def adjusted_with_imu(
         calibration = load_calibration(paths[0])  # its camera model is not used
     else:
         calibration = find_calibration(paths, [], [], "cam0", stamps).calibration
+    check_stamp_unit(samples.timestamps_ns, calibration.imu_rate, "imu_rate", table.place)
     with naming_flags(imu="--imu", imu_noise_scale="--imu-noise-scale"):
         return adjust_with_imu(
             problem,
@@ -170,4 +172,5 @@ def adjusted_with_imu(
             priors=priors,
             rounds=rounds,
             progress=progress,
+            place=table.place,
         )

@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bundle.interface.finding import Finding
 from bundle.judging.findings.find import find
+from bundle.judging.findings.next_command import NextCommand
 
 if TYPE_CHECKING:
     from bundle.cli.refine_input import Opened
@@ -15,7 +17,6 @@ if TYPE_CHECKING:
     from bundle.georeference.georeferenced import Georeference
     from bundle.graphs.loops.loop_closing import LoopClosing
     from bundle.inertial.offline.inertial_result import InertialAdjustment
-    from bundle.interface.finding import Finding
     from bundle.solving.result import Result
 
 __all__ = ["judge", "readout_sigmas", "write_page"]
@@ -24,11 +25,25 @@ __all__ = ["judge", "readout_sigmas", "write_page"]
 def judge(
     asked: Refinement, opened: Opened, solved: Result, inertial: InertialAdjustment | None
 ) -> tuple[Finding, ...]:
-    """Return the findings about the result; none about one that is not usable or in slices."""
+    """Return the findings about the result, those of an IMU first.
+
+    A result that is not usable has only these, one in slices has none.
+    """
+    command = NextCommand(asked.source, asked.target, asked.given)
+    about_imu = tuple(
+        Finding(
+            kind=one.kind,
+            sentence=one.sentence,
+            command=command.refine(*one.flags) if one.flags else "",
+            evidence=one.evidence,
+            is_problem=one.is_problem,
+        )
+        for one in (() if inertial is None else inertial.findings)
+    )
     if not solved.summary.is_solution_usable or opened.sliced is not None:
-        return ()
+        return about_imu
     priors: tuple[Any, ...] = () if opened.known is None else opened.known.priors
-    return find(
+    return about_imu + find(
         solved.problem,
         source=asked.source,
         target=asked.target,

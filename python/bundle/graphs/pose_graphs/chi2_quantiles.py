@@ -10,6 +10,7 @@ from __future__ import annotations
 __all__ = [
     "ONE_IN_2000",
     "ONE_IN_A_MILLION",
+    "chi2_bound",
     "chi2_interval",
     "chi2_limit",
     "chi2_median",
@@ -56,6 +57,13 @@ def chi2_limit(degrees: int) -> float:
     if degrees < 1:
         return float("inf")
     return ONE_IN_A_MILLION.get(degrees) or _quantile(degrees, _NORMAL_ONE_IN_A_MILLION)
+
+
+def chi2_bound(degrees: int, probability: float) -> float:
+    """Return the value that chi2 exceeds with a small probability (Wilson and Hilferty)."""
+    from statistics import NormalDist  # slow, and most solves need the tables alone
+
+    return _quantile(degrees, NormalDist().inv_cdf(1 - probability))
 
 
 def chi2_median(degrees: int) -> float:

@@ -8,15 +8,19 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.words import plural
 from bundle.errors import InputError
 from bundle.inertial.offline.clock_offset import MOST, ClockOffset, clock_offset
+from bundle.inertial.offline.imu_agreement import ClockErrors
 from bundle.inertial.offline.inertial_result import ImuSamples
-from bundle.inertial.offline.inertial_start import preintegrated
+from bundle.inertial.offline.inertial_start import gyro_bias, preintegrated
 from bundle.inertial.preintegration.preintegration import Preintegration
 from bundle.inertial.vio.sequence_images import ImuSlices
 from bundle.inertial.vio.window_frame import ImuInterval
+from bundle.model.rotations import quaternion_from_matrix, vector_from_quaternion
 from bundle.model.sequence.imu_noise import ImuNoise
 from bundle.model.sequence.sequence import check_imu
+from bundle.model.sequence.stamp_units import other_unit
 
 __all__ = ["RULES", "ImageIntervals", "likely_kinds"]
 
@@ -54,10 +58,13 @@ class ImageIntervals:
         outside = (stamps < first) | (stamps > last)
         if outside.any():
             found = int(stamps[np.flatnonzero(outside)[0]])
-            how = "all images are" if outside.all() else f"{int(outside.sum())} images are"
+            count = int(outside.sum())
+            how = f"{plural(count, 'image')} {'is' if count == 1 else 'are'}"
+            how = "all images are" if outside.all() else how
+            hint = other_unit(stamps, samples.timestamps_ns) or ": do both clocks agree?"
             raise InputError(
                 f"imu: expected images between the samples ({first} to {last} ns), found {found}: "
-                f"{how} outside"
+                f"{how} outside{hint}"
             )
         steps = np.flatnonzero(np.diff(stamps) <= 0)
         if len(steps):
@@ -88,15 +95,26 @@ class ImageIntervals:
         def motions_at(offset: float, bias: Array) -> list[Preintegration]:
             return preintegrated(self.at(offset), noise, np.append(bias, np.zeros(3)), self.rule)
 
-        def rates_at(offset: float) -> Array:
-            slices = self._longer
-            origin = int(slices.stamps[0])  # differences of times are exact in double precision
-            places = (self._moved(offset) - origin).astype(np.float64)
-            times = (slices.stamps - origin).astype(np.float64)
-            return np.stack([np.interp(places, times, axis) for axis in slices.gyro.T], axis=1)
-
         between = np.swapaxes(rotations[:-1], 1, 2) @ rotations[1:]
-        return clock_offset(between, motions_at, rates_at)
+        return clock_offset(between, motions_at, self._rates_at)
+
+    def clock_errors(self, rotations: Array, noise: ImuNoise, clock: ClockOffset) -> ClockErrors:
+        """Return the errors of single times that remain with an offset of the clocks."""
+        offset = clock.seconds if clock.is_clear else 0.0
+        between = np.swapaxes(rotations[:-1], 1, 2) @ rotations[1:]
+        bias = gyro_bias(between, self.at(offset), noise, self.rule)
+        motions = preintegrated(self.at(offset), noise, np.append(bias, np.zeros(3)), self.rule)
+        deltas = np.array([motion.delta_rotation for motion in motions])
+        errors = vector_from_quaternion(quaternion_from_matrix(np.swapaxes(deltas, 1, 2) @ between))
+        times = 1e-9 * (self._stamps - self._stamps[0])
+        return ClockErrors.of(errors, self._rates_at(offset) - bias, deltas, times)
+
+    def _rates_at(self, offset: float) -> Array:
+        slices = self._longer
+        origin = int(slices.stamps[0])  # differences of times are exact in double precision
+        places = (self._moved(offset) - origin).astype(np.float64)
+        times = (slices.stamps - origin).astype(np.float64)
+        return np.stack([np.interp(places, times, axis) for axis in slices.gyro.T], axis=1)
 
     def _moved(self, offset: float) -> NDArray[np.int64]:
         return self._stamps + round(1e9 * offset)

@@ -6,6 +6,10 @@ factors of the solve (``motion_solve``). The model is first brought into metres 
 (``upright_start``), where gravity is known. Position and heading stay free, or follow priors in a
 world with z up. A clear offset of the clocks (``clock_offset``) is added to the times of images.
 
+The images alone are adjusted first: their rotations tell axes, units and clocks of the IMU, and
+their cost is what the adjustment with the IMU is judged by (``imu_agreement``, ``imu_findings``).
+Gross errors of axes and units are refused. A result that the IMU contradicts is not usable.
+
 Preintegrated motions are of first order in the biases. A second solve starts with motions that are
 integrated again at the biases of the first one, if these moved far. Rounds of filtering follow,
 with the kind of samples that had the lower cost: costs after a filter cannot be compared.
@@ -19,6 +23,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -29,14 +34,19 @@ from bundle.georeference.pose_alignment import align_centers
 from bundle.georeference.similarity import Similarity, moved
 from bundle.graphs.factors.attitude_factors import DOWN, DirectionFactor
 from bundle.graphs.factors.factors import Factor, RelativePoseFactor
+from bundle.inertial.offline.accel_axes import accel_axes
 from bundle.inertial.offline.clock_offset import ClockOffset
 from bundle.inertial.offline.image_intervals import RULES, ImageIntervals, likely_kinds
+from bundle.inertial.offline.imu_agreement import Agreement, noise_ratios
 from bundle.inertial.offline.imu_bodies import ImuBodies
+from bundle.inertial.offline.imu_findings import LONG_ARM, Evidence, imu_findings
 from bundle.inertial.offline.inertial_result import ImuSamples, InertialAdjustment
 from bundle.inertial.offline.inertial_start import InertialStart, preintegrated
-from bundle.inertial.offline.motion_solve import MotionState, solved_with_motions
+from bundle.inertial.offline.motion_solve import GRAVITY, MotionState, solved_with_motions
+from bundle.inertial.offline.rotation_map import RotationMap, axes_sentence
 from bundle.inertial.offline.upright_start import to_priors, upright_start
 from bundle.inertial.preintegration.preintegration import Preintegration
+from bundle.inertial.vio.window_frame import ImuInterval
 from bundle.interface.option_fields import choice, number
 from bundle.interface.options import SolveOptions
 from bundle.interface.round_options import RoundOptions
@@ -44,10 +54,12 @@ from bundle.interface.solve_record import Progress
 from bundle.model.problem import Problem
 from bundle.model.rigid_motions import inverse_poses, multiply_poses
 from bundle.model.rotations import rotation_matrices
+from bundle.model.sequence.bad_samples import bad_stretches
 from bundle.model.sequence.imu_noise import ImuNoise
 from bundle.solving.gauge_freedom import gauge_freedom
 from bundle.solving.kept_errors import Edit
 from bundle.solving.result import Result
+from bundle.solving.rounds.solve_rounds import solve_rounds
 
 if TYPE_CHECKING:
     from bundle.solving.placed_problem import Prior
@@ -77,6 +89,7 @@ def adjust_with_imu(
     priors: tuple[Prior, ...] = (),
     rounds: RoundOptions | None = None,
     progress: Progress | None = None,
+    place: Callable[[int], str] | None = None,
 ) -> InertialAdjustment:
     """Adjust a reconstruction of a video with the samples of its IMU.
 
@@ -99,12 +112,14 @@ def adjust_with_imu(
         rounds: rounds of adjusting and filtering, as in :func:`bundle.solve_rounds`; None: no
             filter.
         progress: as for :func:`bundle.solve`.
+        place: function that converts a row of the samples to text; None: "IMU sample 7".
 
     Raises:
-        InputError: an argument is wrong, the samples do not cover the images, or the motion does
-            not determine the scale.
+        InputError: an argument is wrong, the samples do not cover the images, axes or units are
+            not those of camera_from_imu, or the motion does not determine the scale.
     """
     bodies = ImuBodies.of(problem, image_times_ns, camera_from_imu)
+    images = _images_alone(problem, options or SolveOptions(), tuple(priors), progress)
     options = _checked(bodies, options)
     imu_samples = choice("imu_samples", imu_samples, ("auto", *RULES))
     scale = _noise_scale(bodies.stamps, imu_noise_scale)
@@ -115,17 +130,24 @@ def adjust_with_imu(
         priors=tuple(priors),
         options=options,
         progress=progress,
+        images=images,
     )
     best = min(
         (_adjusted(case, video, clock) for video, clock in _videos(case, samples, imu_samples)),
         key=lambda found: found.cost,
     )
+    known = _evidence(case, best, samples, scale, place)
+    findings = imu_findings(known)
     if rounds is not None and rounds.num_rounds:
         best = _filtered(case, best, rounds)
     back, state, last = np.argsort(bodies.rows), best.state, best.results[-1]
     costs = np.asarray(last.factor_costs_after)
+    summary = last.summary
+    if any(finding.is_problem for finding in findings) and not summary.interrupted:
+        summary = dataclasses.replace(summary, is_solution_usable=False)
     finished = dataclasses.replace(
         last,
+        summary=summary,
         problem=state.problem,
         initial_problem=problem,
         similarity=best.similarity,
@@ -146,6 +168,8 @@ def adjust_with_imu(
         clock=best.clock,
         imu_samples=best.video.kind,
         gauge_freedom=_gauge_freedom(case, state.problem),
+        agreement=known.agreement,
+        findings=findings,
     )
 
 
@@ -158,6 +182,12 @@ class _Case(NamedTuple):
     priors: tuple[Prior, ...]
     options: SolveOptions
     progress: Progress | None
+    images: Result
+
+    @property
+    def rotations(self) -> Array:
+        """(n, 3, 3) rotations world_from_imu by the images alone."""
+        return self.bodies.imu_rotations(self.images.problem)
 
     @property
     def is_metric(self) -> bool:
@@ -222,7 +252,7 @@ def _videos(
     case: _Case, samples: ImuSamples, kind: str
 ) -> list[tuple[ImageIntervals, ClockOffset]]:
     """Return the intervals for each likely kind of samples, and the offsets of the clocks."""
-    rotations = case.bodies.imu_rotations(case.problem)
+    rotations = case.rotations
     found = {}
     for one in RULES if kind == "auto" else (kind,):
         video = ImageIntervals(samples, case.bodies.stamps, one)
@@ -233,9 +263,21 @@ def _videos(
 
 def _adjusted(case: _Case, video: ImageIntervals, clock: ClockOffset) -> _Adjusted:
     intervals = video.at(clock.seconds if clock.is_clear else 0.0)
-    start, similarity = upright_start(
-        case.problem, case.bodies, intervals, case.noise, video.rule, is_metric=case.is_metric
-    )
+    _, wrong = _rotation_map(case, video, clock).cause(case.bodies.body_from_imu)
+    if wrong:
+        raise InputError(f"imu: {wrong}")
+    try:
+        start, similarity = upright_start(
+            case.problem, case.bodies, intervals, case.noise, video.rule, is_metric=case.is_metric
+        )
+    except InputError:
+        wrong = _accel_axes(case, intervals, video.rule)
+        arm = float(np.linalg.norm(case.bodies.body_from_imu[4:]))
+        if not wrong and arm > LONG_ARM:
+            wrong = f"expected camera_from_imu in metres, found an arm of {arm:.3g}: millimetres?"
+        if wrong:
+            raise InputError(f"imu: {wrong}") from None
+        raise
     placed = moved(case.problem, similarity)
     further = to_priors(placed, case.priors)
     if further is not None:
@@ -247,6 +289,82 @@ def _adjusted(case: _Case, video: ImageIntervals, clock: ClockOffset) -> _Adjust
         np.tile(np.append(start.gyro_bias, start.accel_bias), (len(case.bodies), 1)),
     )
     return _Adjusted(video, clock, start, similarity, state, []).settled(case)
+
+
+def _images_alone(
+    problem: Problem, options: SolveOptions, priors: tuple[Prior, ...], progress: Progress | None
+) -> Result:
+    """Return the adjustment without the IMU."""
+    found = solve_rounds(problem, options, num_rounds=0, priors=priors, progress=progress)
+    if found.summary.interrupted:
+        raise KeyboardInterrupt
+    return found
+
+
+def _rotation_map(case: _Case, video: ImageIntervals, clock: ClockOffset) -> RotationMap:
+    intervals = video.at(clock.seconds if clock.is_clear else 0.0)
+    rotations = case.rotations
+    between = np.swapaxes(rotations[:-1], 1, 2) @ rotations[1:]
+    motions = preintegrated(intervals, case.noise, np.zeros(6), video.rule)
+    return RotationMap.between(between, motions)
+
+
+def _accel_axes(case: _Case, intervals: list[ImuInterval], rule: str) -> str:
+    """Return a sentence on wrong axes of the accelerometer, or ""."""
+    problem, bodies = case.images.problem, case.bodies
+    found = accel_axes(
+        bodies.imu_rotations(problem), bodies.centers(problem), bodies.arms(problem),
+        intervals, case.noise, GRAVITY, rule,
+    )  # fmt: skip
+    if found is None:
+        return ""
+    axes, start = found
+    return (
+        f"{axes_sentence('accelerometer', axes)}; with the given axes, the scale is "
+        f"{start.scale:.3g} +- {100 * start.scale_sigma:.2g} % m per unit"
+    )
+
+
+def _evidence(
+    case: _Case,
+    found: _Adjusted,
+    samples: ImuSamples,
+    noise_scale: float,
+    place: Callable[[int], str] | None,
+) -> Evidence:
+    """Return what is known about images and IMU after the solves with all observations."""
+    last, alone = found.results[-1], case.images
+    count = len(case.bodies) - 1
+    problem = alone.problem
+    unknowns = 6 * problem.num_images + 3 * problem.num_points
+    freedom = max(2 * problem.num_observations - unknowns, 1)
+    cost = alone.summary.final_cost
+    is_minimum = alone.summary.termination_type == "CONVERGENCE"
+    agreement = Agreement.of(
+        np.asarray(last.factor_costs_after), count, last.summary.final_cost,
+        (cost if is_minimum else math.nan, 2 * cost / freedom), noise_scale,
+    )  # fmt: skip
+    video, clock = found.video, found.clock
+    density = case.noise.scaled(1 / noise_scale, walks=False)
+    rotations = _rotation_map(case, video, clock)
+    axes = ""
+    if agreement.is_contradicted and not (rotations.is_turned or rotations.is_scaled):
+        axes = _accel_axes(case, video.at(clock.seconds if clock.is_clear else 0.0), video.rule)
+    return Evidence(
+        agreement=agreement,
+        is_converged=last.summary.termination_type == "CONVERGENCE",
+        rotations=rotations,
+        axes=axes,
+        clocks=video.clock_errors(case.rotations, case.noise, clock),
+        offset=clock,
+        noise=noise_ratios(*samples, density),
+        noise_scale=noise_scale,
+        camera_from_imu=case.bodies.body_from_imu,
+        bad=bad_stretches(samples.gyro, samples.accel),
+        stamps=samples.timestamps_ns,
+        place=place or (lambda row: f"IMU sample {row}"),
+        begins=case.bodies.stamps[:-1],
+    )
 
 
 def _filtered(case: _Case, found: _Adjusted, rounds: RoundOptions) -> _Adjusted:

@@ -13,6 +13,8 @@ from bundle.base.records import dataclass
 from bundle.base.words import number as rounded
 from bundle.georeference.similarity import Similarity
 from bundle.inertial.offline.clock_offset import ClockOffset
+from bundle.inertial.offline.imu_agreement import Agreement
+from bundle.inertial.offline.imu_findings import ImuFinding
 from bundle.inertial.offline.inertial_start import InertialStart
 from bundle.solving.result import Result
 
@@ -55,6 +57,9 @@ class InertialAdjustment(Displayed):
         imu_samples: kind of the samples: "instant" or "interval".
         gauge_freedom: degrees of freedom of the world that motions and priors leave: 4 (position
             and heading) without priors, 3 with headings, 0 with positions.
+        agreement: chi2 of images and IMU, as a whole and by interval, before rounds of filtering.
+        findings: findings about samples, calibration and clocks; a problem makes the result not
+            usable.
     """
 
     result: Result
@@ -71,6 +76,17 @@ class InertialAdjustment(Displayed):
     clock: ClockOffset
     imu_samples: str
     gauge_freedom: int
+    agreement: Agreement
+    findings: tuple[ImuFinding, ...]
+
+    @property
+    def headline(self) -> tuple[list[str], list[str]]:
+        """Sentences before and after those of the solve."""
+        problems = [one for one in self.findings if one.is_problem]
+        if not problems:
+            return [], [self.sentence]
+        seconds = problems[0].evidence["seconds"]
+        return [f"Not usable: images and IMU contradict each other, most at {seconds:.2f} s."], []
 
     @property
     def sentence(self) -> str:
@@ -108,6 +124,7 @@ class InertialAdjustment(Displayed):
             "clock_offset": self.clock.seconds,
             "clock_offset_sigma": self.clock.sigma if math.isfinite(self.clock.sigma) else None,
             "clock_offset_used": self.clock.is_clear,
+            **self.agreement.asdict(),
         }
 
     def _display(self) -> Display:

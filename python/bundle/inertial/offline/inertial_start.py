@@ -35,7 +35,7 @@ from bundle.model.rotations import (
 )
 from bundle.model.sequence.imu_noise import ImuNoise
 
-__all__ = ["InertialStart", "preintegrated", "solve_inertial_start"]
+__all__ = ["InertialStart", "gyro_bias", "preintegrated", "solve_inertial_start"]
 
 Array = NDArray[np.float64]
 
@@ -105,6 +105,7 @@ def solve_inertial_start(
     noise: ImuNoise,
     gravity: float,
     rule: str,
+    rate_bias: Array | None = None,
 ) -> InertialStart:
     """Return the start of n images.
 
@@ -116,9 +117,12 @@ def solve_inertial_start(
         noise: noise of the IMU.
         gravity: length of gravity, m/s^2.
         rule: rule of preintegration.
+        rate_bias: bias of the gyroscope; None: by the rotations.
     """
-    gyro_bias = _gyro_bias(rotations, intervals, noise, rule)
-    motions = preintegrated(intervals, noise, np.append(gyro_bias, np.zeros(3)), rule)
+    if rate_bias is None:
+        between = np.swapaxes(rotations[:-1], 1, 2) @ rotations[1:]
+        rate_bias = gyro_bias(between, intervals, noise, rule)
+    motions = preintegrated(intervals, noise, np.append(rate_bias, np.zeros(3)), rule)
     times = np.cumsum([0.0, *(motion.duration for motion in motions)])
     parts = _segments(times)
     segments = [_segment(part, rotations, centers, arms, motions, times) for part in parts]
@@ -145,17 +149,16 @@ def solve_inertial_start(
         scale=float(x[0]),
         scale_sigma=float(np.sqrt(covariance[0, 0]) / abs(x[0])) if x[0] != 0 else np.inf,
         gravity=x[1:4],
-        gyro_bias=gyro_bias,
+        gyro_bias=rate_bias,
         accel_bias=x[4:7],
         velocities=velocities,
         rms=rms,
     )
 
 
-def _gyro_bias(rotations: Array, intervals: list[ImuInterval], noise: ImuNoise, rule: str) -> Array:
-    """Return the bias for which preintegrated rotations are those of the images."""
+def gyro_bias(between: Array, intervals: list[ImuInterval], noise: ImuNoise, rule: str) -> Array:
+    """Return the bias for which preintegrated rotations are those between images (n - 1, 3, 3)."""
     bias = np.zeros(3)
-    between = np.swapaxes(rotations[:-1], 1, 2) @ rotations[1:]
     for _ in range(STEPS):
         motions = preintegrated(intervals, noise, np.append(bias, np.zeros(3)), rule)
         deltas = np.array([motion.delta_rotation for motion in motions])

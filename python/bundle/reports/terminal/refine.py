@@ -88,6 +88,7 @@ def refinement(
     summary, changes = solved.summary, camera_changes(solved)
     warnings = (*(edits.warnings if edits else ()), *summary.warnings)
     places, place_warnings = _places(georeference)
+    first, last = ([], []) if inertial is None else inertial.headline
     details = [
         Section(facts=_facts(path, problem, solved, edits)),
         *([] if closed is None else _loops(closed)),
@@ -133,12 +134,13 @@ def refinement(
         command="refine",
         input=about_problem(path, problem) | {"digests": content_digests(problem)},
         headline=[
+            *first,
             *headline(solved),
             *solved_sentences(solved, sigmas),
             *places,
             *(errors.sentence for errors in attitudes),
             *([] if velocities is None else [velocities.sentence]),
-            *([] if inertial is None else [inertial.sentence]),
+            *last,
         ],
         findings=findings,
         warnings=[*warnings, *place_warnings, *(f"lost: {what}" for what in lost)],

@@ -1,0 +1,174 @@
+r"""Agreement of images and IMU: chi2 of the whole adjustment, of each interval, and its causes.
+
+Whole adjustment. Let C be the cost of images and IMU together, and C_0 that of the images alone at
+their own minimum. If both agree, 2 (C - C_0) is chi2 with 6 degrees of freedom for each interval: 9
+of its motion and 6 of its random walks, less 3 of a velocity and 6 of the biases that each image
+adds. The IMU's noise includes its factor for vibration, so that healthy recordings stay below.
+
+Intervals. The motion and the random walks of interval k have chi2_k with at most 15 degrees of
+freedom. As the factor for vibration is a guess, the variance factor v of this recording is taken
+from the median: v = median chi2_k / median of chi2(6), between the inverse square of the factor for
+vibration and 1. An interval is wrong if chi2_k / v exceeds the quantile that the largest of n good
+ones exceeds with a probability of 0.1 %.
+
+Causes. The rotations of images alone and of the gyroscope tell errors of axes (``rotation_map``),
+and errors of single times: a time of image k that is off by x_k changes the rotation between images
+by w_{k+1} x_{k+1} - dR^T w_k x_k (``clock_offset``). A drift is x_k in proportion to the time.
+Other x_k are independent, and moments give their variance. White noise of samples is at most what
+their second differences show: std / sqrt(6), times the root of the period as a density.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.graphs.pose_graphs.chi2_quantiles import chi2_bound, chi2_median
+from bundle.model.sequence.imu_noise import ImuNoise
+
+__all__ = ["Agreement", "ClockErrors", "noise_ratios"]
+
+Array = NDArray[np.float64]
+
+FREEDOM, MOST_FREEDOM = 6, 15
+FALSE_ALARM = 1e-3
+"""Probability of a false alarm in a run."""
+LARGE_NOISE = 5.0
+"""Ratio of calibrated to measured noise that is an error: samples never have less noise."""
+JITTER, JITTER_SHARE = 1.5e-3, 0.5
+"""Seconds, and share of the residuals' variance, from which times of single images are wrong."""
+DRIFT, DRIFT_SIGMAS = 4e-3, 5.0
+"""Seconds over the video, and sigmas, from which clocks drift."""
+
+
+class Agreement(NamedTuple):
+    """Agreement of an adjustment.
+
+    Attributes:
+        chi2: 2 (C - C_0), over the variance of the images alone if that is above 1; nan if the
+            images alone have no minimum to compare with.
+        freedom: degrees of freedom.
+        interval_chi2: (n,) of each interval.
+        variance: v.
+    """
+
+    chi2: float
+    freedom: int
+    interval_chi2: Array
+    variance: float
+
+    @staticmethod
+    def of(
+        costs: Array, count: int, cost: float, alone: tuple[float, float], noise_scale: float
+    ) -> Agreement:
+        """Return the agreement.
+
+        Args:
+            costs: costs of the factors: motions, then walks and first prior of each bias.
+            count: number of intervals.
+            cost: C.
+            alone: C_0, and the variance factor of the images alone.
+            noise_scale: factor for vibration.
+        """
+        motions, gyro, accel = (costs[first : first + count] for first in (0, count, 2 * count + 1))
+        intervals = 2 * (motions + gyro + accel)
+        variance = float(np.median(intervals)) / chi2_median(FREEDOM)
+        least = min(1.0, 1 / noise_scale**2)
+        chi2 = 2 * (cost - alone[0]) / max(alone[1], 1.0)
+        return Agreement(chi2, FREEDOM * count, intervals, min(max(variance, least), 1.0))
+
+    @property
+    def bound(self) -> float:
+        """Bound of chi2."""
+        return chi2_bound(self.freedom, FALSE_ALARM)
+
+    @property
+    def is_contradicted(self) -> bool:
+        """True if the whole adjustment costs more than noise explains."""
+        return self.chi2 > self.bound
+
+    @property
+    def wrong_intervals(self) -> list[int]:
+        """Intervals beyond their bound, the worst first."""
+        count = len(self.interval_chi2)
+        bound = self.variance * chi2_bound(MOST_FREEDOM, FALSE_ALARM / count)
+        wrong = np.flatnonzero(self.interval_chi2 > bound)
+        order = np.argsort(-self.interval_chi2[wrong], kind="stable")
+        return [int(k) for k in wrong[order]]
+
+    def asdict(self) -> Mapping[str, Any]:
+        """Return the content of the JSON report."""
+        return {
+            "chi2": self.chi2 if math.isfinite(self.chi2) else None,
+            "chi2_freedom": self.freedom,
+            "chi2_bound": self.bound,
+            "interval_chi2": self.interval_chi2.tolist(),
+            "variance_factor": self.variance,
+        }
+
+
+class ClockErrors(NamedTuple):
+    """Errors of the times of single images.
+
+    Attributes:
+        jitter: their standard deviation in seconds.
+        share: share of the squared difference between the rotations that they explain.
+        drift: difference of the rates of both clocks, seconds per second.
+        drift_sigma: its standard deviation.
+    """
+
+    jitter: float = 0.0
+    share: float = 0.0
+    drift: float = 0.0
+    drift_sigma: float = math.inf
+
+    @staticmethod
+    def of(errors: Array, rates: Array, deltas: Array, times: Array) -> ClockErrors:
+        """Return the errors of n images.
+
+        Args:
+            errors: (n - 1, 3) Log(dR^T B) between images.
+            rates: (n, 3) rates at the images.
+            deltas: (n - 1, 3, 3) dR.
+            times: (n,) times in seconds.
+        """
+        n = len(rates)
+        rows = np.zeros((n - 1, 3, n))
+        k = np.arange(n - 1)
+        rows[k, :, k + 1] = rates[1:]
+        rows[k, :, k] = -np.einsum("nji,nj->ni", deltas, rates[:-1])
+        a, y = rows.reshape(-1, n), errors.reshape(-1)
+        along = a @ (times - times.mean())
+        if not (y.any() and along.any()):
+            return ClockErrors()
+        drift = float(along @ y / (along @ along))
+        left = y - drift * along
+        sigma = math.sqrt(float(left @ left / len(left) / (along @ along)))
+        # Moments: y^T y and |A^T y|^2 of y = A x + e are linear in the variances of e and x.
+        square = a.T @ a
+        trace, norm = float(np.trace(square)), float((square**2).sum())
+        moments = np.array([[len(left), trace], [trace, norm]])
+        right = np.array([left @ left, ((a.T @ left) ** 2).sum()])
+        variance = max(float(np.linalg.solve(moments, right)[1]), 0.0)
+        share = min(variance * trace / float(left @ left), 1.0) if left.any() else 0.0
+        return ClockErrors(math.sqrt(variance), share, drift, sigma)
+
+
+def noise_ratios(
+    stamps: NDArray[np.int64], gyro: Array, accel: Array, noise: ImuNoise
+) -> tuple[float, float]:
+    """Return calibrated noise densities over those that samples show, of gyro and accelerometer.
+
+    0 for samples without noise.
+    """
+    period = 1e-9 * float(np.median(np.diff(stamps)))
+    found = []
+    for values, density in zip((gyro, accel), noise.astuple()[:2], strict=True):
+        second = np.abs(np.diff(values, 2, axis=0))
+        shown = 1.4826 * float(np.median(second)) * math.sqrt(period / 6)
+        found.append(density / shown if shown > 0 else 0.0)
+    return found[0], found[1]

@@ -1,0 +1,304 @@
+"""Findings about samples, calibration and clocks of an adjustment with an IMU."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.base.words import plural
+from bundle.inertial.offline.clock_offset import ClockOffset
+from bundle.inertial.offline.imu_agreement import (
+    DRIFT,
+    DRIFT_SIGMAS,
+    JITTER,
+    JITTER_SHARE,
+    LARGE_NOISE,
+    Agreement,
+    ClockErrors,
+)
+from bundle.inertial.offline.rotation_map import RotationMap
+from bundle.model.rotations import (
+    quaternion_from_matrix,
+    rotation_matrices,
+)
+from bundle.model.sequence.bad_samples import LONGEST_BRIDGE, BadStretch
+
+__all__ = ["LONG_ARM", "Evidence", "ImuFinding", "imu_findings"]
+
+Array = NDArray[np.float64]
+
+LONG_ARM = 3.0
+"""Distance in metres between camera and IMU from which millimetres are likely."""
+
+
+CAUSES = {
+    "imu_samples": "samples are no measurements",
+    "camera_from_imu": "camera_from_imu is turned",
+    "gyro_scale": "the scale of the rates is wrong",
+    "imu_clocks": "the times of images are wrong",
+    "imu_noise": "the calibrated noise is too large",
+    "unknown": "camera_from_imu, the clocks, the intrinsics or the noise of the IMU is wrong",
+}
+"""Causes by the kind of the finding that shows them."""
+
+
+class ImuFinding(NamedTuple):
+    """Finding without its command line.
+
+    Attributes:
+        kind: "imu_contradiction", "imu_samples", "imu_interval", "camera_from_imu", "gyro_scale",
+            "imu_clocks" or "imu_noise".
+        sentence: the fact with its numbers.
+        flags: flags that the next command adds; none: no command helps.
+        evidence: numbers behind the sentence.
+        is_problem: True if the result is not usable.
+    """
+
+    kind: str
+    sentence: str
+    flags: tuple[str, ...]
+    evidence: Mapping[str, Any]
+    is_problem: bool = False
+
+
+class Evidence(NamedTuple):
+    """Evidence on the agreement of images and IMU.
+
+    Attributes:
+        agreement: chi2 of the adjustment.
+        is_converged: True if its solve converged.
+        rotations: map between the rotations.
+        axes: sentence on the axes of the accelerometer, or "".
+        clocks: errors of single times.
+        offset: offset of the clocks.
+        noise: calibrated noise densities over those of the samples.
+        noise_scale: factor for vibration.
+        camera_from_imu: (7,).
+        bad: stretches of samples that are no measurements.
+        stamps: stamps of the samples.
+        place: function that converts a row of the samples to text.
+        begins: (n,) stamps at the begin of each interval.
+    """
+
+    agreement: Agreement
+    is_converged: bool
+    rotations: RotationMap
+    axes: str
+    clocks: ClockErrors
+    offset: ClockOffset
+    noise: tuple[float, float]
+    noise_scale: float
+    camera_from_imu: Array
+    bad: Sequence[BadStretch]
+    stamps: NDArray[np.int64]
+    place: Callable[[int], str]
+    begins: NDArray[np.int64]
+
+
+def imu_findings(known: Evidence) -> tuple[ImuFinding, ...]:
+    """Return the findings, the most important first."""
+    others = [
+        one
+        for one in (
+            _samples(known), _turned(known), _scaled(known), _times(known), _noise(known),
+            _offset(known), _intervals(known),
+        )
+        if one is not None
+    ]  # fmt: skip
+    first = _contradiction(known, others)
+    return tuple(others if first is None else [first, *others])
+
+
+def _contradiction(known: Evidence, others: Sequence[ImuFinding]) -> ImuFinding | None:
+    """Return the finding of an adjustment that costs more than noise explains."""
+    agreement = known.agreement
+    if not agreement.is_contradicted:
+        return None
+    ratio = agreement.chi2 / agreement.freedom
+    kind, cause = known.rotations.cause(known.camera_from_imu)
+    arm = float(np.linalg.norm(known.camera_from_imu[4:]))
+    too_small = max(1 / (one * known.noise_scale) if one else 0.0 for one in known.noise)
+    named = [one.kind for one in others if one.kind in CAUSES and "offset" not in one.evidence]
+    if not cause and known.axes:
+        kind, cause = "accel_axes", known.axes
+    if not cause and arm > LONG_ARM:
+        kind, cause = "arm", f"camera_from_imu has an arm of {arm:.3g} m: is it in millimetres?"
+    if not cause and named:
+        kind, cause = named[0], CAUSES[named[0]]
+    flags: tuple[str, ...] = ()
+    if not cause:
+        kind, cause = "unknown", CAUSES["unknown"]
+        if too_small > 1:
+            kind, cause = "imu_noise", "the samples show more noise than the calibration has"
+        scale = known.noise_scale * max(ratio**0.5, too_small)
+        flags = ("--imu-noise-scale", f"{scale:.2g}")
+        if not known.is_converged:
+            flags = ("--max-iterations", "200")
+    worst = int(np.argmax(agreement.interval_chi2))
+    row, seconds = _when(known, worst)
+    state = "" if known.is_converged else ", and the solve did not converge"
+    return ImuFinding(
+        "imu_contradiction",
+        f"Images and IMU contradict each other: together they cost {ratio:.3g} times what their "
+        f"noise explains, most at {seconds:.2f} s ({known.place(row)}){state}: {cause}.",
+        flags,
+        {
+            "cause": kind,
+            "chi2": agreement.chi2,
+            "freedom": agreement.freedom,
+            "bound": agreement.bound,
+            "seconds": seconds,
+            "row": row,
+        },
+        is_problem=True,
+    )
+
+
+def _when(known: Evidence, interval: int) -> tuple[int, float]:
+    """Return the row of the first sample of an interval, and its seconds since the first row."""
+    row = int(np.searchsorted(known.stamps, known.begins[interval]))
+    return row, 1e-9 * float(known.begins[interval] - known.stamps[0])
+
+
+def _samples(known: Evidence) -> ImuFinding | None:
+    if not known.bad:
+        return None
+    faults: list[dict[str, Any]] = []
+    words = []
+    for kind, sensor in sorted({(one.kind, one.sensor) for one in known.bad}):
+        rows = [
+            (one.first, one.last) for one in known.bad if (one.kind, one.sensor) == (kind, sensor)
+        ]
+        count = sum(last - first + 1 for first, last in rows)
+        first, last = rows[0][0], rows[-1][1]
+        begin, end = (1e-9 * float(known.stamps[row] - known.stamps[0]) for row in (first, last))
+        when = f"at {begin:.2f} s" if first == last else f"from {begin:.2f} to {end:.2f} s"
+        name = {"gyro": "gyroscope", "accel": "accelerometer"}[sensor]
+        words.append(f"{known.place(first)}: {name} {kind}, {plural(count, 'sample')} {when}")
+        faults.append(
+            {
+                "kind": kind,
+                "sensor": sensor,
+                "first_row": first,
+                "last_row": last,
+                "num_samples": count,
+                "seconds": begin,
+            }
+        )
+    return ImuFinding(
+        "imu_samples",
+        f"Samples of the IMU are no measurements: {'; '.join(words)}. Up to "
+        f"{LONGEST_BRIDGE:g} s count as a gap.",
+        (),
+        {"faults": faults},
+    )
+
+
+def _turned(known: Evidence) -> ImuFinding | None:
+    found = known.rotations
+    if not found.is_turned or known.rotations.cause(known.camera_from_imu)[0]:
+        return None
+    right = rotation_matrices(known.camera_from_imu[None, :4])[0] @ found.rotation
+    quaternion = quaternion_from_matrix(right[None])[0]
+    words = ", ".join(f"{value:.5f}" for value in quaternion)
+    return ImuFinding(
+        "camera_from_imu",
+        f"The rotation of camera_from_imu is off by {found.angle:.2f} +- {found.angle_sigma:.1g} "
+        f"degrees by the rotations of the images, which give the quaternion {words}.",
+        (),
+        {
+            "degrees": found.angle,
+            "degrees_sigma": found.angle_sigma,
+            "quaternion": quaternion.tolist(),
+        },
+    )
+
+
+def _scaled(known: Evidence) -> ImuFinding | None:
+    found = known.rotations
+    is_clipped = any((one.kind, one.sensor) == ("saturated", "gyro") for one in known.bad)
+    if is_clipped or not found.is_scaled or found.cause(known.camera_from_imu)[0]:
+        return None
+    return ImuFinding(
+        "gyro_scale",
+        f"The rates of the gyroscope are {1 / found.scale:.3f} times those of the images: its "
+        "scale or the focal length is wrong.",
+        (),
+        {"ratio": 1 / found.scale},
+    )
+
+
+def _times(known: Evidence) -> ImuFinding | None:
+    found = known.clocks
+    duration = 1e-9 * float(known.begins[-1] - known.begins[0])
+    drifts = abs(found.drift) > DRIFT_SIGMAS * found.drift_sigma
+    if drifts and abs(found.drift) * duration > DRIFT:
+        return ImuFinding(
+            "imu_clocks",
+            f"The clocks of camera and IMU drift by {1e6 * found.drift:.3g} +- "
+            f"{1e6 * found.drift_sigma:.1g} us per s, {1e3 * found.drift * duration:.3g} ms in "
+            "this video.",
+            (),
+            {"drift": found.drift, "drift_sigma": found.drift_sigma},
+        )
+    if not (found.jitter > JITTER and found.share > JITTER_SHARE):
+        return None
+    return ImuFinding(
+        "imu_clocks",
+        f"The clocks of camera and IMU do not agree from image to image: errors of "
+        f"{1e3 * found.jitter:.2g} ms of single times explain {100 * found.share:.0f} % of the "
+        "difference between the rotations.",
+        (),
+        {"jitter": found.jitter, "share": found.share},
+    )
+
+
+def _offset(known: Evidence) -> ImuFinding | None:
+    clock = known.offset
+    if not clock.is_clear:
+        return None
+    return ImuFinding(
+        "imu_clocks",
+        f"The clocks of camera and IMU differ by {1e3 * clock.seconds:.2f} +- "
+        f"{1e3 * clock.sigma:.1g} ms, which is taken into account: add it to time_offset.",
+        (),
+        {"offset": clock.seconds, "offset_sigma": clock.sigma},
+    )
+
+
+def _noise(known: Evidence) -> ImuFinding | None:
+    ratio = max(known.noise)
+    if ratio <= LARGE_NOISE:
+        return None
+    sensor = ("gyroscope", "accelerometer")[int(known.noise[1] > known.noise[0])]
+    return ImuFinding(
+        "imu_noise",
+        f"The calibrated noise of the {sensor} is {ratio:.3g} times that of its samples: the IMU "
+        "has too little weight to determine the scale.",
+        (),
+        {"sensor": sensor, "ratio": ratio},
+    )
+
+
+def _intervals(known: Evidence) -> ImuFinding | None:
+    agreement = known.agreement
+    wrong = agreement.wrong_intervals
+    if not wrong:
+        return None
+    rows = [_when(known, k) for k in wrong]
+    row, seconds = rows[0]
+    return ImuFinding(
+        "imu_interval",
+        f"Images and IMU contradict each other in {plural(len(wrong), 'interval')} between images,"
+        f" most at {seconds:.2f} s ({known.place(row)}).",
+        (),
+        {
+            "intervals": wrong,
+            "chi2": agreement.interval_chi2[wrong].tolist(),
+            "rows": [row for row, _ in rows],
+            "seconds": [when for _, when in rows],
+        },
+    )

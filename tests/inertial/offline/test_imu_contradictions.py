@@ -1,0 +1,157 @@
+"""Adjustments whose IMU contradicts the images: none is usable, each has its cause."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import bundle
+from bundle import InputError
+from tests.inertial.offline.models import model_of
+from tests.inertial.offline.test_imu_adjustment import adjusted
+
+OPTIONS = bundle.SolveOptions(refine=("poses", "points"), loss="cauchy", max_num_iterations=15)
+
+
+@pytest.fixture(scope="module")
+def flight():
+    return bundle.synthesize_flight(duration=8.0, num_tracks=60, seed=11)
+
+
+@pytest.fixture(scope="module")
+def model(flight):
+    problem, stamps = model_of(flight.sequence, flight.ground_truth, 4, noise=0.2)
+    return bundle.solve(problem, refine=("poses", "points")).problem, stamps
+
+
+def changed(sequence, **columns):
+    """The sequence with other samples or calibration, by functions of the present ones."""
+    calibration = columns.pop("calibration", None)
+    values = {name: change(np.array(getattr(sequence, name))) for name, change in columns.items()}
+    if calibration is not None:
+        values["calibration"] = dataclasses.replace(sequence.calibration, **calibration)
+    return dataclasses.replace(sequence, **values)
+
+
+def at(row, value):
+    def change(values):
+        values[row] = value
+        return values
+
+    return change
+
+
+def arm(sequence, turn):
+    given = np.array(sequence.calibration.camera_from_imu)
+    turned = Rotation.from_rotvec(np.radians(turn)) * Rotation.from_quat(given[:4])
+    return {"camera_from_imu": (*turned.as_quat(), *given[4:])}
+
+
+def test_right_samples_are_silent(flight, model):
+    found = adjusted(flight.sequence, *model, OPTIONS)
+    assert found.findings == ()
+    assert found.result.summary.is_solution_usable
+    agreement = found.agreement
+    count = len(model[1]) - 1
+    assert len(agreement.interval_chi2) == count
+    assert agreement.freedom == 6 * count
+    assert 0 < agreement.chi2 < 0.5 * agreement.freedom
+    walks = np.asarray(found.result.factor_costs_after)[count:].sum()
+    total = agreement.interval_chi2.sum() / 2
+    assert found.imu_cost <= total <= found.imu_cost + walks
+
+
+def test_a_turned_camera_from_imu_is_found_with_the_right_one(flight, model):
+    sequence = changed(flight.sequence, calibration=arm(flight.sequence, [0, 0, 6]))
+    found = adjusted(sequence, *model, OPTIONS)
+    assert [one.kind for one in found.findings[:2]] == ["imu_contradiction", "camera_from_imu"]
+    assert not found.result.summary.is_solution_usable
+    assert found.findings[0].evidence["cause"] == "camera_from_imu"
+    evidence = found.findings[1].evidence
+    assert evidence["degrees"] == pytest.approx(6, abs=0.5)
+    right = Rotation.from_quat(flight.sequence.calibration.camera_from_imu[:4])
+    off = (right.inv() * Rotation.from_quat(evidence["quaternion"])).magnitude()
+    assert np.degrees(off) < 0.7
+    assert found.headline[0][0].startswith("Not usable")
+
+
+def test_times_that_jitter_are_a_matter_of_clocks(flight, model):
+    problem, stamps = model
+    jitter = np.random.default_rng(2).normal(0, 6e6, len(stamps)).astype(np.int64)
+    jitter[[0, -1]] = 0
+    found = adjusted(flight.sequence, problem, stamps + jitter, OPTIONS)
+    assert found.findings[0].evidence["cause"] == "imu_clocks"
+    clocks = next(one for one in found.findings if one.kind == "imu_clocks")
+    assert clocks.evidence["jitter"] == pytest.approx(6e-3, rel=0.3)
+
+
+def test_a_spike_is_bridged_and_named(flight, model):
+    sequence = changed(flight.sequence, gyro=at((800, 1), 30.0))
+    found = adjusted(sequence, *model, OPTIONS)
+    clean = adjusted(flight.sequence, *model, OPTIONS)
+    assert found.findings[0].kind == "imu_samples"
+    (fault,) = found.findings[0].evidence["faults"]
+    assert (fault["kind"], fault["first_row"], fault["seconds"]) == ("spike", 800, 4.0)
+    assert found.scale == pytest.approx(clean.scale, rel=2e-3)
+
+
+def test_a_jump_of_the_bias_names_its_interval(flight, model):
+    def jump(values):
+        values[900:, 0] += 3.0
+        return values
+
+    found = adjusted(changed(flight.sequence, accel=jump), *model, OPTIONS)
+    assert found.findings[0].kind == "imu_contradiction"
+    assert found.findings[0].evidence["seconds"] == pytest.approx(4.5, abs=0.7)
+
+
+def test_noise_of_the_calibration(flight, model):
+    noise = flight.sequence.calibration.noise
+    large = changed(flight.sequence, calibration={"noise": noise.scaled(30.0)})
+    found = adjusted(large, *model, OPTIONS)
+    assert [one.kind for one in found.findings] == ["imu_noise"]
+    assert found.findings[0].evidence["ratio"] == pytest.approx(30, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("columns", "words"),
+    [
+        ({"gyro": np.negative}, "gyroscope is reversed"),
+        ({"accel": np.negative}, "accelerometer is reversed.*scale is -"),
+        ({"gyro": lambda v: v * [1, 1, -1]}, r"gyroscope is mirrored: its axes are \+x \+y -z"),
+        ({"gyro": lambda v: v[:, [1, 0, 2]] * [1, -1, 1]}, r"turned: its axes are -y \+x \+z"),
+        ({"gyro": lambda v: 0.2 * v}, "rad/s"),
+        (
+            {"calibration": {"camera_from_imu": (*np.full(4, 0.5), 70, 0, 0)}},
+            "order|axes|turned|off",
+        ),
+    ],
+)
+def test_gross_errors_are_refused(flight, model, columns, words):
+    with pytest.raises(InputError, match=words) as error:
+        adjusted(changed(flight.sequence, **columns), *model, OPTIONS)
+    assert "\n" not in str(error.value)
+
+
+def test_millimetres_and_inverted_poses_are_refused(flight, model):
+    given = np.array(flight.sequence.calibration.camera_from_imu)
+    long = changed(
+        flight.sequence, calibration={"camera_from_imu": (*given[:4], *1000 * given[4:])}
+    )
+    with pytest.raises(InputError, match="millimetres"):
+        adjusted(long, *model, OPTIONS)
+    x, y, z, w = given[:4]
+    swapped = changed(flight.sequence, calibration={"camera_from_imu": (w, x, y, z, *given[4:])})
+    with pytest.raises(InputError, match="order w x y z"):
+        adjusted(swapped, *model, OPTIONS)
+
+
+def test_outliers_of_a_quadratic_loss_do_not_accuse_the_imu(flight, model):
+    problem, stamps = model
+    xy = np.array(problem.observation_xy)
+    xy[::25] += 30.0
+    found = adjusted(
+        flight.sequence, problem.replace(observation_xy=xy), stamps, OPTIONS.replace(loss="trivial")
+    )
+    assert "imu_contradiction" not in [one.kind for one in found.findings]
