@@ -134,6 +134,11 @@ def test_a_function_that_fails_at_zero_is_still_named():
 
     report = bundle.check_gradients(inverse, [[2.0, 3.0], [1.5]])
     assert report.verdict == "wrong"
+    (finding,) = report.findings  # y's column alone: 2.5 z + x in place of z
+    assert (finding.kind, finding.columns, finding.rows) == ("large_part", ("block 0 [1]",), (0,))
+    assert (report.num_checked, report.num_undecided) == (10, 0)
+    counts = {one.name: (one.num_entries, one.num_wrong) for one in report.parameters}
+    assert counts == {"block 0 [0]": (10, 0), "block 0 [1]": (10, 10), "block 1": (10, 0)}
 
 
 @pytest.mark.parametrize("scale", [1e-10, 1e-8, 1e-5, 1e5])

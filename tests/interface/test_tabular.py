@@ -107,8 +107,17 @@ def test_covariance_of_a_factor_graph() -> None:
 
 def test_odometry() -> None:
     found = bundle.run_odometry(bundle.synthesize_flight(duration=3.0, seed=1).sequence)
-    frame = found.to_dataframe()
-    assert frame["timestamp_ns"].tolist() == [one.timestamp_ns for one in found.keyframes] != []
+    frame, keyframes = found.to_dataframe(), found.keyframes
+    assert len(frame) == len(keyframes) > 2
+    names = ("timestamp_ns", "num_landmarks", "num_iterations", "nullity", "prior_max_eigenvalue")
+    for name in names:
+        expected = [getattr(one, name) for one in keyframes]
+        np.testing.assert_array_equal(frame[name].to_numpy(), expected, err_msg=name)
+    assert len(set(frame["num_landmarks"])) > 1  # each row is of its own keyframe
+    np.testing.assert_array_equal(
+        np.stack(frame["gyro_bias"].tolist()), [one.gyro_bias for one in keyframes]
+    )
+    assert frame["timestamp_ns"].is_monotonic_increasing
 
 
 def test_empty_tables_and_a_machine_without_pandas(results, monkeypatch) -> None:

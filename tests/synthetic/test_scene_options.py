@@ -65,9 +65,21 @@ def test_a_seed_may_be_long():
     assert SceneOptions(seed=2**100).seed == 2**100
 
 
-def test_flags_are_unique():
-    flags = [field.metadata["flag"] for field in dataclasses.fields(SceneOptions)]
+def test_each_flag_sets_its_option_and_no_other():
+    """The parser of `bundle synth` with one flag at a time, at another value than the default."""
+    from bundle.cli.main import command_parser
+
+    fields = {field.name: field for field in dataclasses.fields(SceneOptions)}
+    flags = [field.metadata["flag"] for field in fields.values()]
     assert len(set(flags)) == len(flags)
+    default = command_parser().parse_args(["synth", "out"])
+    for name, field in fields.items():
+        action = vars(SceneOptions())[name]
+        text = {bool: [], str: ["street"], tuple: ["640", "480"]}.get(type(action), ["3"])
+        text = {"camera_model": ["OPENCV"], "cameras": ["shared"]}.get(name, text)
+        given = command_parser().parse_args(["synth", "out", field.metadata["flag"], *text])
+        changed = {one for one in vars(given) if vars(given)[one] != vars(default)[one]}
+        assert changed - {"kind", "taken"} == {name}  # what was given, for messages
 
 
 @pytest.mark.parametrize(
