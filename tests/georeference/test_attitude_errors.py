@@ -1,13 +1,16 @@
 """Statements on attitudes in a model: coverage of the bound, images that do not count."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+import bundle
 from bundle import GravityPrior, HeadingPrior, OrientationPrior
-from bundle.georeference.attitudes import AttitudeErrors
+from bundle.georeference.attitudes import AttitudeErrors, Attitudes, _rounded_up
 from bundle.georeference.problem_attitudes import ProblemAttitudes
-from bundle.georeference.similarity import moved
+from bundle.georeference.similarity import Similarity, moved
 from tests.georeference.test_attitude_priors import rotations, upright_and_turned
 from tests.rig_scenes import STEREO, rig_problem
 
@@ -89,3 +92,111 @@ def test_images_of_a_rig_are_tied_by_its_frame():
     priors = measured(problem, GravityPrior, 1.0, np.random.default_rng(1))
     known = ProblemAttitudes.make(problem, priors)
     assert known.groups[0].tied(problem).all()
+
+
+def radius_of_three_or_four(residuals, sigma):
+    """The bound of the note: Tukey's sandwich of the kept residuals with an F factor, gravity."""
+    lengths = np.linalg.norm(residuals, axis=1) / sigma
+    scale = max(1, np.median(lengths) / 1.17741)
+    u = (lengths / (4.685 * scale)) ** 2
+    w = (1 - np.minimum(u, 1)) ** 2
+    kept = (lengths <= 3.717 * scale).sum()
+    slope = np.where(u < 1, (1 - u) * (1 - 3 * u), 0).sum()
+    freedom = 2 * (kept - 1)
+    factor = freedom * np.expm1(-2 / freedom * np.log(0.05))
+    squares = ((w[:, None] * residuals) ** 2).sum()
+    return np.sqrt(squares / 2 / slope**2 * kept / (kept - 1) * factor)
+
+
+@pytest.mark.parametrize("count", [3, 4])
+@pytest.mark.parametrize("wrong", [1.0, 0.02])
+def test_three_or_four_directions_tell_their_spread(count, wrong):
+    truth, _ = upright_and_turned(num_images=count)
+    rng = np.random.default_rng(10 + count)
+    priors = [
+        GravityPrior(one.image, one.direction, wrong * one.sigma_degrees)
+        for one in measured(truth, GravityPrior, 1.0, rng)
+    ]
+    known = ProblemAttitudes.make(truth, priors)
+    model = moved(truth, known.placement(truth))
+    (group,) = ProblemAttitudes.make(model, priors).groups
+    residuals = np.degrees(group.turns(model))[:, :2]
+    found = AttitudeErrors.of(group, model)
+    assert found.within == pytest.approx(radius_of_three_or_four(residuals, wrong), rel=2e-3)
+
+
+def test_three_directions_of_which_one_is_wrong_tell_nothing():
+    truth, _ = upright_and_turned(num_images=3)
+    priors = measured(truth, GravityPrior, 0.1, np.random.default_rng(0))
+    turned = Rotation.from_rotvec([0.9, 0, 0]).apply(np.array(priors[1].direction))
+    priors[1] = GravityPrior(priors[1].image, turned, 0.1)
+    (group,) = ProblemAttitudes.make(truth, priors).groups
+    assert AttitudeErrors.of(group, truth).within == 180
+
+
+def test_the_known_error_of_the_model_adds_to_the_unknown_one():
+    truth, _ = upright_and_turned(num_images=8)
+    priors = measured(truth, GravityPrior, 1.0, np.random.default_rng(4))
+    known = ProblemAttitudes.make(truth, priors)
+    model = moved(truth, known.placement(truth))
+    right = AttitudeErrors.of(ProblemAttitudes.make(model, priors).groups[0], model)
+    assert right.off < 1e-4
+    turn = Rotation.from_rotvec(np.radians([3.0, 0, 0])).as_matrix()
+    tilted = moved(model, Similarity(1.0, turn, np.zeros(3)))
+    found = AttitudeErrors.of(ProblemAttitudes.make(tilted, priors).groups[0], tilted)
+    assert found.off == pytest.approx(3, abs=1e-4)
+    assert found.within == pytest.approx(right.within + 3, abs=2e-4)
+
+
+@pytest.mark.parametrize("kind", [GravityPrior, OrientationPrior])
+def test_sigmas_that_are_too_small_do_not_hide_errors(kind):
+    """Stiff directions bend the model to them: residuals of the bent model are small."""
+    held, hidden, seeds = 0, 0, range(8)
+    for seed in seeds:
+        made = bundle.synthesize(scene="orbit", num_images=10, num_points=150, seed=seed)
+        truth, start = made.ground_truth, made.problem
+        priors = measured(truth, kind, 1.0, np.random.default_rng(seed))
+        change = {"sigma_degrees": 0.02}
+        stiff = tuple(dataclasses.replace(one, **change) for one in priors)
+        result = bundle.solve(start, priors=stiff, num_threads=1)
+        (found,) = Attitudes(stiff).errors(result.problem, free=result.without_attitudes)
+        (bent,) = Attitudes(stiff).errors(result.problem)
+        turn = (rotations(truth).inv() * rotations(result.problem)).mean().as_matrix()
+        held += error_of(turn, kind) <= found.within
+        hidden += error_of(turn, kind) > bent.within
+        assert found.ratio == pytest.approx(50, rel=0.6)
+    assert held == len(seeds) and hidden >= 2
+
+
+def test_a_wrong_image_is_named_and_not_covered():
+    made = bundle.synthesize(scene="orbit", num_images=12, num_points=200, seed=5)
+    truth = made.ground_truth
+    priors = measured(truth, GravityPrior, 0.5, np.random.default_rng(5))
+    turned = Rotation.from_rotvec(np.radians([0, 0, 60])).apply(np.array(priors[0].direction))
+    priors[0] = dataclasses.replace(priors[0], direction=turned)
+    result = bundle.solve(made.problem, priors=priors, num_threads=1)
+    (found,) = Attitudes(tuple(priors)).errors(result.problem, free=result.without_attitudes)
+    assert [one.image for one in found.suspects] == [truth.image_names[0]]
+    assert f"(without {truth.image_names[0]}, which" in found.sentence
+    turns = (rotations(truth).inv() * rotations(result.problem))[1:]
+    assert error_of(turns.mean().as_matrix(), GravityPrior) <= found.within < 2 * found.off
+
+
+def test_the_free_model_is_that_of_a_solve_without_attitudes():
+    made = bundle.synthesize(scene="orbit", num_images=8, num_points=100, seed=2)
+    priors = measured(made.ground_truth, GravityPrior, 2.0, np.random.default_rng(2))
+    stiff = [dataclasses.replace(one, sigma_degrees=0.01) for one in priors]
+    exact = {"function_tolerance": 1e-12, "max_num_iterations": 200, "num_threads": 1}
+    free = bundle.solve(made.problem, priors=stiff, **exact).without_attitudes
+    plain = bundle.solve(made.problem, **exact).problem
+    first, second = (rotations(one) for one in (free, plain))
+    apart = (first[3] * first[0].inv()) * (second[3] * second[0].inv()).inv()
+    assert np.degrees(apart.magnitude()) < 1e-3
+    assert bundle.solve(made.problem, num_threads=1).without_attitudes is None
+
+
+@pytest.mark.parametrize(
+    ("value", "text"), [(0.1301, "0.14"), (0.13, "0.13"), (4.0, "4"), (99.1, "100"), (0.0, "0")]
+)
+def test_a_bound_is_never_rounded_down(value, text):
+    assert _rounded_up(value) == text

@@ -60,7 +60,7 @@ def test_models_become_upright_within_the_predicted_error(backend):
         (group,) = ProblemAttitudes.make(result.problem, priors).groups
         found = AttitudeErrors.of(group, result.problem)
         errors.append(tilt(result, truth))
-        assert errors[-1] < found.within < 1.0
+        assert errors[-1] < found.within < 1.3
         assert 0.5 < found.rms_sigmas < 1.6
     assert np.mean(errors) < 1.5 / np.sqrt(12)
 

@@ -7,6 +7,7 @@ import pytest
 
 import bundle
 from bundle.georeference.colmap_database import read_database_gps
+from bundle.georeference.given_positions import given_gps
 from bundle.georeference.local_frame import LocalFrame
 from tests.georeference import blocks
 
@@ -64,6 +65,21 @@ def test_the_older_table(tmp_path) -> None:
     assert found.geodetic.tolist() == [[46.8, -91.9, 200.0]]
 
 
+def test_cartesian_positions(tmp_path) -> None:
+    made = blocks.block(num_targets=4, seed=5)
+    path = tmp_path / "database.db"
+    database(path, made, "CARTESIAN")
+    with sqlite3.connect(path) as changed:
+        changed.execute(
+            "UPDATE pose_priors SET position = ? WHERE pose_prior_id = 1", (np.zeros(3).tobytes(),)
+        )
+    changed.close()
+    found = read_database_gps(path)
+    assert found.reference_system is None
+    assert found.geodetic[0].tolist() == [0, 0, 0]  # a place like any other
+    assert given_gps(path, None, made.problem).names == made.problem.image_names[:-1]
+
+
 def test_bad_databases(tmp_path) -> None:
     made = blocks.block(num_targets=4, seed=5)
     path = tmp_path / "database.db"
@@ -74,7 +90,12 @@ def test_bad_databases(tmp_path) -> None:
             bundle.align(made.problem, gps=path)
         assert str(path) in str(caught.value) and "\n" not in str(caught.value)
 
-    refused("expected a position in WGS84, found Cartesian coordinates")
+    with sqlite3.connect(path) as changed:
+        changed.execute("UPDATE pose_priors SET coordinate_system = 0 WHERE pose_prior_id = 2")
+    refused("expected Cartesian coordinates, found WGS84")
+    with sqlite3.connect(path) as changed:
+        changed.execute("UPDATE pose_priors SET coordinate_system = -1")
+    refused("expected WGS84 or Cartesian coordinates, found undefined")
     with sqlite3.connect(path) as changed:
         changed.execute("UPDATE pose_priors SET position = x'00'")
     refused("position: expected 24 bytes, found 1 bytes")

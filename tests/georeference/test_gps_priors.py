@@ -8,10 +8,13 @@ import pytest
 import bundle
 from bundle import InputError
 from bundle.georeference.geo_file import read_geo_file
+from bundle.georeference.georeferenced import rig_notes
 from bundle.georeference.gps_positions import GpsPositions
 from bundle.georeference.gps_priors import gps_priors
 from bundle.georeference.local_frame import LocalFrame
+from tests.georeference.blocks import block
 from tests.georeference.test_prior_alignment import problem_and_goal
+from tests.rig_scenes import rig_problem
 
 FRAME = LocalFrame(46.8, -91.9, 200.0)
 
@@ -129,3 +132,67 @@ def test_a_flight_in_utm_is_the_same_flight(tmp_path):
     flat = np.array([row.split()[1:3] for row in rows], dtype=float)
     plane = found[:, :2] - found[0, :2]
     assert np.abs(flat - flat[0] - plane).max() > 0.1
+
+
+def test_a_local_frame(tmp_path):
+    problem, goal = problem_and_goal()
+    centers = goal.projection_centers - goal.projection_centers[2]
+    path = tmp_path / "geo.txt"
+    rows = (f"{n} {x:.9f} {y:.9f} {z:.9f}" for n, (x, y, z) in
+            zip(problem.image_names, centers, strict=True))  # fmt: skip
+    path.write_text("\n".join(["local", *rows]) + "\n")
+    found = read_geo_file(path)
+    assert found.reference_system is None and found.notes == ()
+    assert "Cartesian" in str(found)
+    known = gps_priors(problem, path, gps_sigma=0.01)
+    assert known.origin is None and len(known.priors) == problem.num_images  # 0 0 counts
+    result = bundle.solve(problem, priors=known.priors, num_threads=1)
+    place = known.georeference(result)
+    np.testing.assert_allclose(result.problem.projection_centers, centers, atol=0.05)
+    record = place.asdict()
+    assert (record["reference_system"], record["origin"], record["pipeline"]) == (None,) * 3
+    assert max(place.rms) < 0.05 and "Cartesian" in str(known)
+    aligned = bundle.align(problem, gps=path, gps_sigma=0.01)
+    assert aligned.origin is None and aligned.reference_system is None
+    np.testing.assert_allclose(aligned.problem.projection_centers, centers, atol=0.05)
+
+
+def test_control_points_share_the_local_frame(tmp_path):
+    made = block(num_targets=4, seed=5)
+    names = made.problem.image_names
+    gps = tmp_path / "geo.txt"
+    rows = (f"{n} {x:.9f} {y:.9f} {z:.9f}" for n, (x, y, z) in
+            zip(names, made.cameras, strict=True))  # fmt: skip
+    gps.write_text("\n".join(["LOCAL", *rows]) + "\n")
+    lines = [
+        f"{x:.9f} {y:.9f} {z:.9f} {mark.x:.9f} {mark.y:.9f} {mark.image} {gcp.name}"
+        for gcp in made.gcps
+        for x, y, z in [gcp.position]
+        for mark in gcp.measurements
+    ]
+    gcps = tmp_path / "gcp_list.txt"
+    gcps.write_text("\n".join(["LOCAL", *lines]) + "\n")
+    known = bundle.georeference.gcp_priors(made.problem, gcps, gps=gps, gps_sigma=0.01)
+    assert known.origin is None and known.reference_system is None
+    result = bundle.solve(made.problem, priors=known.priors, num_threads=1)
+    np.testing.assert_allclose(result.problem.projection_centers, made.cameras, atol=1e-3)
+    gcps.write_text("\n".join(["EPSG:4326", *lines]) + "\n")
+    with pytest.raises(InputError, match="same Cartesian frame"):
+        bundle.georeference.gcp_priors(made.problem, gcps, gps=gps)
+
+
+@pytest.mark.parametrize(("scale", "says"), [(1.0009, False), (0.9991, False), (1.04, True)])
+def test_positions_that_scale_a_calibrated_rig_say_so(scale, says):
+    problem = rig_problem()
+    centers = scale * problem.projection_centers
+    priors = tuple(
+        bundle.PositionPrior(int(one), place, 1e-4)
+        for one, place in zip(problem.image_ids, centers, strict=True)
+    )
+    result = bundle.solve(problem, priors=priors, num_threads=1, max_num_iterations=0)
+    notes = rig_notes(result)
+    assert bool(notes) == says
+    longest = np.linalg.norm(problem.sensor_from_rig[:, 4:], axis=1).max()
+    if says:
+        assert f"{1.04 * longest:.4g} m" in notes[0] and f"{longest:.4g} in the input" in notes[0]
+        assert result.similarity.scale == pytest.approx(1.04, rel=1e-4)

@@ -29,7 +29,7 @@ from bundle.model.rotations import (
     vector_from_quaternion,
 )
 
-__all__ = ["MEDIAN", "Agreement", "agree", "exp", "log"]
+__all__ = ["MEDIAN", "TUKEY", "Agreement", "agree", "exp", "log"]
 
 Array = NDArray[np.float64]
 

@@ -15,11 +15,11 @@ from bundle.base.records import dataclass
 from bundle.base.words import plural
 from bundle.errors import InputError, brief, shown
 from bundle.georeference.attitude_files import read_gravity, read_orientations
-from bundle.georeference.attitude_mean import MEDIAN, log
+from bundle.georeference.attitude_mean import MEDIAN, TUKEY, Agreement, log
 from bundle.georeference.attitude_priors import AttitudePrior, GravityPrior
 from bundle.georeference.image_finder import ImageFinder
 from bundle.georeference.problem_attitudes import AttitudesOfKind, ProblemAttitudes
-from bundle.georeference.similarity import moved
+from bundle.georeference.similarity import Similarity, moved
 from bundle.interface.georeference_options import (
     GRAVITY_SIGMA,
     ORIENTATION_SIGMA,
@@ -28,15 +28,21 @@ from bundle.interface.georeference_options import (
 from bundle.interface.option_fields import choice, number
 from bundle.interface.options import LOSSES
 from bundle.model.problem import Problem
+from bundle.model.rotations import rotation_matrices
 
 __all__ = ["AttitudeErrors", "Attitudes", "ImageAttitude", "read_attitudes"]
 
 Array = NDArray[np.float64]
 
+MOST_NAMED = 3
 FALSE_ALARM = 1e-3
 """Probability that any of n good measurements counts as wrong."""
 FEWEST = 5
 """Number of measurements from which their residuals, not their sigmas, give the spread."""
+FEWEST_SPREAD = 3
+"""Number of measurements below which their sigmas alone give the spread."""
+KEPT = 3.717
+"""Length of a residual in scales below which it counts as one of the agreeing ones."""
 TILT = 3.0
 """Factor of the sigma by which the axes of a model that cannot turn may be wrong."""
 SMALLEST_TILT = math.radians(1)
@@ -75,8 +81,9 @@ class AttitudeErrors:
         ratio: median length of the residuals about their robust mean, over that of right sigmas.
         sigma: median standard deviation in degrees.
         off: degrees between the model and the robust mean of the measurements.
-        within: bound of the error of the vertical (of the orientation, the heading) in degrees that
-            holds with 95 % if the measurements have independent errors.
+        within: bound of the error of the vertical (of the orientation, the heading) of all images
+            but the suspects in degrees, which holds with 95 % if the measurements have independent
+            errors: `off`, which is known, and the uncertainty of the robust mean.
     """
 
     noun: str
@@ -108,9 +115,12 @@ class AttitudeErrors:
         }[self.noun]
         count = plural(len(self.images), "image")
         about = " about the model's z axis" if self.noun == "heading" else ""
+        wrong = [shown(image.image) for image in self.suspects]
+        others = f" and {len(wrong) - MOST_NAMED} more" if len(wrong) > MOST_NAMED else ""
+        apart = f" (without {', '.join(wrong[:MOST_NAMED])}{others}, which contradict the others)"
         return (
-            f"{verb} within {self.within:.2g} degrees{about}: {self.noun} of {count}, median angle "
-            f"{self.median:.2g} degrees."
+            f"{verb} within {_rounded_up(self.within)} degrees{about}{apart if wrong else ''}: "
+            f"{self.noun} of {count}, median angle {self.median:.2g} degrees."
         )
 
     def asdict(self) -> dict[str, Any]:
@@ -124,21 +134,26 @@ class AttitudeErrors:
         }
 
     @staticmethod
-    def of(group: AttitudesOfKind, problem: Problem) -> AttitudeErrors:
-        """Return the residuals of the priors of a kind."""
+    def of(group: AttitudesOfKind, problem: Problem, free: Problem | None = None) -> AttitudeErrors:
+        """Return the residuals of the priors of a kind.
+
+        Args:
+            group: the priors.
+            problem: the model.
+            free: the same model as it is without the priors; None: the priors did not bend it.
+        """
         size = group.kind.num_residuals
         tied = group.tied(problem)
         kept = group.of_tied(problem)
-        found = kept.agreement(problem)
+        judged = problem if free is None else _turned_to(problem, free, kept)
+        found = kept.agreement(judged)
         # Residuals about the mean that most agree on: a wrong one that pulls does not hide.
         ratio = float(np.median(found.lengths)) / MEDIAN[size]
-        lengths = np.linalg.norm(group.turns(problem, found.rotation) / group.sigmas, axis=1)
-        agrees = lengths <= _largest(size, len(found.lengths)) * max(1.0, ratio)
-        strength = float((found.weights[:, None] / kept.sigmas**2).sum(axis=0).min())
-        error = _radius(size, found.lengths, found.weights) / math.sqrt(strength)
+        agrees = _agreeing(group, judged, found)
+        error = _radius(size, found, kept.sigmas)
         off = math.acos(min(1.0, max(-1.0, (float(np.trace(found.rotation)) - 1) / 2)))
         angles, sigmas = group.angles(problem), group.whitened(problem)
-        apart = group.angles(problem, found.rotation)
+        apart = group.angles(judged, found.rotation)
         images = tuple(
             ImageAttitude(
                 problem.image_names[row] or str(problem.image_ids[row]),
@@ -157,24 +172,86 @@ class AttitudeErrors:
             ratio=ratio,
             sigma=math.degrees(float(np.median(group.sigmas))),
             off=math.degrees(off),
-            within=min(math.degrees(math.hypot(off, error)), 180.0),
+            within=min(math.degrees(off + error), 180.0),
         )
 
 
-def _radius(size: int, lengths: Array, weights: Array) -> float:
-    """Return the length in standard errors below which 95 % of errors of a mean are.
+def _rounded_up(value: float) -> str:
+    """Return a bound with two digits, never smaller than it is."""
+    if not 0 < value < math.inf:
+        return f"{value:.2g}"
+    unit = 10.0 ** (math.floor(math.log10(value)) - 1)
+    return f"{math.ceil(value / unit - 1e-9) * unit:.3g}"
 
-    Few residuals hardly tell their spread. With m degrees of freedom, the squared length over that
-    of the residuals has, for two coordinates, the F distribution with 2 and m degrees: P(F > x) =
-    (1 + 2 x / m)^(-m / 2), and m (0.05^(-2 / m) - 1) takes the place of chi squared's -2 log 0.05.
-    The same factor serves for one and three coordinates.
+
+def _agreeing(group: AttitudesOfKind, problem: Problem, found: Agreement) -> NDArray[np.bool_]:
+    """Return (n,) False for measurements that contradict most others."""
+    size = group.kind.num_residuals
+    ratio = float(np.median(found.lengths)) / MEDIAN[size]
+    lengths = np.linalg.norm(group.turns(problem, found.rotation) / group.sigmas, axis=1)
+    agrees: NDArray[np.bool_] = lengths <= _largest(size, len(found.lengths)) * max(1.0, ratio)
+    return agrees
+
+
+def _turned_to(problem: Problem, free: Problem, group: AttitudesOfKind) -> Problem:
+    """Return the free model in the world of the other, by the mean turn of its good images.
+
+    The turn is that of the sum of R_i^T R'_i over the images that do not contradict the others.
     """
-    squares, weight = float((weights * lengths**2).sum()), float(weights.sum())
-    if len(lengths) < FEWEST:
-        return ROBUST_SCALES[size] * max(math.sqrt(squares / (size * weight)), 1.0)
-    freedom = size * (weight - 1)
+    chosen = np.ones(problem.num_images, bool)
+    chosen[group.rows[~_agreeing(group, free, group.agreement(free))]] = False
+    seen = np.bincount(problem.observation_image, minlength=problem.num_images) > 0
+    rows = np.flatnonzero(chosen & seen)
+    if not len(rows):
+        return problem
+    first, second = (rotation_matrices(one.cam_from_world[rows, :4]) for one in (problem, free))
+    u, _, vt = np.linalg.svd(np.einsum("nji,njk->ik", first, second))
+    turn = u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt
+    return moved(free, Similarity(1.0, turn, np.zeros(3)))
+
+
+def _radius(size: int, found: Agreement, sigmas: Array) -> float:
+    """Return the angle in radians below which 95 % of the errors of a robust mean are.
+
+    The variance of one coordinate of the mean comes from n residuals a_i in sigmas. With Tukey's
+    weights w_i, and at least five residuals,
+
+        n / (n - 1) sum w a^2 / (size (sum w - 1)) / sum w / sigma^2;
+
+    with three or four, where each one decides, the sandwich of the estimating equation psi = w a
+    (Huber 1981), with k measurements within 3.717 scales and u_i = (a_i / (4.685 scale))^2,
+
+        k / (k - 1) sum w^2 a^2 / sigma^2 / size / (sum (1 - u) (1 - 3 u) / sigma^2)^2;
+
+    with fewer, the stated sigmas. Few residuals hardly tell their spread. With m degrees of
+    freedom, the squared length over that of the residuals has, for two coordinates, the F
+    distribution with 2 and m degrees: P(F > x) = (1 + 2 x / m)^(-m / 2), and m (0.05^(-2 / m) - 1)
+    takes the place of chi squared's -2 log 0.05. The same factor serves for one and three
+    coordinates. With a good measurement fewer, three tell nothing: the angle is infinite.
+    """
+    lengths, weights = found.lengths, found.weights
+    count, weight = len(lengths), float(weights.sum())
+    precision = 1 / sigmas**2
+    squares = float((weights * lengths**2).sum())
+    plain = 1 / (weights[:, None] * precision).sum(axis=0)
+    if count < FEWEST_SPREAD:
+        variance = float(plain.max()) * max(squares / (size * weight), 1.0)
+        return ROBUST_SCALES[size] * math.sqrt(variance)
+    if count >= FEWEST:
+        freedom = size * (weight - 1)
+        variance = float(plain.max()) * squares / freedom * count / (count - 1)
+    else:
+        scale = max(1.0, float(np.median(lengths)) / MEDIAN[size])
+        u = (lengths / (TUKEY * scale)) ** 2
+        kept = int((lengths <= KEPT * scale).sum())
+        slope = (np.where(u < 1, (1 - u) * (1 - 3 * u), 0)[:, None] * precision).sum(axis=0)
+        if kept < FEWEST_SPREAD or not (slope > 0).all():
+            return math.inf
+        spread = ((weights * lengths) ** 2)[:, None] * precision
+        freedom = size * (kept - 1)
+        variance = float((spread.sum(axis=0) / slope**2).max()) / size * kept / (kept - 1)
     wider = freedom * math.expm1(-2 / freedom * math.log(0.05)) / (-2 * math.log(0.05))
-    return ROBUST_SCALES[size] * math.sqrt(squares / freedom * wider)
+    return ROBUST_SCALES[size] * math.sqrt(variance * wider)
 
 
 def _largest(size: int, count: int) -> float:
@@ -199,17 +276,20 @@ class Attitudes:
     priors: tuple[AttitudePrior, ...]
     notes: tuple[str, ...] = ()
 
-    def errors(self, problem: Problem, *, turned: bool = False) -> tuple[AttitudeErrors, ...]:
+    def errors(
+        self, problem: Problem, *, turned: bool = False, free: Problem | None = None
+    ) -> tuple[AttitudeErrors, ...]:
         """Return the residuals in a model, by kind.
 
         Args:
             problem: the model.
             turned: True to turn the model to the priors first.
+            free: the same model as it is without the priors; None: unknown.
         """
         known = ProblemAttitudes.make(problem, self.priors)
         if turned and (similarity := known.placement(problem)) is not None:
             problem = moved(problem, similarity)
-        return tuple(AttitudeErrors.of(group, problem) for group in known.groups)
+        return tuple(AttitudeErrors.of(group, problem, free) for group in known.groups)
 
     def check_upright(self, problem: Problem, reason: str) -> None:
         """Refuse a model that its attitudes contradict and that cannot be turned.

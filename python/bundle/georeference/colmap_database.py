@@ -1,8 +1,9 @@
 """GPS positions of COLMAP's database: the table pose_priors.
 
 A prior in WGS84 (coordinate_system 0) has latitude, longitude and height, and a covariance in
-metres of east, north, up, where it is known. The table of COLMAP 4 refers to an image by
-corr_data_id, that of COLMAP 3.10 and 3.11 by image_id. Blobs are doubles, nan where unknown.
+metres of east, north, up, where it is known; a Cartesian one (1) has x, y, z in metres, z up. The
+table of COLMAP 4 refers to an image by corr_data_id, that of COLMAP 3.10 and 3.11 by image_id.
+Blobs are doubles, nan where unknown.
 
 Source: src/colmap/scene/database_sqlite.cc and geometry/pose_prior.h of COLMAP.
 """
@@ -22,7 +23,8 @@ from bundle.io.database_images import open_database
 __all__ = ["read_database_gps"]
 
 _WGS84 = 0
-_SYSTEMS = {-1: "undefined", 1: "Cartesian"}
+_CARTESIAN = 1
+_SYSTEMS = {-1: "undefined", _WGS84: "WGS84", _CARTESIAN: "Cartesian"}
 _CAMERA = 0
 """corr_sensor_type of a camera; an IMU has another one."""
 
@@ -31,7 +33,7 @@ def read_database_gps(path: Path) -> GpsPositions:
     """Read the positions of the images of a COLMAP database.
 
     Raises:
-        InputError: the database is damaged, or has no positions in WGS84.
+        InputError: the database is damaged, or has no positions, or positions in several systems.
         OSError: the file cannot be read.
     """
     name = shown(path)
@@ -48,17 +50,19 @@ def read_database_gps(path: Path) -> GpsPositions:
             f"FROM pose_priors JOIN images ON images.image_id = pose_priors.{key}{of_cameras} "
             "ORDER BY images.image_id"
         ).fetchall()
-    names, geodetic, accuracy, without = [], [], [], 0
+    names, geodetic, accuracy, without, common = [], [], [], 0, None
     for image, position, covariance, system in rows:
         place = f"{name}: pose_priors: {shown(str(image))}"
         where = _doubles(position, 3, f"{place}: position")
         if not np.isfinite(where[:2]).all():
             without += 1
             continue
-        if system != _WGS84:
+        common = system if common is None else common
+        if system not in (_WGS84, _CARTESIAN) or system != common:
             found = _SYSTEMS.get(system, brief(system))
-            raise InputError(f"{place}: expected a position in WGS84, found {found} coordinates")
-        if abs(where[0]) > 90 or abs(where[1]) > 360:
+            wanted = "WGS84 or Cartesian" if common == system else f"{_SYSTEMS.get(common)}"
+            raise InputError(f"{place}: expected {wanted} coordinates, found {found}")
+        if system == _WGS84 and (abs(where[0]) > 90 or abs(where[1]) > 360):
             raise InputError(
                 f"{place}: expected latitude and longitude in degrees, found {where[0]:g}, "
                 f"{where[1]:g}"
@@ -76,7 +80,7 @@ def read_database_gps(path: Path) -> GpsPositions:
         names=tuple(names),
         geodetic=np.array(geodetic),
         accuracy=np.array(accuracy),
-        reference_system="WGS84",
+        reference_system="WGS84" if common == _WGS84 else None,
         source=name,
         notes=(f"{plural(without, 'pose prior')} without a position.",) if without else (),
     )

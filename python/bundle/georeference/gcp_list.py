@@ -80,7 +80,8 @@ def read_gcp_list(path: str | os.PathLike[str]) -> tuple[GroundControlPoint, ...
         raise InputError(f"{shown(path)}: expected lines of {_FIELDS}, found 0")
     _name_targets(path, targets)
     places = [f"{shown(path)}: line {target.line}" for target in targets.values()]
-    system.to_geodetic(np.array([target.position for target in targets.values()]), places)
+    if system is not None:
+        system.to_geodetic(np.array([target.position for target in targets.values()]), places)
     return tuple(
         GroundControlPoint(
             name=target.name,
@@ -88,7 +89,7 @@ def read_gcp_list(path: str | os.PathLike[str]) -> tuple[GroundControlPoint, ...
             measurements=tuple(target.measurements.values()),
             sigma=target.sigma,
             role=target.role,
-            reference_system=system.name,
+            reference_system=None if system is None else system.name,
         )
         for target in targets.values()
     )

@@ -28,7 +28,7 @@ from bundle.georeference.control_point import (
     parse_pixel_sigma,
     parse_sigma,
 )
-from bundle.georeference.georeferenced import Georeference, Solved
+from bundle.georeference.georeferenced import Georeference, Solved, rig_notes
 from bundle.georeference.given_positions import (
     given_control_points,
     given_gps,
@@ -97,7 +97,7 @@ class GcpPriors(Displayed):
             self.origin,
             result.similarity,
             images,
-            self.notes,
+            (*self.notes, *rig_notes(result)),
             tuple(self._judged(point, checks) for point in result.control_points),
             None if checks is None else checks.offset,
         )

@@ -9,9 +9,10 @@ The first line is the coordinate reference system, every other line an image::
 
 Numbers are identified by position, as in OpenDroneMap: accuracies follow the three angles, and an
 incomplete group at the end of a line does not belong to the format. x is east or longitude, y north
-or latitude; 0 and 0 mean a receiver without a fix. A name with blanks is in quotes, or between tabs
-if tabs separate all fields. Angles are checked and not used: they have no effect on a position, and
-the images determine the attitude better.
+or latitude; 0 and 0 mean a receiver without a fix. With the first line ``LOCAL``, coordinates are
+metres in a frame of their own, its third axis up, and 0 and 0 a position like any other. A name
+with blanks is in quotes, or between tabs if tabs separate all fields. Angles are checked and not
+used: they have no effect on a position, and the images determine the attitude better.
 
 Source: https://docs.opendronemap.org/geo/ and ``opendm/geo.py`` of OpenDroneMap.
 """
@@ -62,12 +63,14 @@ def read_geo_file(path: str | os.PathLike[str]) -> GpsPositions:
         raise InputError(f"{name}: expected images after the first line, found 0")
     table = np.array(rows)
     lines_of = np.array(list(seen.values()))
-    fixed = ~system.is_no_fix(table[:, :3])
+    fixed = np.ones(len(table), bool) if system is None else ~system.is_no_fix(table[:, :3])
     without = [image for image, has_fix in zip(seen, fixed, strict=True) if not has_fix]
     images = tuple(image for image, has_fix in zip(seen, fixed, strict=True) if has_fix)
     table, lines_of = table[fixed], lines_of[fixed]
-    geodetic = system.to_geodetic(table[:, :3], [f"{name}: line {line}" for line in lines_of])
-    notes = [*system.notes, *system.area_notes(geodetic), *no_fix_notes(without, name)]
+    geodetic, notes = table[:, :3], []
+    if system is not None:
+        geodetic = system.to_geodetic(geodetic, [f"{name}: line {line}" for line in lines_of])
+        notes = [*system.notes, *system.area_notes(geodetic), *no_fix_notes(without, name)]
     if odd:
         notes.append(
             f"{plural(odd, 'line')} of {name} have numbers after the height that are "
@@ -77,7 +80,7 @@ def read_geo_file(path: str | os.PathLike[str]) -> GpsPositions:
         names=images,
         geodetic=geodetic,
         accuracy=table[:, 3:],
-        reference_system=system.name.strip("'\" "),
+        reference_system=None if system is None else system.name.strip("'\" "),
         source=name,
         notes=tuple(notes),
     )

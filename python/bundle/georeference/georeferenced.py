@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any, Protocol
 
+import numpy as np
+
 from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
 from bundle.base.words import plural
@@ -13,8 +15,10 @@ from bundle.georeference.point_check import OffsetCheck, SurveyChecks
 from bundle.georeference.similarity import Similarity
 from bundle.model.problem import Problem
 
-__all__ = ["Georeference", "PositionError", "Solved", "origin_text"]
+__all__ = ["Georeference", "PositionError", "Solved", "origin_text", "rig_notes"]
 
+SAME_BASELINE = 1e-3
+"""Relative change of a rig's baseline that is not worth a word."""
 LARGE = 3.0
 """Length of a residual in sigmas that 3 % of good positions exceed."""
 
@@ -33,6 +37,10 @@ class Solved(Protocol):
     @property
     def control_points(self) -> tuple[ControlPointError, ...]:
         """Residuals of control and check points relative to the survey."""
+
+    @property
+    def without_attitudes(self) -> Problem | None:
+        """Model as all but measured attitudes determine it."""
 
     @property
     def survey_checks(self) -> SurveyChecks | None:
@@ -166,3 +174,18 @@ class Georeference(Displayed):
 def origin_text(origin: LocalFrame) -> str:
     """Return latitude, longitude and height in the format of reports."""
     return f"{origin.latitude:.7f}, {origin.longitude:.7f}, {origin.height:.3f} m"
+
+
+def rig_notes(result: Solved) -> tuple[str, ...]:
+    """Return a sentence about baselines of rigs that positions scale; empty without such rigs."""
+    problem, moved = result.problem, result.similarity
+    lengths = np.linalg.norm(problem.sensor_from_rig[:, 4:], axis=1)
+    if moved is None or not lengths.any() or abs(moved.scale - 1) < SAME_BASELINE:
+        return ()
+    longest = int(np.argmax(lengths))
+    return (
+        f"Positions scale the rigs by {moved.scale:.6g}: camera "
+        f"{problem.sensor_camera_ids[longest]} of rig {problem.sensor_rig_ids[longest]} is "
+        f"{lengths[longest]:.4g} m from the reference sensor, {lengths[longest] / moved.scale:.4g} "
+        "in the input. A baseline calibrated in metres should stay: check it and the positions.",
+    )

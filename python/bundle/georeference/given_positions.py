@@ -54,12 +54,18 @@ class Frame:
         systems = list(dict.fromkeys(point.reference_system for point in points))
         if positions is not None:
             systems += [positions.reference_system] if not points else []
-        if None in systems:
-            if len(systems) > 1 or positions is not None:
+        local = positions is not None and positions.reference_system is None
+        if None in systems or local:
+            if any(system is not None for system in systems) or (positions is not None) > local:
                 raise InputError(
                     "gcps: expected a reference system for each control point, because other "
                     "points or GPS positions have one, found None"
+                    if not local
+                    else "gps: expected control points in the same Cartesian frame as the "
+                    f"positions, found {', '.join(str(one) for one in systems)}"
                 )
+            if positions is not None:
+                self.positions = positions.geodetic
             return
         geodetic = np.empty_like(self.control_points)
         for name in systems if points else ():

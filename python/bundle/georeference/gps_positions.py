@@ -37,11 +37,11 @@ class GpsPositions(Displayed):
 
     Attributes:
         names: names of the n images.
-        geodetic: (n, 3) latitude, longitude [degrees] and height [m] on WGS84; the height is nan if
-            unknown.
+        geodetic: (n, 3) latitude, longitude [degrees] and height [m] on WGS84, or Cartesian
+            coordinates [m], the third one up; the height is nan if unknown.
         accuracy: (n, 2) horizontal and vertical standard deviation [m], nan if unknown. The
             horizontal one applies to east and to north.
-        reference_system: reference system of the given coordinates.
+        reference_system: reference system of the given coordinates; None if they are Cartesian.
         source: name of the source for messages.
         notes: sentences on ignored or inexact data.
     """
@@ -49,7 +49,7 @@ class GpsPositions(Displayed):
     names: tuple[str, ...]
     geodetic: NDArray[np.float64]
     accuracy: NDArray[np.float64]
-    reference_system: str
+    reference_system: str | None
     source: str
     notes: tuple[str, ...] = field(default=())
 
@@ -65,7 +65,7 @@ class GpsPositions(Displayed):
         heights = int(np.isfinite(self.geodetic[:, 2]).sum())
         own = int(np.isfinite(self.accuracy).any(axis=1).sum())
         facts = (
-            ("source", f"{self.source} ({self.reference_system})"),
+            ("source", f"{self.source} ({self.reference_system or 'Cartesian'})"),
             ("images", f"{len(self)}, {heights} with a height, {own} with an accuracy"),
             *(("note", note) for note in self.notes),
         )
@@ -75,7 +75,7 @@ class GpsPositions(Displayed):
 def with_fix(positions: GpsPositions) -> GpsPositions:
     """Remove positions at latitude and longitude 0, which receivers write without a fix."""
     fixed = ~(np.asarray(positions.geodetic)[:, :2] == 0).all(axis=1)
-    if fixed.all():
+    if positions.reference_system is None or fixed.all():
         return positions
     without = [name for name, kept in zip(positions.names, fixed, strict=True) if not kept]
     return replace(

@@ -13,7 +13,13 @@ from bundle.base.records import dataclass
 from bundle.base.words import plural
 from bundle.errors import InputError
 from bundle.georeference.control_point import GCP_PIXEL_SIGMA, GCP_SIGMA, parse_sigma
-from bundle.georeference.georeferenced import Georeference, PositionError, Solved, origin_text
+from bundle.georeference.georeferenced import (
+    Georeference,
+    PositionError,
+    Solved,
+    origin_text,
+    rig_notes,
+)
 from bundle.georeference.given_positions import given_gps
 from bundle.georeference.gps_positions import GpsPositions, matched, too_few, unmatched_notes
 from bundle.georeference.image_index import ImageIndex
@@ -38,14 +44,14 @@ class GpsPriors(Displayed):
 
     Attributes:
         priors: priors for ``bundle.solve(problem, priors=...)``, of images by id.
-        origin: origin of their frame east, north, up [m].
-        reference_system: reference system of the given positions.
+        origin: origin of their frame east, north, up [m]; None for Cartesian positions.
+        reference_system: reference system of the given positions; None if Cartesian.
         notes: sentences on ignored or inexact data.
     """
 
     priors: tuple[PositionPrior, ...]
-    origin: LocalFrame
-    reference_system: str
+    origin: LocalFrame | None
+    reference_system: str | None
     notes: tuple[str, ...]
 
     def georeference(self, result: Solved) -> Georeference:
@@ -71,11 +77,16 @@ class GpsPriors(Displayed):
             size = float("nan") if index is None else float(sigmas[index])
             images.append(PositionError(name, (east, north, up), size, index is not None))
         return Georeference(
-            self.reference_system, self.origin, result.similarity, tuple(images), self.notes
+            self.reference_system,
+            self.origin,
+            result.similarity,
+            tuple(images),
+            (*self.notes, *rig_notes(result)),
         )
 
     def _display(self) -> Display:
-        facts = (("origin", origin_text(self.origin)), *(("note", note) for note in self.notes))
+        at = "none: Cartesian" if self.origin is None else origin_text(self.origin)
+        facts = (("origin", at), *(("note", note) for note in self.notes))
         return Display(title=f"GpsPriors of {plural(len(self.priors), 'image')}", facts=facts)
 
 
@@ -150,9 +161,11 @@ def gps_priors(
         except InputError as error:
             raise InputError(f"gps: {error}") from None
     places = positions.geodetic[[rows[row] for row in chosen]]
-    frame = LocalFrame.about(places) if origin is None else origin
+    frame = origin
+    if frame is None and positions.reference_system is not None:
+        frame = LocalFrame.about(places)
     priors = []
-    for row, enu in zip(chosen, frame.to_enu(places), strict=True):
+    for row, enu in zip(chosen, places if frame is None else frame.to_enu(places), strict=True):
         horizontal, vertical = positions.accuracy[rows[row]].tolist()
         sigma = (
             default.horizontal if np.isnan(horizontal) else horizontal,

@@ -48,7 +48,11 @@ class KnownPriors:
 
     def attitude_errors(self, result: Solved) -> tuple[AttitudeErrors, ...]:
         """Return the residuals of attitudes in a result, by kind."""
-        return () if self.attitudes is None else self.attitudes.errors(result.problem)
+        return (
+            ()
+            if self.attitudes is None
+            else self.attitudes.errors(result.problem, free=result.without_attitudes)
+        )
 
     def velocity_errors(self, result: Solved) -> VelocityErrors | None:
         """Return the residuals of velocities in a result; None without any."""

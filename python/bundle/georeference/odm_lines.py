@@ -23,11 +23,16 @@ _QUOTES = "; put a name with blanks in quotes"
 _ENDS_AS_FILES_DO = re.compile(r"\.[A-Za-z]\w{1,4}$")
 _WORDS = re.compile(r"""(?<!\S)(?:"([^"]+)"|'([^']+)')(?!\S)|(\S+)""")
 
+LOCAL = "LOCAL"
+"""First line of a file whose coordinates are metres in a frame of their own, the third axis up."""
+
 
 def read_lines(
     path: str | os.PathLike[str], name_at: int
-) -> tuple[ReferenceSystem, list[tuple[int, list[str]]]]:
+) -> tuple[ReferenceSystem | None, list[tuple[int, list[str]]]]:
     """Return the reference system, and the words of every further line with its number from 1.
+
+    The system is None after a first line LOCAL: coordinates are metres in a frame of their own.
 
     Args:
         path: path of the file.
@@ -47,11 +52,14 @@ def read_lines(
             f"{shown(path)}: expected a line with the coordinate reference system, found 0 lines"
         )
     (number, header), *rows = lines
+    split = [(place, split_words(line, name_at)) for place, line in rows]
+    if header.strip().upper() == LOCAL:
+        return None, split
     try:
         system = ReferenceSystem(header.strip())
     except InputError as error:
         raise InputError(f"{shown(path)}: line {number}: {error}") from None
-    return system, [(number, split_words(line, name_at)) for number, line in rows]
+    return system, split
 
 
 def split_words(line: str, name_at: int) -> list[str]:

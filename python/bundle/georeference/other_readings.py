@@ -173,7 +173,7 @@ def _exchanged_points(points: tuple[GroundControlPoint, ...]) -> tuple[GroundCon
 
 
 def _exchanged_positions(positions: GpsPositions | None) -> GpsPositions | None:
-    if positions is None:
+    if positions is None or positions.reference_system is None:
         return None
     geodetic = ReferenceSystem(positions.reference_system).exchanged(positions.geodetic)
     return None if geodetic is None else replace(positions, geodetic=geodetic)

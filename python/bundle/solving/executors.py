@@ -80,18 +80,26 @@ def solve_prepared(
 def finished(prepared: Prepared, last: Result, state: State | None = None) -> Result:
     """Convert the last result for the start to one for the problem of the request.
 
-    Its control points are tested when someone asks for it.
+    Its control points and attitudes are tested when someone asks for it.
     """
     result = prepared.finished(last, state)
-    if prepared.placed.targets is None or last.summary.termination_type != "CONVERGENCE":
+    if not prepared.request.priors or not last.summary.is_solution_usable:
         return result
-    from bundle.solving.survey_checks import check_survey  # few solves have control points
+    from bundle.solving.survey_checks import check_survey, solve_without_attitudes
 
     def solve_here(ready: Prepared) -> Problem:
         return solve_prepared(ready, None, ThisProcess()).problem
 
     at_minimum = prepared.at(last.problem)
-    return dataclasses.replace(result, _survey=lambda: check_survey(at_minimum, solve_here))
+    is_minimum = last.summary.termination_type == "CONVERGENCE"
+    if prepared.placed.targets is not None and is_minimum:
+        result = dataclasses.replace(result, _survey=lambda: check_survey(at_minimum, solve_here))
+    priors = prepared.request.priors
+    if prepared.part is None and any(hasattr(prior, "num_residuals") for prior in priors):
+        result = dataclasses.replace(
+            result, _free=lambda: solve_without_attitudes(at_minimum, solve_here)
+        )
+    return result
 
 
 def _default_executor() -> Executor:

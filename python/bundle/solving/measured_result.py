@@ -57,6 +57,7 @@ class MeasuredResult(SolveRecord):
     edits: tuple[Edit, ...] = ()
     observation_mask: NDArray[np.bool_] | None = None
     _survey: Callable[[], SurveyChecks] | None = field(default=None, repr=False)
+    _free: Callable[[], Problem | None] | None = field(default=None, repr=False)
 
     @cached_property
     def survey_checks(self) -> SurveyChecks | None:
@@ -66,10 +67,18 @@ class MeasuredResult(SolveRecord):
         """
         return None if self._survey is None else self._survey()
 
+    @cached_property
+    def without_attitudes(self) -> Problem | None:
+        """The model as all but measured attitudes determine it, computed at the first access.
+
+        None without attitudes, and of a solve that did not converge.
+        """
+        return None if self._free is None else self._free()
+
     def __getstate__(self) -> dict[str, Any]:
         # Factors may be functions that do not pickle; the outcome of the tests does.
-        self.survey_checks  # noqa: B018
-        return vars(self) | {"_survey": None}
+        self.survey_checks, self.without_attitudes  # noqa: B018
+        return vars(self) | {"_survey": None, "_free": None}
 
     @property
     def source_problem(self) -> Problem:

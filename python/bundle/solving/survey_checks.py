@@ -48,7 +48,7 @@ from bundle.model.rotations import rotation_matrices
 if TYPE_CHECKING:
     from bundle.solving.prepare import Prepared
 
-__all__ = ["check_survey"]
+__all__ = ["check_survey", "solve_without_attitudes"]
 
 Array = NDArray[np.float64]
 
@@ -57,6 +57,8 @@ FEWEST_POSITIONS = 3
 MOST_IMAGES = 2000
 """Number of images above which the covariance takes longer than the solve: no tests."""
 TOLERANCE, MOST_STEPS = 1e-9, 100
+ATTITUDES = ("direction", "rotation", "heading")
+"""Kinds of the factors of attitudes."""
 KNOWN = 1e-100
 """Information above which a coordinate counts as measured."""
 
@@ -71,6 +73,37 @@ def check_survey(prepared: Prepared, solve: Callable[[Prepared], Problem]) -> Su
     if prepared.start.num_images > MOST_IMAGES:
         return SurveyChecks(None, {})
     return _Adjusted(prepared, solve).checks()
+
+
+def solve_without_attitudes(
+    prepared: Prepared, solve: Callable[[Prepared], Problem]
+) -> Problem | None:
+    """Return the model as all but its measured attitudes determine it; None if that fails.
+
+    Sigmas of attitudes that are too small bend a model to them: their residuals are then small,
+    and hide their errors.
+
+    Args:
+        prepared: the solve, with its minimum as the start.
+        solve: function that returns the minimum of a prepared solve.
+    """
+    if prepared.start.num_images > MOST_IMAGES:
+        return None
+    count = len(prepared.request.factors)
+    offset = prepared.placed.offset
+    others = tuple(
+        one
+        for place, one in enumerate(prepared.factors)
+        if place < count
+        or one.kind not in ATTITUDES
+        or (offset is not None and one.keys == (offset.key,))
+    )
+    options = prepared.options.replace(max_num_iterations=MOST_STEPS, check_solution=False)
+    try:
+        free = solve(replace(prepared.at(prepared.start, options), factors=others))
+    except InputError:  # nothing else determines the model
+        return None
+    return prepared.placed.taken_from(free)
 
 
 @dataclass(frozen=True)
