@@ -32,7 +32,7 @@ def test_the_median_is_that_of_the_gaps_of_the_same_camera():
 
 def test_images_of_one_time_are_not_joined_and_do_not_count():
     """Two images at frame 1: the gap 0 is none, and the median is that of the others."""
-    found = neighbours_in_time(np.array([0.0, 1, 1, 5]), ONE)
+    found = neighbours_in_time(np.array([0.0, 1, 1, 6]), ONE)
     assert found.tolist() == [[0, 1], [0, 1], [2, 3], [2, 3]]
     assert (neighbours_in_time(np.ones(4), ONE) == -1).all()
     assert (neighbours_in_time(np.full(4, np.nan), ONE) == -1).all()

@@ -5,6 +5,7 @@ import json
 import pytest
 
 import bundle
+from bundle.io.formats.registry import format_written
 from bundle.io.open import output_format
 from tests.scenes import make_problem
 
@@ -49,6 +50,9 @@ def test_a_transforms_json_is_known_by_its_content(tmp_path, content, name):
     with pytest.raises(bundle.InputError, match=r"found nerfstudio's transforms.json, which has"):
         bundle.load(path)
     assert output_format("colmap", path) == "transforms"
+    for known in ("NVM_V3 \n", "# Bundle file v0.3\n"):  # formats with a reader have their own way
+        path.write_text(known)
+        assert format_written(path) is None
     path.write_text('{"views": []}')
     with pytest.raises(bundle.InputError, match=r"found JSON"):
         bundle.load(path)

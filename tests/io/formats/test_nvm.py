@@ -165,19 +165,24 @@ def test_the_note_begins_at_one_pixel(tmp_path):
     focal = problem.camera_params[problem.image_camera[image], 0]
     exact = float(np.median(focal / distance))
     for factor, count in ((0.9, 1), (1.1, 0)):
-        model = moved(problem, 431_000.0, factor * exact)
-        x = np.rint(model.points)
-        model = model.replace(points=x)
-        centers = np.rint(model.projection_centers)
-        poses = model.cam_from_world.copy()
-        poses[:, 4:] = -np.einsum("nij,nj->ni", rotation_matrices(poses[:, :4]), centers)
-        _, path = written(tmp_path, digits(6), problem=model.replace(cam_from_world=poses))
+        model = on_whole_numbers(moved(problem, 431_000.0, factor * exact))
+        _, path = written(tmp_path, digits(6), problem=model)
         assert len(notes(path)) == count
 
 
+def on_whole_numbers(problem):
+    """Round points and camera centres."""
+    poses = problem.cam_from_world.copy()
+    centers = np.rint(problem.projection_centers)
+    poses[:, 4:] = -np.einsum("nij,nj->ni", rotation_matrices(poses[:, :4]), centers)
+    return problem.replace(points=np.rint(problem.points), cam_from_world=poses)
+
+
 def test_whole_coordinates_near_the_origin_are_not_rounded(tmp_path):
-    problem = small("SIMPLE_PINHOLE", shared=True)
-    problem = moved(problem, 0.0, 100.0)
-    problem = problem.replace(points=np.rint(problem.points))
+    """A step of 1 moves pixels by more than one here, but three digits are no sign of rounding."""
+    problem = on_whole_numbers(moved(small("SIMPLE_PINHOLE", shared=True), 0.0, 100.0))
     _, path = written(tmp_path, problem=problem)
     assert notes(path) == []
+    far = on_whole_numbers(moved(small("SIMPLE_PINHOLE", shared=True), 20_000.0, 100.0))
+    _, path = written(tmp_path, problem=far)
+    assert len(notes(path)) == 1
