@@ -16,10 +16,11 @@ namespace py = pybind11;
 
 namespace {
 
-py::dict Covariance(const py::object& problem, const py::dict& options,
-                    const py::object& restrictions, const py::object& given_factors, bool inner,
-                    bool sandwich, bool of_points, const std::vector<std::pair<int, int>>& relative,
-                    bool long_sums) {
+py::dict Covariance(
+    const py::object& problem, const py::dict& options, const py::object& restrictions,
+    const py::object& given_factors, bool inner, bool sandwich, bool of_points,
+    const std::vector<std::pair<int, int>>& relative, bool long_sums, bool of_images,
+    const py::array_t<double, py::array::c_style | py::array::forcecast>& functions) {
   bundle::AdjustmentProblem view(ViewProblem(problem));
   view.restrictions = ViewRestrictions(restrictions, view);
   GivenFactors factors(given_factors);
@@ -28,6 +29,8 @@ py::dict Covariance(const py::object& problem, const py::dict& options,
   wanted.inner = inner;
   wanted.sandwich = sandwich;
   wanted.of_points = of_points;
+  wanted.of_images = of_images;
+  wanted.functions.assign(functions.data(), functions.data() + functions.size());
   wanted.long_sums = long_sums;
   wanted.relative = relative;
   PythonProgress watch{py::none()};
@@ -42,6 +45,15 @@ py::dict Covariance(const py::object& problem, const py::dict& options,
                     stride = view.camera_params_stride;
   const auto count = [](const auto& v) { return static_cast<py::ssize_t>(v.size()); };
   py::dict d;
+  d["steps"] = ToImmutableNumpy(std::move(output.steps), {images, 6});
+  const py::ssize_t num_functions = functions.size() == 0 ? 0 : functions.shape(0);
+  d["functions"] = ToImmutableNumpy(std::move(output.functions), {num_functions, num_functions});
+  d["weighted_squares"] = output.weighted_squares;
+  d["num_residuals"] = output.num_residuals;
+  d["num_parameters"] = output.num_parameters;
+  d["predicted_decrease"] = output.predicted_decrease;
+  d["gauge_degrees"] = output.gauge_degrees;
+  if (!of_images) return d;
   d["poses"] = ToImmutableNumpy(std::move(output.poses), {images, 6, 6});
   d["frames"] = ToImmutableNumpy(std::move(output.frames), {frames, 6, 6});
   d["sensors"] = ToImmutableNumpy(std::move(output.sensors), {sensors, 6, 6});
@@ -54,11 +66,6 @@ py::dict Covariance(const py::object& problem, const py::dict& options,
   d["relative"] = ToImmutableNumpy(std::move(output.relative), {count(relative), 6, 6});
   const py::ssize_t num_null = count(output.null_points);
   d["null_points"] = ToImmutableNumpy(std::move(output.null_points), {num_null});
-  d["weighted_squares"] = output.weighted_squares;
-  d["num_residuals"] = output.num_residuals;
-  d["num_parameters"] = output.num_parameters;
-  d["predicted_decrease"] = output.predicted_decrease;
-  d["gauge_degrees"] = output.gauge_degrees;
   py::list warnings;
   for (const bundle::Warning& warning : output.warnings) warnings.append(warning.text);
   d["warnings"] = warnings;
@@ -70,5 +77,6 @@ py::dict Covariance(const py::object& problem, const py::dict& options,
 void BindCovariance(py::module_& m) {
   m.def("covariance", &Covariance, py::arg("problem"), py::arg("options"), py::arg("restrictions"),
         py::arg("factors"), py::arg("inner"), py::arg("sandwich"), py::arg("of_points"),
-        py::arg("relative"), py::arg("long_sums"));
+        py::arg("relative"), py::arg("long_sums"), py::arg("of_images") = true,
+        py::arg("functions") = py::array_t<double>(0));
 }

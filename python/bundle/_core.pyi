@@ -296,6 +296,8 @@ def covariance(
     of_points: bool,
     relative: list[tuple[int, int]],
     long_sums: bool,
+    of_images: bool = ...,
+    functions: NDArray[np.float64] = ...,
 ) -> dict[str, Any]: ...
 
 # bind_rest.cpp

@@ -21,6 +21,10 @@
 ///
 ///   w_ba = w_b - R_ba w_a,      t_ba' = t_b' - R_ba t_a' + [R_ba t_a]x w_ba.
 ///
+/// A linear function of the poses and parameters of all images has the coefficients m = sum M_i^T
+/// f_i by the unknowns. Any number of functions has the joint covariance m^T C m', with one solve
+/// each.
+///
 /// All covariances assume residuals with a sigma of one pixel, or with their own sigmas. The output
 /// includes sum r^T W r over all measurements, for scaling them.
 
@@ -39,23 +43,28 @@ struct CovarianceOptions {
   bool inner = true;      ///< inner constraints; false: the gauge of SolveOptions::gauge
   bool sandwich = false;  ///< sandwich.h
   bool of_points = true;
+  bool of_images = true;  ///< false: `steps` and sums only, which need one factorisation of S
   /// Small systems in long doubles (long_sums.h): all digits where doubles have a few, at ten times
   /// the time.
   bool long_sums = true;
+  /// Linear functions whose joint covariance is wanted: functions x num_images x (6 + stride), the
+  /// derivatives by (w, t) about the problem's origin and by the parameters of the image's camera.
+  std::vector<double> functions;
   std::vector<std::pair<int, int>> relative;  ///< image pairs (a, b), for cam_b_from_cam_a
 };
 
 /// Row-major; `stride` is that of the problem's camera_params.
 struct CovarianceOutput {
-  std::vector<double> poses;     ///< num_images x 6 x 6
-  std::vector<double> frames;    ///< num_frames x 6 x 6
-  std::vector<double> sensors;   ///< num_sensors x 6 x 6
-  std::vector<double> cameras;   ///< num_cameras x stride x stride; NaN for constant parameters
-  std::vector<double> twists;    ///< num_images x 6 x 6; empty without rolling shutters
-  std::vector<double> readouts;  ///< num_cameras: variances; NaN for constant readouts; or empty
-  LargeVector<double> points;    ///< num_points x 3 x 3; NaN for undetermined points
-  std::vector<double> relative;  ///< pairs x 6 x 6
-  std::vector<int> null_points;  ///< points without parallax, ascending
+  std::vector<double> poses;      ///< num_images x 6 x 6
+  std::vector<double> frames;     ///< num_frames x 6 x 6
+  std::vector<double> sensors;    ///< num_sensors x 6 x 6
+  std::vector<double> cameras;    ///< num_cameras x stride x stride; NaN for constant parameters
+  std::vector<double> twists;     ///< num_images x 6 x 6; empty without rolling shutters
+  std::vector<double> readouts;   ///< num_cameras: variances; NaN for constant readouts; or empty
+  LargeVector<double> points;     ///< num_points x 3 x 3; NaN for undetermined points
+  std::vector<double> relative;   ///< pairs x 6 x 6
+  std::vector<double> functions;  ///< functions x functions
+  std::vector<int> null_points;   ///< points without parallax, ascending
   double weighted_squares =
       0;                      ///< sum of squared residuals, divided by sigma, weighted by the loss
   int64_t num_residuals = 0;  ///< number of independent residuals, of observations and factors
@@ -63,6 +72,9 @@ struct CovarianceOutput {
       0;  ///< number of free, determined parameters; the gauge is not subtracted
   /// Decrease of the cost by one more step, as predicted by the model; 0 at a minimum.
   double predicted_decrease = 0;
+  /// The movement of the poses in this step, as (w, t) about the problem's origin: num_images x 6.
+  /// Along free similarities it is arbitrary.
+  std::vector<double> steps;
   int gauge_degrees = 0;  ///< number of parameters that only the inner constraints determine
   std::vector<Warning> warnings;
 };

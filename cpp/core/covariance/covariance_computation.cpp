@@ -6,6 +6,7 @@
 /// not a block of the selected inverse, so that columns of S^-1 are solved for.
 
 #include <Eigen/Core>
+#include <algorithm>
 #include <cstddef>
 #include <memory>
 #include <optional>
@@ -65,31 +66,37 @@ void CovarianceComputation::Factorize(bool by_rows) {
   int unknown = 0;
   const double pivot = system_.SmallestPivot(&unknown);
   if (pivot > kSingular) {
-    std::vector<double> step(system_.rhs().size());
-    Check(system_.Solve(system_.rhs().data(), 1, step.data()));
-    for (size_t j = 0; j < step.size(); ++j) {
-      output_.predicted_decrease += 0.5 * step[j] * system_.rhs()[j];
+    const std::vector<double>& rhs = system_.rhs();
+    step_.setZero(static_cast<Eigen::Index>(rhs.size()), 1);
+    Check(system_.Solve(rhs.data(), 1, step_.data()));
+    for (size_t j = 0; j < rhs.size(); ++j) {
+      output_.predicted_decrease += 0.5 * step_.data()[j] * rhs[j];
     }
     return;
   }
   NotDetermined(unknown, "a pivot of " + ShortNumber(pivot) + " of its diagonal entry");
 }
 
-/// The covariance of all unknowns with the pose of an image: unknowns x 6.
-CovarianceComputation::Matrix CovarianceComputation::ColumnsOfImage(int image) {
-  const int n = system_.num_unknowns();
-  Eigen::MatrixXd rhs = Eigen::MatrixXd::Zero(n, 6), x(n, 6);
+/// The derivatives of the pose of an image by the unknowns: unknowns x 6.
+Eigen::MatrixXd CovarianceComputation::UnknownsOfImage(int image) const {
+  Eigen::MatrixXd unknowns = Eigen::MatrixXd::Zero(system_.num_unknowns(), 6);
   for (const LocalMap& map : system_.evaluator().maps(image)) {
-    rhs.middleRows(layout().blocks()[map.block].offset, map.size) +=
+    unknowns.middleRows(layout().blocks()[map.block].offset, map.size) +=
         WholeMap(map).topRows<6>().transpose();
   }
-  x.setZero();
-  Check(system_.Solve(rhs.data(), 6, x.data()));
+  return unknowns;
+}
+
+/// The covariance of all unknowns with linear functions of them, whose coefficients are columns.
+CovarianceComputation::Matrix CovarianceComputation::CovarianceTimes(const Eigen::MatrixXd& rhs) {
+  const int n = system_.num_unknowns(), count = static_cast<int>(rhs.cols());
+  Eigen::MatrixXd x = Eigen::MatrixXd::Zero(n, count);
+  Check(system_.Solve(rhs.data(), count, x.data()));
   if (wanted_.sandwich) {
     FullVectors with_points;  // M H^-1, whose rows for points follow from the cameras
-    with_points.num_columns = 6;
+    with_points.num_columns = count;
     with_points.cameras.assign(rhs.data(), rhs.data() + rhs.size());
-    with_points.points.assign(18 * size_t(view().num_points), 0.0);
+    with_points.points.assign(3 * size_t(count) * size_t(view().num_points), 0.0);
     FullVectors once, twice;
     const auto solve = [&](FullVectors* to) {  // P G P^T
       if (constraints_ != nullptr) gauge_->ProjectTransposed(&with_points);
@@ -99,26 +106,25 @@ CovarianceComputation::Matrix CovarianceComputation::ColumnsOfImage(int image) {
     solve(&once);
     with_points = MeatTimes(system_, once);
     solve(&twice);
-    x = Eigen::Map<const Eigen::MatrixXd>(twice.cameras.data(), n, 6);
+    x = Eigen::Map<const Eigen::MatrixXd>(twice.cameras.data(), n, count);
   }
   Matrix columns = x;
   const InnerConstraints* const inner = wanted_.sandwich ? nullptr : constraints_.get();
   if (inner != nullptr && n > 0) {
-    // Transforms the unknowns of these columns by the image's maps.
     const int d = inner->degrees();
     std::vector<double> na(size_t(n) * d), ya(na);
     inner->RowsOfUnknowns(0, n, na.data(), ya.data());
     const Eigen::Map<const Matrix> all_n(na.data(), n, d), all_y(ya.data(), n, d);
     const Matrix own_n = rhs.transpose() * all_n, own_y = rhs.transpose() * all_y;
-    inner->Transform(n, na.data(), ya.data(), 6, own_n.data(), own_y.data(), columns.data());
+    inner->Transform(n, na.data(), ya.data(), count, own_n.data(), own_y.data(), columns.data());
   }
   return columns;
 }
 
-/// The rows of an image's pose: 6 x 6.
+/// The rows of an image's pose, for each column of unknowns.
 CovarianceComputation::Matrix CovarianceComputation::LocalRows(int image,
                                                                const Matrix& columns) const {
-  Matrix rows = Matrix::Zero(6, 6);
+  Matrix rows = Matrix::Zero(6, columns.cols());
   for (const LocalMap& map : system_.evaluator().maps(image)) {
     rows += WholeMap(map).topRows<6>() *
             columns.middleRows(layout().blocks()[map.block].offset, map.size);
@@ -143,12 +149,46 @@ CovarianceComputation::Matrix6 CovarianceComputation::OfRelativePose(int a, int 
   return by_a * aa * by_a.transpose() + by_b * bb * by_b.transpose() + mixed + mixed.transpose();
 }
 
+void CovarianceComputation::FindSteps() {
+  using Vector6 = Eigen::Matrix<double, 6, 1>;
+  output_.steps.resize(6 * size_t(view().num_images));
+  for (int i = 0; i < view().num_images; ++i) {
+    Vector6 step = LocalRows(i, step_);
+    if (centered_.is_moved()) step = MapBack(i) * step;
+    Eigen::Map<Vector6>(&output_.steps[6 * size_t(i)]) = step;
+  }
+}
+
+void CovarianceComputation::FindFunctions() {
+  const int width = kPoseSize + view().camera_params_stride;
+  const size_t size = size_t(view().num_images) * width;
+  if (wanted_.functions.empty()) return;
+  const auto count = static_cast<Eigen::Index>(wanted_.functions.size() / size);
+  Eigen::MatrixXd rhs = Eigen::MatrixXd::Zero(system_.num_unknowns(), count);
+  for (int i = 0; i < view().num_images; ++i) {
+    Eigen::MatrixXd local = Eigen::MatrixXd::Zero(kLocal, count);
+    for (Eigen::Index k = 0; k < count; ++k) {
+      const double* const from = &wanted_.functions[size_t(k) * size + size_t(i) * width];
+      std::copy_n(from, std::min(width, kPoseSize + kMaxCameraParams), local.col(k).data());
+    }
+    if (centered_.is_moved()) local.topRows<6>() = MapBack(i).transpose() * local.topRows<6>();
+    for (const LocalMap& map : system_.evaluator().maps(i)) {
+      rhs.middleRows(layout().blocks()[map.block].offset, map.size) +=
+          WholeMap(map).transpose() * local;
+    }
+  }
+  const Matrix found = rhs.transpose() * CovarianceTimes(rhs);
+  output_.functions.assign(found.data(), found.data() + found.size());
+}
+
 void CovarianceComputation::FindRelative() {
   output_.relative.resize(36 * wanted_.relative.size());
   for (size_t k = 0; k < wanted_.relative.size(); ++k) {
     ThrowIfInterrupted();
     const auto [a, b] = wanted_.relative[k];
-    Put(OfRelativePose(a, b, ColumnsOfImage(a), ColumnsOfImage(b)), k, &output_.relative);
+    Put(OfRelativePose(a, b, CovarianceTimes(UnknownsOfImage(a)),
+                       CovarianceTimes(UnknownsOfImage(b))),
+        k, &output_.relative);
   }
 }
 

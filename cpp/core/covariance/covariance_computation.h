@@ -50,6 +50,9 @@ class CovarianceComputation {
     CountResiduals();
     Factorize(by_rows);
     FindDirections();
+    FindSteps();
+    FindFunctions();
+    if (!wanted_.of_images) return std::move(output_);
     FindRelative();
     if (wanted_.sandwich) FindScatter();
     Check(system_.Invert());
@@ -192,15 +195,20 @@ class CovarianceComputation {
     return joint;
   }
 
-  /// Transforms the covariance of a pose about the centre of the scene to that about the problem's
+  /// Transforms a movement of a pose about the centre of the scene to that about the problem's
   /// origin: t = t' - R c.
-  Matrix6 MovedBack(int pose, const Matrix6& covariance) const {
-    if (!centered_.is_moved()) return covariance;
+  Matrix6 MapBack(int pose) const {
     const PoseState& state = system_.states().pose(pose);
     Vector3 arm;
     MatrixVector3(state.rotation, frame_.origin, arm.data());
     Matrix6 map = Matrix6::Identity();
     map.block<3, 3>(3, 0) = Skew(arm);
+    return map;
+  }
+
+  Matrix6 MovedBack(int pose, const Matrix6& covariance) const {
+    if (!centered_.is_moved()) return covariance;
+    const Matrix6 map = MapBack(pose);
     return map * covariance * map.transpose();
   }
 
@@ -301,8 +309,11 @@ class CovarianceComputation {
   // relative_poses.cpp
   void FindRelative();
   Matrix6 OfRelativePose(int a, int b, const Matrix& from_a, const Matrix& from_b) const;
-  Matrix ColumnsOfImage(int image);
+  Eigen::MatrixXd UnknownsOfImage(int image) const;
+  Matrix CovarianceTimes(const Eigen::MatrixXd& rhs);
+  void FindFunctions();
   Matrix LocalRows(int image, const Matrix& columns) const;
+  void FindSteps();
 
   const SceneFrame frame_;
   const CenteredProblem centered_;
@@ -317,6 +328,7 @@ class CovarianceComputation {
   LongMatrix lower_;   ///< L of S, of a small system
   std::unique_ptr<LongScatter> long_scatter_;  ///< scatter of a small system
   BlockValues scatter_;                        ///< D, and finally D'; for the sandwich
+  Matrix step_;                                ///< Newton step of the unknowns, one column
   CovarianceOutput output_;
 };
 

@@ -62,8 +62,15 @@ def with_shutters(
         return rolling_shutters.with_shutters(problem, given, options)
 
 
-def cameras_edited(given: LensOptions, problem: Problem) -> CameraEdits | None:
+def cameras_edited(
+    given: LensOptions, problem: Problem, *, keep_scale: bool = False
+) -> CameraEdits | None:
     """Return the problem with the requested changes of cameras; None without any.
+
+    Args:
+        given: the requested changes.
+        problem: the problem.
+        keep_scale: True if a solve follows that may move all images.
 
     Raises:
         InputError: a change is impossible; the message names the flag or the camera.
@@ -76,7 +83,10 @@ def cameras_edited(given: LensOptions, problem: Problem) -> CameraEdits | None:
 
     share = False if given.share_cameras is None else given.share_cameras
     with naming_flags(model="--camera-model", camera_ids="--share-cameras"):
-        return edit_cameras(problem, given.camera_model, share=share, split=given.split_cameras)
+        return edit_cameras(
+            problem, given.camera_model, share=share, split=given.split_cameras,
+            keep_scale=keep_scale,
+        )  # fmt: skip
 
 
 def loops_closed(given: LoopOptions, problem: Problem) -> LoopClosing | None:

@@ -71,7 +71,7 @@ def open_input(asked: Refinement, progress: Progress) -> Opened:
     loaded = load(source, progress.text, asked.reading) if sliced is None else sliced.cameras
     load_time = perf_counter() - begun
     require_observations(loaded, shown(source))
-    edits = cameras_edited(asked.lenses, loaded)
+    edits = cameras_edited(asked.lenses, loaded, keep_scale=_may_move_images(asked))
     problem = with_rigs(loaded if edits is None else edits.problem, asked.rig_config)
     problem, options = with_shutters(problem, asked.shutters, asked.options)
     options = with_named_images(options, asked.fixed_images, problem)
@@ -107,6 +107,13 @@ def open_input(asked: Refinement, progress: Progress) -> Opened:
         sliced=sliced,
         load_time=load_time,
     )
+
+
+def _may_move_images(asked: Refinement) -> bool:
+    """Return True if no image stands still in the solve."""
+    is_held = asked.options.fixed_image_ids or asked.fixed_images or asked.local.only_images
+    rules = any(rule.target.kind == "image" for rule in asked.constraints)
+    return "poses" in asked.options.refine and not is_held and not rules
 
 
 def _kept_world(asked: Refinement, place: dict[str, Any] | None) -> str:

@@ -3,6 +3,7 @@
 import numpy as np
 import pycolmap
 import pytest
+from scipy.spatial.transform import Rotation
 
 import bundle
 from bundle import InputError
@@ -178,3 +179,41 @@ def test_misuse():
         bundle.share_cameras(problem, [2, 2])
     with pytest.raises(InputError, match="at least two cameras to share, found 1"):
         bundle.share_cameras(make_problem(shared=True))
+
+
+def test_images_keep_their_scale_at_their_median_depth():
+    problem = make_problem(num_images=3, model="SIMPLE_RADIAL")
+    params = problem.camera_params.copy()
+    params[:, 0] = [800.0, 1000.0, 1200.0]
+    params[:, 3] = 0.0
+    given = problem.replace(camera_params=params)
+    shared = bundle.share_cameras(given, keep_scale=True)
+    assert shared.camera_params[0, 0] == 1000.0
+    for image, focal in enumerate(params[:, 0]):
+        seen = problem.points[problem.observation_point[problem.observation_image == image]]
+        depths = [
+            np.median(Rotation.from_quat(pose[:4].copy()).apply(seen)[:, 2] + pose[6])
+            for pose in (given.cam_from_world[image], shared.cam_from_world[image])
+        ]
+        assert focal / depths[0] == pytest.approx(1000.0 / depths[1], rel=1e-12)
+    moved = shared.cam_from_world - given.cam_from_world
+    assert np.flatnonzero(moved.any(axis=0)).tolist() == [6]
+    assert not moved[1].any()
+    np.testing.assert_array_equal(shared.points, given.points)
+
+
+def test_images_without_points_in_front_stay_where_they_are():
+    problem = make_problem(num_images=3, model="SIMPLE_RADIAL")
+    params, poses = problem.camera_params.copy(), problem.cam_from_world.copy()
+    params[:, 0] = [800.0, 1000.0, 1200.0]
+    poses[2, 6] = -1e3  # all points are behind
+    rows = problem.observation_image != 0
+    names = ("observation_image", "observation_point", "observation_xy", "observation_keypoint")
+    given = problem.replace(
+        camera_params=params, cam_from_world=poses,
+        **{name: getattr(problem, name)[rows] for name in names},
+    )  # fmt: skip
+    shared = bundle.share_cameras(given, keep_scale=True)
+    assert shared.camera_params[0, 0] == pytest.approx(1100.0)
+    np.testing.assert_array_equal(shared.cam_from_world[[0, 2]], poses[[0, 2]])
+    assert shared.cam_from_world[1, 6] != poses[1, 6]

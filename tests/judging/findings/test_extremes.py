@@ -110,10 +110,10 @@ def test_held_parts_are_not_called_unrefined(sound):
 def test_real_models_have_the_findings_of_an_expert(bundle_data):
     expected = {
         "bartoszek": {"shared_lens", "duplicate_points"},
-        "batmo_rigs": {"shared_lens", "duplicate_points"},
+        "batmo_rigs": {"duplicate_points"},
         "crane_mast": {"lens_model", "duplicate_points"},
         "lund_door": {"outliers", "duplicate_points"},
-        "maupertuis": {"outliers", "duplicate_points"},
+        "maupertuis": {"outliers", "lens_model", "duplicate_points"},
         "video48": {"undetermined_intrinsics"},
         "vr_opencv": {"motion", "image_residuals", "duplicate_points"},
     }

@@ -67,6 +67,7 @@ def edit_cameras(
     model: str | None = None,
     share: Iterable[int] | bool | str = False,
     split: bool = False,
+    keep_scale: bool = False,
 ) -> CameraEdits | None:
     """Change models, then share or split cameras; return None if no edit is requested.
 
@@ -75,6 +76,7 @@ def edit_cameras(
         model: model of all cameras; None: unchanged.
         share: ids of cameras to merge; True: all; "size": those of each image size.
         split: give each image its own camera.
+        keep_scale: images move to keep their scale in a shared camera (``share_cameras``).
 
     Raises:
         InputError: for the reasons of the functions that it calls.
@@ -90,7 +92,7 @@ def edit_cameras(
         stages.append(("camera_model", edited))
     groups = [] if share is False else _groups(problem, share)
     for group in groups:
-        edited = share_cameras(edited, group)
+        edited = share_cameras(edited, group, keep_scale=keep_scale)
     if groups:
         stages.append(("share_cameras", edited))
     before_split = edited.num_cameras

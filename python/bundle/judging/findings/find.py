@@ -19,6 +19,7 @@ from bundle.judging.findings.focal_lengths import (
     undetermined_intrinsics,
 )
 from bundle.judging.findings.images import ImageFits, image_fits, image_residuals, motion
+from bundle.judging.findings.larger_lens import absorbed_lens
 from bundle.judging.findings.lens_terms import LensField, fields_of_lenses, lens_model
 from bundle.judging.findings.measured import Measured
 from bundle.judging.findings.minimum import not_refined
@@ -115,10 +116,15 @@ def find(
     return tuple(sorted(found, key=lambda finding: IMPORTANCE.index(finding.kind)))
 
 
+def _lens(measured: Measured, fields: Sequence[LensField]) -> Finding | None:
+    """Return the finding about a lens model that is too small, in residuals or absorbed."""
+    return lens_model(measured, fields) or absorbed_lens(measured)
+
+
 def _with_right_lens(measured: Measured) -> Measured:
     """Return the model with a larger lens if its own is too small, which bends it."""
     found = SystematicResiduals(measured)
-    lens = lens_model(measured, fields_of_lenses(found, measured.scale))
+    lens = _lens(measured, fields_of_lenses(found, measured.scale))
     if lens is None or not is_affordable(measured):
         return measured
     return repaired(measured, lens.evidence["larger_model"]) or measured
@@ -164,7 +170,7 @@ def _findings(measured: Measured) -> Iterator[Finding | None]:
     elif far is not None or drift is not None or places is not None:
         return
     found, fits, fields, moves = _fields(measured)
-    lens = None if moves is not None else lens_model(measured, fields)
+    lens = None if moves is not None else _lens(measured, fields)
     yield lens
     if lens is not None:
         larger = repaired(measured, lens.evidence["larger_model"]) if can_repair else None

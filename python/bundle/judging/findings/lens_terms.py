@@ -33,7 +33,7 @@ from bundle.interface.finding import Finding
 from bundle.judging.findings.measured import Measured
 from bundle.judging.findings.systematic import LEFT, LENS_TERMS, SystematicResiduals
 
-__all__ = ["LensField", "fields_of_lenses", "lens_model"]
+__all__ = ["LensField", "fields_of_lenses", "larger_models", "lens_model"]
 
 SIZE = 0.13
 FEWEST_ROWS = 100
@@ -122,7 +122,7 @@ def lens_model(measured: Measured, fields: Sequence[LensField]) -> Finding | Non
         return None
     worst = max(fields, key=lambda field: field.size)
     total = float((worst.field**2).mean())
-    larger = {name: worst.explained(terms) for name, terms in _larger(worst.model)}
+    larger = {name: worst.explained(terms) for name, terms in larger_models(worst.model)}
     enough = [name for name, value in larger.items() if value >= EXPLAINED * total]
     name = enough[0] if enough else next(reversed(larger), "")
     kinds = (("radial", RADIAL), ("tangential", TANGENTIAL), ("aspect", ASPECT))
@@ -184,7 +184,8 @@ def _field(
     )
 
 
-def _larger(model: str) -> tuple[tuple[str, tuple[str, ...]], ...]:
+def larger_models(model: str) -> tuple[tuple[str, tuple[str, ...]], ...]:
+    """Return the larger models of a family with their terms, the smallest first."""
     family, first = START.get(model, ("perspective", len(LARGER["perspective"])))
     return LARGER[family][first:]
 

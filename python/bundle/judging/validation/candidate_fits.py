@@ -152,7 +152,9 @@ class _Run:
 
     def _fit(self, fit: CandidateFit, before: Problem | None) -> None:
         candidate, given = fit.candidate, self._given
-        start, ties = with_cameras(given.problem, candidate)
+        may_move = "poses" in candidate.refine and not given.options.fixed_image_ids
+        keep_scale = may_move and not given.rules
+        start, ties = with_cameras(given.problem, candidate, keep_scale=keep_scale)
         if before is not None:
             start = self._nearest(start, before, candidate)
         request = SolveRequest(

@@ -179,10 +179,13 @@ def _shared_names(model: str, refine: tuple[str, ...]) -> list[str]:
     return [name for name, kind in both if kind in kinds]
 
 
-def with_cameras(problem: Problem, candidate: Candidate) -> tuple[Problem, tuple[str, ...]]:
+def with_cameras(
+    problem: Problem, candidate: Candidate, *, keep_scale: bool = False
+) -> tuple[Problem, tuple[str, ...]]:
     """Return the problem with the cameras of a candidate, and the rules that tie them.
 
-    Poses and points do not change. Merged cameras start at their mean.
+    Points do not change. Merged cameras start at their mean. With ``keep_scale`` their images
+    move to keep their scale, else poses do not change.
 
     Raises:
         InputError: the cameras cannot be merged or split, or the model cannot represent them.
@@ -195,7 +198,7 @@ def with_cameras(problem: Problem, candidate: Candidate) -> tuple[Problem, tuple
         groups = [used] if share == "all" else cameras_by_size(problem)
         for group in groups:
             if len(group) > 1:
-                problem = share_cameras(problem, group)
+                problem = share_cameras(problem, group, keep_scale=keep_scale)
     if model:
         problem = change_camera_model(problem, model).problem
     if share not in ("each", "focal"):

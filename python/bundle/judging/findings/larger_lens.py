@@ -1,0 +1,233 @@
+r"""Lens model too small, although poses and points have absorbed its field of residuals.
+
+Where all cameras look the same way, as in a flight over flat ground, poses and points can imitate a
+missing term of the lens: the block bends, and hardly any residual is left (lens_terms.py).
+
+Test. Put the present values into a larger model, its added terms at zero. There, one step of Newton
+with all poses, points and lenses free would lower twice the cost by lambda^2 = g^T H^- g, and one
+in the present model by lambda_0^2, which is zero at a minimum. With the noise s^2 that is left,
+
+    T = (lambda^2 - lambda_0^2) / s^2,      s^2 = (r^T W r - lambda^2) / dof,
+
+is chi^2 with as many degrees of freedom as terms were added if the present model is right: it is
+the score test (C. R. Rao, 1948). By the difference, T does not need a start at the minimum: it may
+be one with measured positions, whose sigmas and those of pixels need not agree, so that the test
+leaves them out. W are the weights of the loss.
+
+Relevance. A field of 1 % of the residuals may move the cameras by many of their standard
+deviations. The difference of the two steps moves the centre of image i by d_i, without the
+similarity that is free. The finding needs p below 1e-4, and rms d above the rms standard deviation
+of the centres in the larger model. On 1200 seeded scenes whose lens was right, p was below 1e-3 in
+one. A single step is a lower bound of the movement, as the solve takes several.
+
+Model. The smallest extension that passes: one term before all of them, as terms that are not
+needed make the positions of flights up to nine times less accurate. T of any extension is at most
+that of the largest, so that one step decides for nearly all right models.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.analysis.uncertainty.newton_step import newton_step
+from bundle.base.arrays import distinct
+from bundle.base.words import named, number, plural
+from bundle.errors import InputError
+from bundle.interface.finding import Finding
+from bundle.judging.findings.lens_terms import larger_models
+from bundle.judging.findings.measured import SMALLEST_SCALE, Measured
+from bundle.model.cameras import camera_models
+from bundle.model.lenses.exact_image import exact_params
+from bundle.model.problem import Problem
+from bundle.model.rotations import cross_matrices, rotation_matrices
+
+__all__ = ["absorbed_lens", "chi2_tail"]
+
+SIGNIFICANT = 1e-4
+"""Probability of so large a T if the lens model is right."""
+LARGEST_MODELS = ("OPENCV", "OPENCV_FISHEYE")
+"""Models beyond these have terms that are not determined beside each other."""
+MOST_LENSES = 4
+MOST_WORK = 150_000
+"""Observations plus 20 times the square of the images, up to which a step takes milliseconds."""
+
+Floats = NDArray[np.float64]
+
+
+def absorbed_lens(measured: Measured) -> Finding | None:
+    """Return the finding about a lens model whose missing term moved the cameras, or None."""
+    problem, options = measured.whole, measured.options
+    lenses = distinct(problem.image_camera).tolist()
+    used = {problem.camera_models[camera] for camera in lenses}
+    work = problem.num_observations + 20 * problem.num_images**2
+    if len(used) > 1 or len(lenses) > MOST_LENSES or work > MOST_WORK:
+        return None
+    if not measured.scale > SMALLEST_SCALE:  # exact observations
+        return None
+    names = [name for name, _ in larger_models(next(iter(used)))]
+    last = [k for k, name in enumerate(names) if name in LARGEST_MODELS]
+    if not last or not {"poses", "extra"} <= set(options.refine):
+        return None
+    try:
+        return _found(measured, names[: last[0] + 1])
+    except InputError:  # something is not determined, or the sums overflow
+        return None
+
+
+def _found(measured: Measured, names: list[str]) -> Finding | None:
+    whole = measured.whole
+    largest = _extended(measured, names[-1])
+    if largest is None or not chi2_tail(largest.squared_distance, 1) < SIGNIFICANT:
+        return None
+    present = Step(measured, whole)
+    for name in names:
+        step = largest if name == names[-1] else _extended(measured, name)
+        if step is None or step.num_parameters <= present.num_parameters:
+            continue
+        count = step.num_parameters - present.num_parameters
+        statistic = step.squared_distance - present.decrease / step.variance
+        p = chi2_tail(statistic, count)
+        if not p < SIGNIFICANT:
+            continue
+        moved = rms(step.without_gauge(step.moves - present.moves))
+        sigma = step.position_sigma()
+        if not moved > sigma:
+            continue
+        cameras = distinct(whole.image_camera)
+        ids = whole.camera_ids[cameras].tolist()
+        model = whole.camera_models[int(cameras[0])]
+        return Finding(
+            kind="lens_model",
+            sentence=f"The lens model {model} of {named('camera', ids)} is too small: poses and "
+            f"points have absorbed what {name} explains (chi2 {number(statistic)} for "
+            f"{plural(count, 'term')}). Its first step moves the cameras by {number(moved)} units "
+            f"(rms), {number(moved / sigma)} times their standard deviation.",
+            command=measured.command.refine("--camera-model", name),
+            evidence={
+                "camera_ids": ids,
+                "model": model,
+                "larger_model": name,
+                "size": math.sqrt(statistic / step.num_residuals),
+                "chi2": statistic,
+                "dof": count,
+                "p": p,
+                "camera_movement": moved,
+                "camera_sigma": sigma,
+            },
+        )
+    return None
+
+
+def _extended(measured: Measured, model: str) -> Step | None:
+    """Return the step of a larger model with the same pixels; None: it cannot have them."""
+    problem = measured.whole
+    width = max(problem.camera_params.shape[1], len(camera_models()[model]))
+    params = np.zeros((problem.num_cameras, width))
+    for camera, old in enumerate(problem.camera_models):
+        given = problem.camera_params[camera, : len(camera_models()[old])]
+        exact = exact_params(old, given, model)
+        if exact is None:
+            return None
+        params[camera, : len(exact)] = exact
+    models = (model,) * problem.num_cameras
+    larger = problem.replace(camera_models=models, camera_params=params)
+    step = Step(measured, larger)
+    return step if step.variance > 0 else None
+
+
+class Step:
+    """Newton step of a model at its present values.
+
+    Attributes:
+        decrease: g^T H^- g.
+        variance: s^2, the weighted squares per degree of freedom after the step; 0 without any.
+        num_residuals: number of residuals.
+        num_parameters: number of free parameters, without the gauge.
+        moves: (num_images, 3) movement of the projection centres.
+    """
+
+    def __init__(self, measured: Measured, problem: Problem) -> None:
+        self._given = (problem, measured.options)
+        found = newton_step(*self._given)
+        self._has_gauge = found["gauge_degrees"] > 0
+        self.decrease: float = 2.0 * found["predicted_decrease"]
+        self.num_residuals: int = found["num_residuals"]
+        self.num_parameters: int = found["num_parameters"] - found["gauge_degrees"]
+        dof = self.num_residuals - self.num_parameters
+        left = found["weighted_squares"] - self.decrease
+        self.variance: float = left / dof if dof > 0 and left > 0 else 0.0
+        self.moves: Floats = np.einsum("nij,nj->ni", self._center_by_pose, found["steps"])
+
+    @property
+    def squared_distance(self) -> float:
+        """lambda^2 / s^2, the squared distance to the minimum in standard deviations."""
+        return self.decrease / self.variance
+
+    @cached_property
+    def _center_by_pose(self) -> Floats:
+        """(num_images, 3, 6) derivatives of the centre -R^T t by (w, t)."""
+        pose = self._given[0].cam_from_world
+        cross = cross_matrices(pose[:, 4:])
+        both = np.concatenate([cross, np.broadcast_to(np.eye(3), cross.shape)], axis=2)
+        found: Floats = -rotation_matrices(pose[:, :4]).transpose(0, 2, 1) @ both
+        return found
+
+    @cached_property
+    def _similarities(self) -> Floats:
+        """(num_images, 3, k) orthonormal movements of the centres by the free similarities."""
+        centers = self._given[0].projection_centers
+        offset = centers - centers.mean(axis=0)
+        offset /= max(float(np.abs(offset).max(initial=0.0)), 1e-300)
+        turns = cross_matrices(offset)
+        ones = np.broadcast_to(np.eye(3), turns.shape)
+        columns = np.concatenate([ones, turns, offset[:, :, None]], axis=2)
+        basis, values, _ = np.linalg.svd(columns.reshape(-1, 7), full_matrices=False)
+        kept = basis[:, (values > 1e-9 * values[0]) & self._has_gauge]
+        found: Floats = kept.reshape(len(centers), 3, -1)
+        return found
+
+    def without_gauge(self, moves: Floats) -> Floats:
+        """Return movements (num_images, 3) without the part that a free similarity explains."""
+        basis = self._similarities
+        left: Floats = moves - basis @ np.einsum("nik,ni->k", basis, moves)
+        return left
+
+    def position_sigma(self) -> float:
+        """Return the rms standard deviation of the centres without the free similarity.
+
+        With P = I - U U^T, the trace of P C P is that of C minus the variances of U^T c.
+        """
+        problem = self._given[0]
+        by_pose = self._center_by_pose
+        functions = np.zeros(
+            (self._similarities.shape[2], problem.num_images, 6 + problem.camera_params.shape[1])
+        )
+        functions[:, :, :6] = np.einsum("nik,nij->knj", self._similarities, by_pose)
+        found = newton_step(*self._given, functions, of_poses=True)
+        spread = np.einsum("nij,njk,nik->", by_pose, found["poses"], by_pose)
+        trace = max(float(spread - np.trace(found["functions"])), 0.0)
+        return math.sqrt(trace * self.variance / problem.num_images)
+
+
+def rms(moves: Floats) -> float:
+    """Return the root mean square length of vectors (n, 3)."""
+    return float(np.sqrt((moves**2).sum(axis=1).mean()))
+
+
+def chi2_tail(value: float, degrees: int) -> float:
+    """Return the probability that chi^2 exceeds a value, by the series of integer degrees.
+
+    Q(x, 2) = exp(-x / 2), Q(x, 1) = erfc(sqrt(x / 2)), and two degrees more add
+    (x / 2)^(k / 2) exp(-x / 2) / Gamma(k / 2 + 1).
+    """
+    half = value / 2.0
+    if not half > 0:
+        return 1.0
+    total, first = (math.exp(-half), 2) if degrees % 2 == 0 else (math.erfc(math.sqrt(half)), 1)
+    for k in range(first, degrees, 2):
+        total += math.exp(0.5 * k * math.log(half) - half - math.lgamma(0.5 * k + 1.0))
+    return total
