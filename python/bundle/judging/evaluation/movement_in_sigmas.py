@@ -17,12 +17,22 @@ is 1 for a movement by one sigma, and m_i is the median of m_ir over the anchors
 moved itself has no influence. C is scaled by the residuals of A (sigma0). If B is the truth, the
 mean of m_i^2 is about 1 if the covariance is right. Neither points nor images that B lacks matter.
 
+The covariance depends on what the solve of A refined, which no file records: principal points and
+the sensors of rigs are held by default, and A is much less certain if they were refined. A itself
+tells: at a minimum over a parameter, a step along it does not lower the cost; for a held one the
+expected decrease is half of sigma0^2. So if the movement exceeds the default uncertainty, a solve
+that refines these, too, is begun at A. If it lowers the cost by less than 0.025 sigma0^2, they were
+refined, and the covariance is taken with them; one of twenty models with one held principal point
+looks like that. Otherwise the verdict says its assumption.
+
 Images of one frame of a rig have a constant relative pose, with C = 0; such pairs do not count.
 """
 
 from __future__ import annotations
 
 import warnings
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +41,7 @@ from bundle.analysis.uncertainty.covariance_by_input import covariance
 from bundle.base.records import dataclass
 from bundle.errors import InputError
 from bundle.georeference.pose_alignment import align_centers
+from bundle.interface.options import SolveOptions
 from bundle.model.problem import Problem
 from bundle.model.rigid_motions import inverse_poses, multiply_poses, unit_poses
 from bundle.model.rotations import (
@@ -38,7 +49,10 @@ from bundle.model.rotations import (
     quaternion_multiply,
     vector_from_quaternion,
 )
+from bundle.solving.executors import solve_prepared
 from bundle.solving.gauge_freedom import gauge_freedom
+from bundle.solving.prepare import prepare
+from bundle.solving.request import SolveRequest
 
 __all__ = ["SigmaMovement", "movement_in_sigmas"]
 
@@ -49,6 +63,8 @@ RANK = 1e-12
 NOT_CONVERGED = "Not converged"
 """Beginning of the note of a covariance away from the minimum (``base.words.not_converged``)."""
 
+REFINED, FEW_STEPS = 0.025, 5
+"""Decrease of the cost in sigma0^2 below which a parameter is at its minimum, and steps to it."""
 SAME_SCALE = 1.2
 """Largest ratio of lengths of models with the same metric scale."""
 
@@ -66,12 +82,15 @@ class SigmaMovement:
         is_minimum: False if a step of least squares would lower the cost of A; the sigmas are then
             rough.
         notes: remarks on the covariance.
+        assumed: parameters that were assumed to be constant, such as "the principal point"; "":
+            nothing depends on it.
     """
 
     sigmas: Array
     sigma0: float
     is_minimum: bool
     notes: tuple[str, ...]
+    assumed: str = ""
 
     @property
     def median(self) -> float:
@@ -98,7 +117,41 @@ def movement_in_sigmas(a: Problem, b: Problem, rows_a: Indices, rows_b: Indices)
     Raises:
         InputError: A has no covariance, or a metric scale that B does not have.
     """
-    is_metric = bool(a.num_frames) and gauge_freedom(a).degrees < 7
+    held = _movement(a, b, rows_a, rows_b, SolveOptions())
+    if not held.is_minimum or not held.median > 1:
+        return held
+    assumed = "the principal point"
+    changes: dict[str, Any] = {"refine": (*SolveOptions().refine, "principal_point")}
+    choices = [(assumed, changes)]
+    if a.num_sensors:
+        sensors = {"refine_sensor_from_rig": True}
+        assumed = "principal point and sensors on rigs"
+        choices = [("sensors on rigs", sensors), *choices, (assumed, changes | sensors)]
+    for what, more in choices:
+        options = SolveOptions().replace(**more)
+        try:
+            if _decrease(a, options) > REFINED * held.sigma0**2:
+                continue
+            found = _movement(a, b, rows_a, rows_b, options)
+        except InputError:  # not determined by the images
+            continue
+        note = f"A is at a minimum over {what}, too: it counts as refined."
+        return replace(found, notes=(*found.notes, note))
+    return replace(held, assumed=assumed)
+
+
+def _decrease(problem: Problem, options: SolveOptions) -> float:
+    """Return the decrease of the cost by the first steps of a solve."""
+    few = options.replace(max_num_iterations=FEW_STEPS, check_solution=False)
+    summary = solve_prepared(prepare(SolveRequest(problem=problem, options=few)), None).summary
+    return summary.initial_cost - summary.final_cost
+
+
+def _movement(
+    a: Problem, b: Problem, rows_a: Indices, rows_b: Indices, options: SolveOptions
+) -> SigmaMovement:
+    """Return the movement if the solve of A refined what the options say."""
+    is_metric = bool(a.num_frames) and gauge_freedom(a, options).degrees < 7
     if is_metric:
         _check_scale(a, b, rows_a, rows_b)
     count = len(rows_a)
@@ -107,7 +160,7 @@ def movement_in_sigmas(a: Problem, b: Problem, rows_a: Indices, rows_b: Indices)
     first, second = first[first != second], second[first != second]
     ids = a.image_ids[rows_a]
     pairs = list(zip(ids[first].tolist(), ids[second].tolist(), strict=True))
-    found = covariance(a, of=("poses",), relative=pairs, gauge="inner", scale="sigma0")
+    found = covariance(a, options, of=("poses",), relative=pairs, gauge="inner", scale="sigma0")
     change, length = _changes(
         unit_poses(a.cam_from_world[rows_a]), unit_poses(b.cam_from_world[rows_b]),
         first, second, is_metric=is_metric,

@@ -65,6 +65,8 @@ def _moved(movement: SigmaMovement) -> str:
         meaning = "about the uncertainty of A"
     else:
         meaning = "more than the uncertainty of A explains"
+    if movement.assumed and movement.is_minimum:
+        meaning += f", if its solve held {movement.assumed}"
     return (
         f"Relative poses differ by {number(movement.median)} sigmas of A's covariance (median; at "
         f"most {number(movement.largest)}): {meaning}."

@@ -1,0 +1,67 @@
+"""Movement in sigmas of the covariance that fits the solve of A."""
+
+import numpy as np
+import pytest
+
+import bundle
+from bundle.judging.evaluation.movement_in_sigmas import movement_in_sigmas
+from tests.rig_scenes import rig_problem
+
+DEFAULT = ("poses", "points", "focal", "extra")
+EXACT = {"function_tolerance": 1e-12, "max_num_iterations": 300, "num_threads": 1}
+
+
+def orbit(seed, shift=0.0):
+    made = bundle.synthesize(
+        scene="orbit", num_images=14, num_points=500, seed=seed, pixel_noise=0.5
+    )
+    problem = made.problem.replace(format="colmap")
+    parameters = problem.camera_params.copy()
+    parameters[:, 1] += shift
+    return problem.replace(camera_params=parameters), made.ground_truth
+
+
+def compared(problem, truth, **options):
+    solved = bundle.solve(problem, **{**EXACT, **options}).problem
+    rows = np.arange(truth.num_images)
+    movement = movement_in_sigmas(solved, truth, rows, rows)
+    return movement, next(one for one in bundle.evaluate(solved, truth).headline if "sigmas" in one)
+
+
+@pytest.mark.parametrize("tolerance", [1e-12, 1e-6])
+@pytest.mark.parametrize("seed", [1, 5])
+def test_a_refined_principal_point_is_recognised(seed, tolerance):
+    refine = (*DEFAULT, "principal_point")
+    found, sentence = compared(*orbit(seed), refine=refine, function_tolerance=tolerance)
+    assert found.median < 1.2 and found.assumed == ""
+    assert any("principal point" in note for note in found.notes)
+    assert "explains" not in sentence and "if its solve held" not in sentence
+
+
+def test_a_held_one_is_an_assumption_that_is_said():
+    right, sentence = compared(*orbit(2), refine=DEFAULT)
+    assert right.median < 1.2 and not any("principal" in note for note in right.notes)
+    assert "if its solve held" not in sentence
+    wrong, sentence = compared(*orbit(2, shift=8), refine=DEFAULT)
+    assert wrong.median > 10 and wrong.assumed == "the principal point"
+    assert "more than the uncertainty of A explains, if its solve held the principal" in sentence
+
+
+def test_a_model_off_its_minimum_has_no_measure():
+    found, sentence = compared(*orbit(1), refine=DEFAULT, loss="cauchy", loss_scale=0.2)
+    assert not found.is_minimum and "no measure of quality" in sentence
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2, 3])
+def test_sensors_on_rigs_that_were_refined_are_recognised(seed):
+    settings = {"num_frames": 6, "num_points": 200, "seed": seed, "model": "SIMPLE_RADIAL"}
+    truth = rig_problem(perturbation=0.0, **settings)
+    start = rig_problem(**settings)
+    turned = start.sensor_from_rig.copy()
+    turned[:, 4:] *= 1.05  # a baseline that was not calibrated
+    start = start.replace(sensor_from_rig=turned)
+    refined, sentence = compared(start, truth, refine=DEFAULT, refine_sensor_from_rig=True)
+    assert refined.median < 1.5 and "explains" not in sentence
+    held, sentence = compared(start, truth, refine=DEFAULT)
+    assert held.median > 3 and held.assumed == "principal point and sensors on rigs"
+    assert "more than the uncertainty of A explains, if its solve held principal" in sentence
