@@ -127,12 +127,12 @@ def test_folder_that_is_no_model(run, tmp_path):
         (["refine", "IN", "-o", "OUT", "--fix-points", "9" * 50], ["--fix-points"]),
         (["refine", "IN", "-o", "OUT", "--fix-images", "77"], ["--fix-images:", "77"]),
         (["refine", "IN", "-o", "OUT", "--format", "las"], ["--format", "las"]),
-        (["refine", "IN", "-o", "no/such/folder/out.txt"], ["no/such/folder"]),
+        (["refine", "IN", "-o", "problem.txt/folder/out.txt"], ["problem.txt/folder"]),
         (["refine", "IN", "-o", "", "--format", "bal"], []),
         (["refine", "IN", "-o", "DIR", "--format", "bal"], ["found a folder"]),
         (["refine", "IN", "-o", "IN", "--format", "colmap"], ["problem.txt", "found a file"]),
         (["refine", "IN", "-o", "OUT", "--json", "DIR"], ["found a folder"]),
-        (["refine", "IN", "-o", "OUT", "--json", "no/such/r.json"], ["no/such"]),
+        (["refine", "IN", "-o", "OUT", "--json", "problem.txt/r.json"], ["problem.txt/r.json"]),
         (["refine", "IN", "-o", "OUT", "--json", "OUT"], ["out.txt"]),
         (["refine", "IN", "-o", "OUT", "--json", "IN"], ["problem.txt"]),
         (["info", "IN", "--json", "./IN"], ["problem.txt"]),
@@ -164,7 +164,25 @@ def test_output_is_refused_before_the_solve(run, model, monkeypatch):
         pytest.fail("solved for nothing")
 
     monkeypatch.setattr("bundle.solving.rounds.solve_rounds.solve_prepared", solve)
-    assert_refused(run("refine", model, "-o", "no/such/r.txt", "--quiet"), "no/such")
+    assert_refused(run("refine", model, "-o", f"{model}/r.txt", "--quiet"), "problem.txt/r.txt")
+
+
+def test_a_failed_command_leaves_no_new_folder(run, model, tmp_path):
+    """The folders of OUTPUT and its reports appear with them, and not after an error."""
+    before = snapshot(tmp_path)
+    for arguments in (
+        ("refine", model, "-o", tmp_path / "a/b/out.txt", "--camera-model", "FISHEYE"),
+        ("refine", model, "-o", tmp_path / "a/b/out.txt", "--json", tmp_path / "c/d.html"),
+        ("refine", model, "-o", tmp_path / "a/b/out.txt", "--json", model / "r.json"),
+        ("convert", model, tmp_path / "a/out", "--format", "opensfm"),
+        ("info", tmp_path / "missing", "--json", tmp_path / "c/r.json"),
+    ):
+        assert_refused(run(*arguments, "--quiet"))
+        assert snapshot(tmp_path) == before
+    words = ("--json", tmp_path / "c/r.json", "--html", tmp_path / "e/f/r.html", "--quiet")
+    assert run("refine", model, "-o", tmp_path / "a/b/out.txt", *words).code == 0
+    for name in ("a/b/out.txt", "c/r.json", "e/f/r.html"):
+        assert (tmp_path / name).is_file()
 
 
 def test_disk_that_fills_while_the_model_is_written(tmp_path):
