@@ -19,10 +19,11 @@
 /// Such a model also offers
 ///
 ///   static void Difference(const double* params, const double* xy, const double* measurement,
-///                          double* residual);
+///                          double* residual, double* d_params);
 ///
-/// whose residual is xy - measurement plus a piecewise constant function. `registry.h` lists the
-/// models; nothing else names them.
+/// whose residual is xy - measurement plus a function of the parameters that is constant in xy,
+/// piecewise. d_params, unless nullptr, has the derivatives of xy by the parameters and becomes
+/// that of the residual. `registry.h` lists the models; nothing else names them.
 
 #include <type_traits>
 
@@ -68,7 +69,7 @@ struct CameraModel {
   Projection (*project)(const double* params, const double* point, double* xy, double* d_point,
                         double* d_params);
   void (*difference)(const double* params, const double* xy, const double* measurement,
-                     double* residual);
+                     double* residual, double* d_params);
 };
 
 namespace internal {
@@ -81,11 +82,12 @@ struct HasDifference<Model, std::void_t<decltype(&Model::Difference)>> : std::tr
 }  // namespace internal
 
 /// The residual of a projection: Model::Difference if there is one, else xy - measurement.
+/// `d_params`: as there.
 template <typename Model>
 void ModelDifference(const double* params, const double* xy, const double* measurement,
-                     double* residual) {
+                     double* residual, [[maybe_unused]] double* d_params) {
   if constexpr (internal::HasDifference<Model>::value) {
-    Model::Difference(params, xy, measurement, residual);
+    Model::Difference(params, xy, measurement, residual, d_params);
   } else {
     residual[0] = xy[0] - measurement[0];
     residual[1] = xy[1] - measurement[1];

@@ -18,9 +18,10 @@
 /// azimuth 0, as in COLMAP; the derivatives by X and Z do not exist and count as zero. Every
 /// direction is valid. Points with |P| of about 2^-52 or less have no value.
 ///
-/// Across the seam a residual is short although the pixels are far apart: `Difference` shifts x by
-/// multiples of w to [-w/2, w/2). These shifts are piecewise constant and do not change
-/// derivatives.
+/// Across the seam a residual is short although the pixels are far apart: `Difference` shifts it by
+/// k turns to [-w/2, w/2). k is piecewise constant, but a turn is w pixels:
+///
+///   r_x = x - m_x - k w,   dr_x/dw = x / w - k.
 ///
 /// Source: COLMAP, src/colmap/sensor/models.h, and
 /// src/colmap/estimators/cost_functions/reprojection_error.h for the seam.
@@ -65,10 +66,12 @@ struct Equirectangular {
   }
 
   static void Difference(const double* params, const double* xy, const double* measurement,
-                         double* residual) {
+                         double* residual, double* d_params) {
     const double x = xy[0] - measurement[0];
-    residual[0] = x - params[0] * std::floor(x / params[0] + 0.5);
+    const double turns = std::floor(x / params[0] + 0.5);
+    residual[0] = x - params[0] * turns;
     residual[1] = xy[1] - measurement[1];
+    if (d_params != nullptr) d_params[0] -= turns;
   }
 };
 

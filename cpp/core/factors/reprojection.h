@@ -128,7 +128,7 @@ bool EvaluateReprojection(const PoseState& pose, const double* params, const dou
     const auto project = [&](const double* at, double* r, double* by_point, double* by_params) {
       const Projection found = Model::Project(params, at, xy, by_point, by_params);
       if (!Counts(found, cheirality)) return Projection::kUndefined;
-      ModelDifference<Model>(params, xy, measurement, r);
+      ModelDifference<Model>(params, xy, measurement, r, by_params);
       return found;
     };
     projection = jacobian == nullptr
@@ -142,7 +142,10 @@ bool EvaluateReprojection(const PoseState& pose, const double* params, const dou
     if (jacobian != nullptr) *jacobian = {};
     return false;
   }
-  if (shutter == nullptr) ModelDifference<Model>(params, xy, measurement, residual);
+  if (shutter == nullptr) {
+    ModelDifference<Model>(params, xy, measurement, residual,
+                           jacobian == nullptr ? nullptr : jacobian->params);
+  }
   if (jacobian == nullptr) return true;
   for (int row = 0; row < 2; ++row) {
     const double* a = d_point + 3 * row;

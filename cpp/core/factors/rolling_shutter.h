@@ -255,7 +255,7 @@ inline Projection ResidualByRow(const CameraModel& model, const double* params,
   const auto project = [&](const double* at, double* r, double* by_point, double* by_params) {
     double xy[2];
     const Projection found = model.project(params, at, xy, by_point, by_params);
-    if (found != Projection::kUndefined) model.difference(params, xy, measurement, r);
+    if (found != Projection::kUndefined) model.difference(params, xy, measurement, r, by_params);
     return found;
   };
   return ProjectByRow(project, 0, shutter, camera_point, measurement, residual, nullptr, nullptr,

@@ -101,7 +101,7 @@ void ForResiduals(const ProblemView& problem, int num_threads, Cheirality cheira
       } else {
         projection = model.project(params, point, xy, nullptr, nullptr);
         if (projection != Projection::kUndefined) {
-          model.difference(params, xy, measured, residual);
+          model.difference(params, xy, measured, residual, nullptr);
         }
       }
       behind[i] = !Counts(projection, seen);

@@ -186,7 +186,7 @@ TEST_P(CameraModelTest, DifferenceIsThatOfPixelsUpToWholeTurns) {
   for (const double x : {1.0, 700.0, 1999.0, 2600.0, -5000.0}) {
     const double xy[2] = {x, 100};
     double residual[2];
-    model().difference(params.data(), xy, measurement, residual);
+    model().difference(params.data(), xy, measurement, residual, nullptr);
     const double turns = (residual[0] - (x - 1500)) / 2000;
     EXPECT_EQ(residual[1], -800);
     EXPECT_EQ(turns, std::round(turns));
@@ -199,7 +199,7 @@ TEST_P(CameraModelTest, DifferenceIsThatOfPixelsUpToWholeTurns) {
   for (const double value : kExtremes) {
     const double xy[2] = {value, value};
     double residual[2];
-    model().difference(params.data(), xy, measurement, residual);
+    model().difference(params.data(), xy, measurement, residual, nullptr);
   }
 }
 

@@ -50,7 +50,8 @@ inline long double ProblemCost(const AdjustmentProblem& problem, const SolveOpti
     const Projection projection =
         model.project(problem.ParamsOf(camera), in_camera, xy, nullptr, nullptr);
     if (!Counts(projection, options.cheirality)) continue;
-    model.difference(problem.ParamsOf(camera), xy, problem.observation_xy + 2 * i, residual);
+    model.difference(problem.ParamsOf(camera), xy, problem.observation_xy + 2 * i, residual,
+                     nullptr);
     const long double x = residual[0], y = residual[1];
     cost += Rho(options.loss, options.loss_scale, x * x + y * y) / 2;
   }

@@ -87,3 +87,35 @@ def test_width_and_height_must_be_positive(solve, size):
         bundle.InputError, match=f"camera 3: expected a positive image size h, found {size:g}"
     ):
         solve(problem.replace(camera_params=params))
+
+
+@pytest.mark.parametrize("turns", [-2, -1, 0, 1, 3])
+def test_the_derivative_by_the_width_counts_the_turns(turns):
+    """A turn across the seam is a width long: by central differences of the residual."""
+    problem = panoramas()
+    width = problem.camera_params[problem.image_camera[problem.observation_image], 0]
+    xy = problem.observation_xy + np.stack([turns * width, 0 * width], axis=1)
+    problem = problem.replace(observation_xy=xy)
+    found = linearize(problem)
+    sides = []
+    for step in (1e-4, -1e-4):
+        params = np.array(problem.camera_params)
+        params[:, 0] += step
+        sides.append(linearize(problem.replace(camera_params=params)).residual)
+    expected = (sides[0] - sides[1]) / 2e-4
+    np.testing.assert_allclose(found.d_params[:, :, 0], expected, atol=1e-6)
+    near = np.abs(found.residual[:, 0]) < 0.1 * width
+    assert near.all() and (np.abs(found.d_params[:, 0, 0] - found.d_params[0, 0, 0]) > 0.5).any()
+
+
+@pytest.mark.parametrize("x", [5.0, 995.0, 1005.0, 1995.0, 2005.0, -1995.0])
+def test_a_factor_has_the_derivatives_of_its_residual_on_either_side_of_the_seam(x):
+    graph = bundle.FactorGraph()
+    graph.add_variable("pose", [0.1, -0.2, 0.05, 0.97, 0.02, 0, 0.1], "se3")
+    graph.add_variable("camera", [2000.0, 1000.0])
+    graph.add_variable("point", [0.05, 0.1, -1.0])
+    graph.add_factor(
+        bundle.ReprojectionFactor("pose", "camera", "point", [x, 500.0], "EQUIRECTANGULAR")
+    )
+    report = graph.check_gradients()
+    assert report.verdict == "correct", str(report)

@@ -143,7 +143,7 @@ inline void ProjectLaneByLane(const CameraModel& model, const Pack* params, cons
         model.project(theta, p, xy, derive ? by_point : nullptr, derive ? by_params : nullptr);
     const bool counts = Counts(projection, cheirality);
     lanes_count->bits[lane] = counts ? -1 : 0;
-    if (counts) model.difference(theta, xy, m, r);
+    if (counts) model.difference(theta, xy, m, r, derive ? by_params : nullptr);
     for (int i = 0; i < 2; ++i) residual[i].v[lane] = r[i];
     if (!derive) continue;
     for (int i = 0; i < 6; ++i) d_point[i].v[lane] = counts ? by_point[i] : 0;
