@@ -110,6 +110,38 @@ PoseGraphEdges PrepareEdges(int dimension, int64_t num_poses, int64_t num_edges,
   return edges;
 }
 
+RootExponents ExponentsOfRoots(const PoseGraphEdges& edges) {
+  const int tangent = TangentSize(edges.dimension), rotations = edges.dimension == 2 ? 1 : 3;
+  const int first_rotation = edges.dimension == 2 ? 2 : 0;
+  int64_t sums[2] = {}, counts[2] = {};
+  for (size_t begin = 0; begin < edges.roots.size(); begin += RootSize(tangent)) {
+    for (int k = 0, at = 0; k < tangent; at += tangent - k, ++k) {
+      const double entry = edges.roots[begin + at];
+      if (!(entry > 0)) continue;
+      const int kind = k >= first_rotation && k < first_rotation + rotations ? 0 : 1;
+      sums[kind] += std::ilogb(entry);
+      ++counts[kind];
+    }
+  }
+  const auto mean = [&](int kind) {
+    return static_cast<int>(
+        std::floor(static_cast<double>(sums[kind]) / static_cast<double>(counts[kind])));
+  };
+  RootExponents found;
+  if (counts[0] > 0) found.rotation = mean(0);
+  if (counts[1] > 0) found.translation = mean(1);
+  if (counts[0] == 0) found.rotation = found.translation;
+  if (counts[1] == 0) found.translation = found.rotation;
+  return found;
+}
+
+std::shared_ptr<const PoseGraphEdges> ScaledEdges(const PoseGraphEdges& edges, int exponent) {
+  auto scaled = std::make_shared<PoseGraphEdges>(edges);
+  const double factor = std::ldexp(1.0, exponent);
+  for (double& entry : scaled->roots) entry *= factor;
+  return scaled;
+}
+
 PoseGraph MakePoseGraph(const PoseGraphView& view, const PoseErrorOptions& errors) {
   PoseGraph graph;
   graph.errors = errors;

@@ -45,6 +45,16 @@ PoseGraphEdges PrepareEdges(int dimension, int64_t num_poses, int64_t num_edges,
                             const int32_t* ends, const double* measurements,
                             const double* information);
 
+/// Typical sizes of the diagonal entries of roots, 2^rotation and 2^translation: geometric means
+/// over the entries other than 0.
+struct RootExponents {
+  int rotation = 0, translation = 0;
+};
+RootExponents ExponentsOfRoots(const PoseGraphEdges& edges);
+
+/// Edges with all roots multiplied by 2^exponent, which is exact.
+std::shared_ptr<const PoseGraphEdges> ScaledEdges(const PoseGraphEdges& edges, int exponent);
+
 /// Arrays of the caller: world_from_body poses, x y angle or qx qy qz qw tx ty tz.
 struct PoseGraphView {
   int64_t num_poses = 0;

@@ -1,8 +1,20 @@
 #include "core/solver/pose_graph_solver.h"
 
+/// Units. A solve runs with information whose rotations are about 1: all roots are multiplied by a
+/// power of two, 2^-k, and so are the scales of losses. Losses are homogeneous, rho_c(x) = c^2
+/// rho_1(x / c^2). So chi2, costs and gradients are multiplied by 4^-k, steps stay the same, and
+/// the floor of the damping, the overflow of squares and the gradient tolerance (by Ceres'
+/// conventions absolute numbers) do not depend on the unit of the information. All results are
+/// multiplied back.
+///
+/// Nor do they depend on the unit of length. With translations of information about u, lengths have
+/// a natural unit L = u^-1/2, in which their gradient is that by the length times L. The tolerance
+/// is multiplied by min(1, u^1/2), which holds it in both units.
+
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
+#include <limits>
 #include <memory>
 #include <utility>
 
@@ -119,11 +131,35 @@ void ReportNothingToRefine(const SolveOptions& options, double cost, PoseGraphOu
   output->iterations.push_back(start);
 }
 
+/// A cost or a difference of costs in the caller's unit. The largest number stands for infinity.
+void Multiply(double unit, double* cost) {
+  constexpr double kMost = std::numeric_limits<double>::max();
+  if (std::abs(*cost) < kMost) *cost = std::clamp(unit * *cost, -kMost, kMost);
+}
+
+IterationRecord InUnit(double unit, IterationRecord record) {
+  for (double* value : {&record.cost, &record.cost_change, &record.gradient_max_norm}) {
+    Multiply(unit, value);
+  }
+  return record;
+}
+
+void MultiplyOutput(double unit, PoseGraphOutput* output) {
+  SolveSummary& summary = output->summary;
+  for (double* value : {&summary.initial_cost, &summary.final_cost, &summary.fixed_cost,
+                        &summary.held_cost, &summary.untaken_decrease}) {
+    if (*value != -1) Multiply(unit, value);  // unset
+  }
+  for (IterationRecord& record : output->iterations) record = InUnit(unit, record);
+  for (double& of_edge : output->chi2_after) Multiply(unit, &of_edge);
+  for (double& of_edge : output->chi2_before) Multiply(unit, &of_edge);
+}
+
 }  // namespace
 
 PoseGraphOutput SolvePoseGraph(const PoseGraphView& view, const PoseErrorOptions& errors,
                                const SolveOptions& given, const std::string& ordering,
-                               const ProgressCallback& progress, const FillOrdering* known,
+                               const ProgressCallback& in_units, const FillOrdering* known,
                                bool with_trials, const double* chi2) {
   const Stopwatch time;
   SolveOptions options = given;
@@ -131,10 +167,26 @@ PoseGraphOutput SolvePoseGraph(const PoseGraphView& view, const PoseErrorOptions
   if (options.backend == Backend::kCeres && errors.loss.kind != EdgeLoss::Kind::kOfFactors) {
     throw InputError("backend: expected auto or fused with this loss, found ceres");
   }
-  const PoseGraph graph = MakePoseGraph(view, errors);
+  PoseGraph graph = MakePoseGraph(view, errors);
+  const RootExponents exponents = ExponentsOfRoots(*graph.prepared);
+  const double unit = std::ldexp(1.0, 2 * exponents.rotation);
+  graph.prepared = ScaledEdges(*graph.prepared, -exponents.rotation);
+  graph.errors.loss_scale = std::ldexp(errors.loss_scale, -exponents.rotation);
+  const int of_translation = std::min(exponents.translation - exponents.rotation, 0);
+  options.gradient_tolerance = std::ldexp(options.gradient_tolerance, of_translation);
+  ProgressCallback progress;
+  if (in_units) {
+    progress = [&in_units, unit](const IterationRecord& record) {
+      return in_units(InUnit(unit, record));
+    };
+  }
   PoseGraphOutput output;
-  output.chi2_before = chi2 == nullptr ? EdgeChi2(graph, graph.poses)
-                                       : std::vector<double>(chi2, chi2 + graph.num_edges());
+  if (chi2 == nullptr) {
+    output.chi2_before = EdgeChi2(graph, graph.poses);
+  } else {
+    output.chi2_before.assign(chi2, chi2 + graph.num_edges());
+    for (double& of_edge : output.chi2_before) of_edge /= unit;
+  }
   const bool any_free =
       std::any_of(graph.held.begin(), graph.held.end(), [](uint8_t held) { return held == 0; });
   if (!any_free) {
@@ -155,6 +207,7 @@ PoseGraphOutput SolvePoseGraph(const PoseGraphView& view, const PoseErrorOptions
   }
   if (output.chi2_after.empty()) output.chi2_after = EdgeChi2(graph, output.poses);
   output.weights = EdgeWeights(graph, output.chi2_after);
+  MultiplyOutput(unit, &output);
   const int n = view.ambient();
   for (int64_t i = 0; i < view.num_poses; ++i) {
     if (graph.held[i] != 0) std::copy_n(view.poses + i * n, n, output.poses.begin() + i * n);

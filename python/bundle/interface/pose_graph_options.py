@@ -42,8 +42,8 @@ class PoseGraphOptions(Options):
         "--init",
         "start of the solve: the poses of the file, a chain of edges, a tree of edges, or the "
         "chordal relaxation (two linear solves). lower: the chordal relaxation if it costs less "
-        "than the file's poses and there is no loss, otherwise these. auto: the start that reaches "
-        "the lowest cost in a few steps",
+        "than the file's poses and there is no loss, otherwise these. auto: the start from which "
+        "the solve ends lowest",
         choices=("lower", "file", "odometry", "spanning_tree", "chordal", "auto"),
     )
     information: str = option(
@@ -117,7 +117,7 @@ class PoseGraphOptions(Options):
     gradient_tolerance: float = option(
         1e-10,
         "--gradient-tolerance",
-        "stop when max |gradient entry| <= X",
+        "stop when max |gradient entry| <= X, in units of the typical information",
         minimum=0.0,
         metavar="X",
     )
