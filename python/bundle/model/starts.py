@@ -20,14 +20,15 @@ __all__ = [
     "started",
 ]  # fmt: skip
 
-FEW, MORE = 5, 30
-"""Numbers of solver steps after which the costs of starts are compared."""
+FEW = 5
+"""Number of solver steps after which the costs of starts are compared."""
 
 SLOW = 20
 """Number of steps above which a solve counts as slow and other starts are tried after it."""
 
 SAME = 1e-6
-"""Relative difference of costs below which two solves are taken to approach the same minimum."""
+"""Relative difference of costs below which two solves are taken to approach the same minimum.
+Smaller than the tolerance of a comparison of minima, larger than the last steps of a solve."""
 
 NOT_LOWER = 1e-6
 """Relative difference of costs below which another start does not count as better."""
@@ -57,6 +58,7 @@ class Start:
         starts: poses of the starts that were compared, by name.
         costs: their costs without a loss, by name.
         chi2: (m,) r^T Omega r of each edge there, if it was computed.
+        given_chi2: (m,) r^T Omega r at the graph's poses, if it was computed.
     """
 
     poses: Floats
@@ -65,6 +67,7 @@ class Start:
     starts: dict[str, Floats] | None = None
     costs: dict[str, float] | None = None
     chi2: Floats | None = None
+    given_chi2: Floats | None = None
 
 
 def start_without_poses(graph: PoseGraph) -> PoseGraph:
@@ -130,15 +133,25 @@ def choose_lower(
         starts=starts,
         costs=costs,
         chi2=chordal_chi2,
+        given_chi2=file_chi2,
     )
 
 
-def choose_start(graph: PoseGraph, held: Flags, doubted: Flags, options: PoseGraphOptions) -> Start:
-    """Return the start that reaches the lowest cost in a few steps; on a tie the earliest.
+def choose_start(
+    graph: PoseGraph,
+    held: Flags,
+    doubted: Flags,
+    options: PoseGraphOptions,
+    order: _core.PoseOrder | None = None,
+) -> Start:
+    """Return the start from which the solve ends at the lowest cost.
 
-    The initial cost is a poor criterion, because a start with a high cost may be in the basin of
-    the right minimum. All starts take a few steps. Those above the lowest cost then take more
-    steps, again from their initial poses, so that they equal the first steps of the solve.
+    Of equal ends the start counts that few steps took there, otherwise the earliest.
+
+    Costs at the start or after some steps are poor criteria: a start with a high cost may be in the
+    basin of the right minimum, and a slow one may end below a fast one. All starts take a few steps
+    first. If these end at the same cost, so do the solves. Otherwise the solves run to their ends,
+    one for all starts that the few steps took to the same cost.
 
     Args:
         graph: the graph, with the information matrices of the solve.
@@ -146,22 +159,28 @@ def choose_start(graph: PoseGraph, held: Flags, doubted: Flags, options: PoseGra
         doubted: (m,) mask of edges to which the loss applies.
         options: options of the solve. For losses that run several solves, starts are compared
             without a loss.
+        order: order of elimination; None for the Ceres backend.
     """
     if options.loss in ("gnc_tls", "auto"):
         options = options.replace(loss="trivial", loss_scale=1.0, loss_on="closures")
     starts = _starts(graph, held, options.num_threads)
 
     def reached(init: str, steps: int) -> float:
-        return _reached(graph, starts[init], held, doubted, options, steps)
+        return _reached(graph, starts[init], held, doubted, options, steps, order)
 
-    early = {init: reached(init, FEW) for init in starts}
-    level = (1 + SAME) * min(early.values())
-    costs = {init: cost if cost <= level else reached(init, MORE) for init, cost in early.items()}
-    level = (1 + SAME) * min(costs.values())
-    best = min(costs, key=lambda init: (costs[init] > level, early[init] > level))
-    compared = ", ".join(f"{number(2 * cost)} from {NAMES[init]}" for init, cost in costs.items())
+    costs = {init: reached(init, FEW) for init in starts}
+    ends: dict[str, float] = {}
+    is_same = max(costs.values()) <= (1 + SAME) * min(costs.values())
+    for init, cost in costs.items():
+        alike = [known for known in ends if abs(costs[known] - cost) <= SAME * abs(cost)]
+        run = is_same or options.max_num_iterations <= FEW
+        ends[init] = cost if run else ends[alike[0]] if alike else reached(init, 1 << 30)
+    level = (1 + SAME) * min(ends.values())
+    best = min(ends, key=lambda init: (ends[init] > level, costs[init] > level))
+    compared = ", ".join(f"{number(2 * end)} from {NAMES[init]}" for init, end in ends.items())
     chosen = NAMES[best][0].upper() + NAMES[best][1:]
-    reason = f"{chosen}: twice the cost after up to {MORE} steps is {compared}."
+    when = f"after up to {FEW} steps" if is_same else "at the end"
+    reason = f"{chosen}: twice the cost {when} is {compared}."
     return Start(poses=starts[best], init=best, reason=reason, starts=starts)
 
 
@@ -250,10 +269,13 @@ def _reached(
     doubted: Flags,
     options: PoseGraphOptions,
     steps: int,
+    order: _core.PoseOrder | None = None,
 ) -> float:
-    """Return the cost after a number of steps from given poses."""
+    """Return the cost after a number of steps of the solve from given poses."""
     few = options.replace(max_num_iterations=min(steps, options.max_num_iterations))
-    solved = _core.solve_pose_graph(graph, held, doubted, few.asdict(), None, poses=poses)
+    solved = _core.solve_pose_graph(
+        graph, held, doubted, few.asdict(), None, order, options.loss == "trivial", poses=poses
+    )
     cost = float(solved["summary"]["final_cost"])
     return cost if np.isfinite(cost) else np.inf
 

@@ -99,6 +99,43 @@ def loop(dimension, *, seed=0, num_poses=12, num_closures=6, noise=0.02, start_n
     )
 
 
+def manhattan_world(seed):
+    """A walk on a grid with right turns and closures at places seen before; poses by odometry.
+
+    The errors of rotations, up to 0.4 rad, give its cost many minima.
+    """
+    rng = np.random.default_rng(seed)
+    size, turn = int(rng.integers(100, 800)), rng.choice([0.1, 0.2, 0.3, 0.4])
+    shift, share = rng.choice([0.05, 0.15]), rng.choice([0.1, 0.3, 1])
+    walk = [np.zeros(3)]
+    for _ in range(size - 1):
+        x, y, a = walk[-1]
+        if rng.random() < 0.3:
+            a += rng.choice([-1, 1]) * np.pi / 2
+        walk.append(np.array([round(x + np.cos(a)), round(y + np.sin(a)), a]))
+    edges = [(k, k + 1) for k in range(size - 1)]
+    seen: dict[tuple[int, int], list[int]] = {}
+    for i, pose in enumerate(walk):
+        here = seen.setdefault((int(pose[0]), int(pose[1])), [])
+        edges += [(j, i) for j in here if i - j > 5 and rng.random() < share]
+        here.append(i)
+    measurements = []
+    for i, j in edges:
+        c, s = np.cos(walk[i][2]), np.sin(walk[i][2])
+        between = np.array([[c, s], [-s, c]]) @ (walk[j][:2] - walk[i][:2])
+        angle = (walk[j][2] - walk[i][2] + np.pi) % (2 * np.pi) - np.pi
+        noise = np.append(rng.normal(0, shift, 2), rng.normal(0, turn))
+        measurements.append(np.append(between, angle) + noise)
+    weights = np.diag([shift**-2, shift**-2, turn**-2])
+    graph = bundle.PoseGraph(
+        poses=np.zeros((size, 3)),
+        edges=np.array(edges),
+        measurements=np.array(measurements),
+        information=np.tile(weights, (len(edges), 1, 1)),
+    )
+    return graph.replace(poses=bundle.initial_poses(graph, "odometry"))
+
+
 def chi2_by_matrices(graph, error="log"):
     total = []
     for (i, j), z, omega in zip(graph.edges, graph.measurements, graph.information, strict=True):

@@ -27,9 +27,12 @@ class PoseGraphSummary(Summary):
     """Summary (:class:`bundle.Summary`) with chi2; costs are 1/2 sum rho(||r||^2) over the edges.
 
     Attributes:
-        chi2_initial: sum r^T Omega r at the start, without 1/2, loss and left-out edges.
+        chi2_initial: sum r^T Omega r at the given poses, without 1/2, loss and left-out edges; of a
+            graph without poses that at the start.
+        chi2_start: the same sum at the start, to which ``init`` may have moved the poses.
         chi2_final: the same sum at the end.
-        init: start of the solve: "file", "odometry", "spanning_tree", "chordal" or "staircase".
+        init: start of the solve: "file", "odometry", "spanning_tree", "chordal",
+            "staircase" or "chordal_minimum" (a second solve, with ``certify``).
         init_choice: reason for that start; "" if it was requested.
         loss: loss of the final solve; the chosen loss for "auto".
         loss_choice: reason for that loss; "" if it was requested.
@@ -42,6 +45,7 @@ class PoseGraphSummary(Summary):
     """
 
     chi2_initial: float
+    chi2_start: float
     chi2_final: float
     init: str
     init_choice: str
@@ -64,7 +68,8 @@ class PoseGraphResult(SolveRecord):
         options: all options as used.
         summary: the solver's summary.
         iterations: one array per field of Ceres' IterationSummary, one entry per iteration.
-        chi2_before: (m,) r^T Omega r of each edge at the start, without loss.
+        chi2_before: (m,) r^T Omega r of each edge at the given poses, without loss; of a graph
+            without poses at the start.
         chi2_after: (m,) r^T Omega r of each edge at the end, without loss.
         weights: (m,) final factor rho' of the loss on the information of each edge; 0 or 1 for
             gnc_tls; 0 for edges left out.
@@ -73,7 +78,8 @@ class PoseGraphResult(SolveRecord):
         left_out: closures that ``consistency`` has left out, by descending chi2 of a pair.
         certificate: certificate of the first minimum that the solve found, with ``certify``;
             otherwise None. The poses are those of ``certificate.staircase``, refined, if these are
-            lower (``summary.init`` is "staircase").
+            lower (``summary.init`` is "staircase"), or those of ``certificate.problem``
+            ("chordal_minimum").
         build_time_in_seconds: time outside the solver.
         solve_time_in_seconds: time inside the solver.
     """

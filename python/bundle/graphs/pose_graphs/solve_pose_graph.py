@@ -56,7 +56,8 @@ def solve_pose_graph(
     Args:
         graph: graph to solve; not modified.
         options: solve options; by default those of :class:`PoseGraphOptions`.
-        progress: called after each iteration, as by :func:`bundle.solve`.
+        progress: called after each iteration, as by :func:`bundle.solve`; with ``certify`` also
+            after each step of the certificate, with the chordal cost.
         **changes: options by name, which replace those in ``options``.
 
     Raises:
@@ -84,21 +85,23 @@ def solve_pose_graph(
         return solve(graph, options)
     from bundle.graphs.pose_graphs.certified_solve import certified
 
-    return certified(graph, options, solve)
+    return certified(graph, options, solve, progress)
 
 
 def _refined(
     graph: PoseGraph, options: PoseGraphOptions, progress: Progress | None
 ) -> tuple[PoseGraphResult, NDArray[np.float64]]:
-    """Return the result of a solve with all edges, and the poses at its start."""
+    """Return the result of a solve with all edges, and the poses of its ``chi2_before``."""
     weighed = checked_information(graph, options.information)
     held, num_components, for_gauge = _core.hold_poses(weighed)
     doubted = _robust_edges(graph, options)
-    # Trials leave the basin of the start, which robust solves and a chosen start must not.
-    with_trials = options.loss == "trivial" and options.init != "auto"
+    # Trials leave the basin of the start, which robust solves must not.
+    with_trials = options.loss == "trivial"
     order: _core.PoseOrder | None = None
     if options.init == "auto":
-        start = choose_start(weighed, held, doubted, options)
+        if options.backend != "ceres":
+            order = _core.order_poses(weighed, held, options.ordering)
+        start = choose_start(weighed, held, doubted, options, order)
     elif options.init == "lower" and options.loss == "trivial":
         # Wrong closures deform the chordal start, which has no loss, and can take a solve with a
         # loss to a wrong minimum.
@@ -169,18 +172,26 @@ def _refined(
         SEVERAL_COMPONENTS: _about_components(num_components),
         FREE_DIRECTIONS: _about_information(weighed),
     }
-    if not output["summary"]["interrupted"] and used.max_num_iterations > 0:
+    # "auto" has compared the ends of this very solve from all starts.
+    is_compared = options.init == "auto" and options.loss not in ("gnc_tls", "auto")
+    is_judged = not output["summary"]["interrupted"] and used.max_num_iterations > 0
+    if is_judged and not is_compared:
         lower = lower_start(weighed, held, doubted, start, used, output, cost)
         has_converged = output["summary"]["termination_type"] == "CONVERGENCE"
         if lower and has_converged:
             warnings[LOCAL_MINIMUM] = f"This is a local minimum: {lower}"
         elif lower:
             warnings[BETTER_START] = f"Not converged: {lower}"
+    is_given = start.init == "file" or not graph.has_poses
+    before = output["chi2_before"] if is_given else start.given_chi2
+    if before is None:
+        before = _core.edge_chi2(weighed, options.error)
     fields = with_warnings(output["summary"], warnings)
     summary = PoseGraphSummary(
         **_with_ordering_alarm(fields, weighed, held, options),
         num_rejected_edges=len(rejected),
-        chi2_initial=float(output["chi2_before"].sum()),
+        chi2_initial=float(before.sum()),
+        chi2_start=float(output["chi2_before"].sum()),
         chi2_final=float(output["chi2_after"].sum()),
         init=start.init,
         init_choice=start.reason,
@@ -194,13 +205,13 @@ def _refined(
         problem=graph.replace(poses=output["poses"], has_poses=True),
         initial_problem=graph,
         options=options,
-        chi2_before=output["chi2_before"],
+        chi2_before=before,
         chi2_after=output["chi2_after"],
         weights=output["weights"],
         rejected=rejected,
         **record_fields(output, summary),
     )
-    return result, start.poses
+    return result, start.poses if is_given else graph.poses
 
 
 def _with_ordering_alarm(

@@ -10,9 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from bundle.base.words import number, plural, rounded
-from bundle.errors import InputError
-from bundle.graphs.pose_graphs.certified_solve import STAIRCASE
-from bundle.graphs.pose_graphs.edge_values import pose_graph_chi2
+from bundle.graphs.pose_graphs.certified_solve import ESCAPES
 from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
 from bundle.interface.termination import short_outcome
 from bundle.model.pose_graph_arrays import PoseGraph
@@ -32,29 +30,17 @@ def graph_headline(solved: PoseGraphResult) -> list[str]:
     if not summary.is_solution_usable and not summary.interrupted:
         return [solved.outcome, "There is no usable solution."]
     done = short_outcome(summary, plural(len(solved.iterations["iteration"]) - 1, "step"))
-    given, start = _given_chi2(solved), summary.chi2_initial
-    before = start if given is None else given
-    edges = plural(graph.num_edges, "edge", grouped=True)
+    edges = plural(graph.num_edges - len(solved.left_out), "edge", grouped=True)
     all_edges = {0: edges, 1: "the only edge"}.get(graph.num_edges, f"all {edges}")
-    chi2 = f"chi2 {number(before)} -> {number(summary.chi2_final)}"
+    all_edges = f"the {edges} kept" if solved.left_out else all_edges
+    chi2 = f"chi2 {number(summary.chi2_initial)} -> {number(summary.chi2_final)}"
     return [
         f"{done}: {chi2} on {all_edges}{_per_degree(solved)}.",
         *certificate_sentences(solved),
-        *_start(summary.init, given, start),
+        *_start(solved),
         *_rejected(solved),
         *_movement(solved),
     ]
-
-
-def _given_chi2(solved: PoseGraphResult) -> float | None:
-    """Return chi2 of the given poses; None if the solve began there, or if there are none."""
-    graph, options = solved.initial_problem, solved.options
-    if solved.summary.init == "file" or not graph.has_poses or options.information != "file":
-        return None
-    try:
-        return float(pose_graph_chi2(graph, options.error).sum())
-    except InputError:  # information matrices without a chi2
-        return None
 
 
 def _per_degree(solved: PoseGraphResult) -> str:
@@ -64,11 +50,14 @@ def _per_degree(solved: PoseGraphResult) -> str:
     return f", {number(solved.summary.chi2_final / degrees)} per degree of freedom"
 
 
-def _start(init: str, given: float | None, start: float) -> list[str]:
-    if init in ("file", STAIRCASE):
+def _start(solved: PoseGraphResult) -> list[str]:
+    summary = solved.summary
+    if summary.init in ("file", *ESCAPES):
         return []
-    name = init.replace("_", " ")
-    other = "the file has no poses" if given is None else f"chi2 {number(given)} -> {number(start)}"
+    name = summary.init.replace("_", " ")
+    other = "the file has no poses"
+    if solved.initial_problem.has_poses:
+        other = f"chi2 {number(summary.chi2_initial)} -> {number(summary.chi2_start)}"
     return [f"The solve began at poses composed from the edges ({name}): {other}."]
 
 
@@ -79,7 +68,8 @@ def _rejected(solved: PoseGraphResult) -> list[str]:
     edges = plural(solved.initial_problem.num_edges, "edge", grouped=True)
     said = [f"the loss rejects {rejected:,}"] * bool(rejected)
     said += [f"the test of consistency leaves out {left_out:,}"] * bool(left_out)
-    return [f"Of {edges}, {' and '.join(said)}; chi2 includes them."]
+    included = "; chi2 includes them" if rejected and not left_out else ""
+    return [f"Of {edges}, {' and '.join(said)}{included}."]
 
 
 def _movement(solved: PoseGraphResult) -> list[str]:
