@@ -2,6 +2,7 @@
 #include <pybind11/pybind11.h>
 #include <pybind11/stl.h>
 
+#include <functional>
 #include <string>
 #include <utility>
 
@@ -41,7 +42,8 @@ py::dict CertificateToPython(PosesCertificate found, const GraphArrays& arrays) 
 
 py::dict CertifyGraphFromPython(const py::object& graph, const Array<double>& kappa,
                                 const Array<double>& tau, int max_rank, int max_steps,
-                                int num_eigenvalues, bool explicit_form, int num_threads) {
+                                int num_eigenvalues, bool explicit_form, int num_threads,
+                                const py::object& progress) {
   const GraphArrays arrays(graph);
   const PoseGraphView view = ViewGraph(arrays, arrays.fixed);
   if (kappa.size() != view.num_edges() || tau.size() != view.num_edges()) {
@@ -53,7 +55,8 @@ py::dict CertifyGraphFromPython(const py::object& graph, const Array<double>& ka
   options.num_eigenvalues = num_eigenvalues;
   options.explicit_form = explicit_form;
   options.num_threads = num_threads;
-  PythonProgress report(py::none{});
+  PythonProgress report(progress);
+  options.progress = std::ref(report);
   GraphCertificate found =
       RunWatched(&report, [&] { return CertifyGraph(view, kappa.data(), tau.data(), options); });
   report.Rethrow();
@@ -74,5 +77,6 @@ py::dict CertifyGraphFromPython(const py::object& graph, const Array<double>& ka
 void BindCertificate(py::module_& m) {
   m.def("certify_graph", &bundle::CertifyGraphFromPython, py::arg("graph"), py::arg("kappa"),
         py::arg("tau"), py::kw_only(), py::arg("max_rank"), py::arg("max_steps"),
-        py::arg("num_eigenvalues"), py::arg("explicit_form"), py::arg("num_threads"));
+        py::arg("num_eigenvalues"), py::arg("explicit_form"), py::arg("num_threads"),
+        py::arg("progress") = py::none());
 }

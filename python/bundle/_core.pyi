@@ -675,6 +675,7 @@ def certify_graph(
     num_eigenvalues: int,
     explicit_form: bool,
     num_threads: int,
+    progress: Callable[[dict[str, Any]], None] | None = None,
 ) -> dict[str, Any]: ...
 def start_cost(
     graph: _PoseGraph, held: NDArray[np.bool_], init: str, error: str, limit: float

@@ -10,6 +10,12 @@
 /// basis, the eigenpairs of the small Q^T A Q are those of A within the space (Rayleigh-Ritz); A Q
 /// is kept, so that their residuals cost no product with A.
 ///
+/// A space that A maps into itself ends the recurrence. If pairs are missing then, it grows by a
+/// new random block. The last block is cut to the dimensions that are left: a space of all
+/// dimensions has all pairs. A full space without converged pairs is replaced by the best half of
+/// its Ritz vectors and the next block (thick restart: Wu and Simon 2000). All entries of Q^T A Q
+/// are computed, so that no step depends on the form of the recurrence.
+///
 /// With n rows and k columns of Q, a step adds the columns of its block to Q^T A Q and reads Q five
 /// times, 10 n k b flops. The pairs take 9 k^3 flops and read Q and A Q. They are therefore
 /// computed only when the space has grown by a sixteenth.
@@ -31,8 +37,8 @@ constexpr double kCancelled = 0.1;
 /// Growth of the space between two computations of the pairs.
 constexpr double kGrowth = 17.0 / 16;
 
-Eigen::MatrixXd RandomBlock(int rows, int columns) {
-  std::mt19937_64 random(1);
+Eigen::MatrixXd RandomBlock(int rows, int columns, int seed) {
+  std::mt19937_64 random(seed);
   std::normal_distribution<double> normal;
   Eigen::MatrixXd block(rows, columns);
   for (double& entry : block.reshaped()) entry = normal(random);
@@ -75,16 +81,16 @@ Eigen::MatrixXd Orthonormalize(const Eigen::MatrixXd& basis, Eigen::MatrixXd vec
 }
 
 EigenPairs FindLargest(int size, int wanted, int block, int max_dimension, double tolerance,
-                       const BlockOperator& apply) {
+                       const BlockOperator& apply, int max_restarts) {
   max_dimension = std::min(max_dimension, size);
   Eigen::MatrixXd basis(size, 0), image(size, 0), projected(0, 0);
   // A first product projects the start onto the range of A, if A is singular.
-  const Eigen::MatrixXd start = apply(RandomBlock(size, std::min(block, size)));
+  const Eigen::MatrixXd start = apply(RandomBlock(size, std::min(block, max_dimension), 1));
   const double unit = PowerOfTwoNear(start);
   Eigen::MatrixXd next = Orthonormalize(basis, start / unit);
   EigenPairs pairs;
   double next_pairs = 0;
-  while (next.cols() > 0) {
+  for (int restarts = 0, blocks = 1; next.cols() > 0;) {
     const Eigen::MatrixXd product = apply(next) / unit;
     const Eigen::Index before = basis.cols(), added = next.cols();
     basis.conservativeResize(Eigen::NoChange, before + added);
@@ -95,10 +101,14 @@ EigenPairs FindLargest(int size, int wanted, int block, int max_dimension, doubl
     projected.conservativeResize(before + added, before + added);
     projected.bottomRows(added) = MultiplyTransposed(product, basis);
 
-    const bool is_full = basis.cols() + block > max_dimension;
-    next = is_full ? Eigen::MatrixXd(size, 0) : Orthonormalize(basis, product);
+    const bool is_full = basis.cols() >= max_dimension;
+    const bool is_last = is_full && (restarts >= max_restarts || max_dimension <= wanted);
+    next = is_last ? Eigen::MatrixXd(size, 0) : Orthonormalize(basis, product);
     const auto dimension = static_cast<double>(basis.cols());
-    if (next.cols() > 0 && dimension < next_pairs) continue;
+    if (next.cols() > 0 && !is_full && dimension < next_pairs) {
+      next = next.leftCols(std::min(next.cols(), max_dimension - basis.cols())).eval();
+      continue;
+    }
     next_pairs = kGrowth * dimension;
 
     const SymmetricEigen small = DecomposeSymmetric(projected);
@@ -108,12 +118,26 @@ EigenPairs FindLargest(int size, int wanted, int block, int max_dimension, doubl
     const Eigen::MatrixXd vectors = Multiply(basis, chosen);
     const Eigen::VectorXd residuals =
         (Multiply(image, chosen) - vectors * values.asDiagonal()).colwise().norm();
-    const bool is_done =
+    pairs.converged =
         count == wanted && (residuals.array() <= tolerance * values.array().abs()).all();
-    if (!is_done && next.cols() > 0) continue;
-    for (const double value : values) pairs.values.push_back(value * unit);
-    pairs.vectors = vectors;
-    break;
+    if (!pairs.converged && next.cols() == 0 && !is_full) {
+      next = Orthonormalize(basis, apply(RandomBlock(size, block, ++blocks)) / unit);
+    }
+    if (pairs.converged || next.cols() == 0) {
+      for (const double value : values) pairs.values.push_back(value * unit);
+      pairs.vectors = vectors;
+      break;
+    }
+    if (is_full) {
+      ++restarts;
+      const Eigen::Index kept = std::max<Eigen::Index>(count, basis.cols() / 2);
+      const Eigen::MatrixXd best = small.vectors.rightCols(kept);
+      basis = Multiply(basis, best);
+      image = Multiply(image, best);
+      projected = small.values.tail(kept).asDiagonal();
+      next_pairs = 0;
+    }
+    next = next.leftCols(std::min(next.cols(), max_dimension - basis.cols())).eval();
   }
   return pairs;
 }

@@ -10,6 +10,7 @@ namespace bundle {
 struct EigenPairs {
   std::vector<double> values;  ///< descending
   Eigen::MatrixXd vectors;     ///< a column each, orthonormal
+  bool converged = false;      ///< all that were wanted are known to the tolerance
 };
 
 /// A symmetric positive semidefinite operator, applied to several vectors at once.
@@ -17,12 +18,13 @@ using BlockOperator = std::function<Eigen::MatrixXd(const Eigen::MatrixXd&)>;
 
 /// Computes the `wanted` largest eigenvalues of an operator on vectors of `size` numbers, and their
 /// eigenvectors; fewer if its range has fewer dimensions. A residual ||A x - a x|| is at most
-/// `tolerance` a, if a search space of at most `max_dimension` dimensions allows it.
+/// `tolerance` a, if a search space of at most `max_dimension` dimensions allows it, which begins
+/// anew at its best vectors up to `max_restarts` times.
 ///
 /// For an eigenvalue with more than `block` dimensions, finds at least `block` eigenvectors. The
 /// start is the same in each call.
 EigenPairs FindLargest(int size, int wanted, int block, int max_dimension, double tolerance,
-                       const BlockOperator& apply);
+                       const BlockOperator& apply, int max_restarts = 0);
 
 /// Makes the columns of `vectors` orthonormal, and orthogonal to the orthonormal columns of
 /// `basis`. Linearly dependent columns are dropped.

@@ -13,13 +13,10 @@ using Eigen::MatrixXd;
 
 namespace {
 
-constexpr int kMostStepsOfStaircase = 300;
-
 PosesCertificate CertifyPoint(const ChordalProblem& problem, const CertifyOptions& options,
-                              int max_steps, const double* first, MatrixXd* point,
-                              Eigen::VectorXd* direction) {
+                              const double* first, MatrixXd* point, Eigen::VectorXd* direction) {
   PosesCertificate found;
-  found.newton = MinimizeChordal(problem, max_steps, point);
+  found.newton = MinimizeChordal(problem, {options.max_steps, true, options.progress}, point);
   DualCertificate certificate(problem, *point);
   found.bound = certificate.Bound();
   const double shift = (found.bound.holds ? 1 : 1.5) * found.bound.shift;
@@ -44,16 +41,15 @@ GraphCertificate CertifyGraph(const PoseGraphView& view, const double* kappa, co
   MatrixXd point = PointOfPoses(problem, view.poses);
   GraphCertificate found;
   Eigen::VectorXd direction;
-  found.of_poses = CertifyPoint(problem, options, options.max_steps, first, &point, &direction);
+  found.of_poses = CertifyPoint(problem, options, first, &point, &direction);
   const int max_rank = std::min(options.max_rank, kMostRank);
   if (found.of_poses.bound.holds || max_rank <= view.dimension()) return found;
-  StaircaseOutcome climbed = ClimbStaircase(problem, std::move(point), std::move(direction),
-                                            max_rank, kMostStepsOfStaircase);
+  StaircaseOutcome climbed = ClimbStaircase(problem, found.of_poses.bound, std::move(point),
+                                            std::move(direction), max_rank, options.progress);
   found.rank = climbed.rank;
   found.relaxed_cost = climbed.relaxed_cost;
   found.relaxed_bound = climbed.relaxed_bound;
-  found.after_staircase =
-      CertifyPoint(problem, options, kMostStepsOfStaircase, first, &climbed.point, &direction);
+  found.after_staircase = CertifyPoint(problem, options, first, &climbed.point, &direction);
   return found;
 }
 

@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "core/interface/summary.h"
 #include "core/pose_graph/pose_graph.h"
 
 namespace bundle {
@@ -36,6 +37,7 @@ struct CertifyOptions {
   int max_rank = kMostRank;    ///< below or equal to the dimension: no staircase
   bool explicit_form = false;  ///< eigenvalues of S with translations (dual_certificate.h)
   int num_threads = 1;
+  ProgressCallback progress;  ///< after each Newton step, with F as the cost; false: Interrupted
 };
 
 /// Certificate of the critical point that Newton's method finds from poses.

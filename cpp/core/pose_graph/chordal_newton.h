@@ -9,8 +9,14 @@
 
 namespace bundle {
 
+struct NewtonLimits {
+  int max_steps = 0;
+  bool is_patient = true;     ///< goes on although steps hardly lower F
+  ProgressCallback progress;  ///< after each step; false ends it by the exception Interrupted
+};
+
 /// Moves a point to a critical point of F without raising F. The first pose stays.
-ChordalNewtonOutcome MinimizeChordal(const ChordalProblem& problem, int max_steps,
+ChordalNewtonOutcome MinimizeChordal(const ChordalProblem& problem, const NewtonLimits& limits,
                                      Eigen::MatrixXd* point);
 
 }  // namespace bundle

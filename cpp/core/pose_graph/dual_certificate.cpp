@@ -59,8 +59,8 @@ constexpr double kMostGap = 0.1;
 /// E of a factorisation has |E_ij| up to about 1e-16 sqrt(S_ii S_jj), so that tr(Z E Z^T) is up to
 /// about that share of the sum of these entries, as a shift of this size is in (1).
 constexpr double kSmallestShift = 4e-15;
-constexpr int kBlock = 2;
 constexpr int kMostDimensions = 160;
+constexpr int kMostRestarts = 20;
 constexpr double kRitzResidual = 1e-9;
 
 }  // namespace
@@ -170,8 +170,10 @@ DualSpectrum DualCertificate::Spectrum(double shift, int count) {
   const int most = std::min<int>(kMostDimensions, size - static_cast<int>(known.cols()));
   DualSpectrum found;
   if (most > 0) {
-    const EigenPairs pairs = FindLargest(size, std::min(count, most), std::min(kBlock, most), most,
-                                         kRitzResidual, apply);
+    // Blocks as large as the number of eigenvalues find all of a multiple one.
+    const int wanted = std::min(count, most);
+    const EigenPairs pairs = FindLargest(size, wanted, std::max(std::min(2, most), wanted), most,
+                                         kRitzResidual, apply, kMostRestarts);
     for (const double value : pairs.values) found.eigenvalues.push_back(1 / value - shift);
     if (!pairs.values.empty()) {
       const MatrixXd whole = matrix_.Solve(ToUnknowns(pairs.vectors.leftCols(1)));

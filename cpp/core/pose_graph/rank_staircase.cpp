@@ -11,6 +11,9 @@
 /// over alpha and a minimisation at rank r + 1 follow. At a minimum whose S is positive
 /// semidefinite the relaxation is solved: its cost bounds F of all poses from below.
 ///
+/// A rank that neither lowers F nor raises its bound is the last one: in a flat valley the next
+/// ranks would not either, and each is dearer. All ranks share a number of steps.
+///
 /// Rounding: the d rows of X with the largest singular values of [Y_1 ... Y_n], with one row
 /// reflected if most blocks then have determinant -1, and each block replaced by the nearest
 /// rotation. Without noise beyond the relaxation's tightness, X has rank d and nothing is lost.
@@ -28,6 +31,9 @@ using Eigen::VectorXd;
 namespace {
 
 constexpr int kMostHalvings = 40;
+constexpr int kMostSteps = 300;
+/// A change of F or of its bound, as a share of F, that counts.
+constexpr double kLeastChange = 1e-6;
 
 /// [X; alpha v^T], retracted.
 MatrixXd Lifted(const ChordalProblem& problem, const MatrixXd& point, const VectorXd& direction,
@@ -90,16 +96,25 @@ MatrixXd Rounded(const ChordalProblem& problem, const MatrixXd& point) {
 
 }  // namespace
 
-StaircaseOutcome ClimbStaircase(const ChordalProblem& problem, MatrixXd point, VectorXd direction,
-                                int max_rank, int max_steps) {
+StaircaseOutcome ClimbStaircase(const ChordalProblem& problem, const DualBound& before,
+                                MatrixXd point, VectorXd direction, int max_rank,
+                                const ProgressCallback& progress) {
   StaircaseOutcome outcome;
-  while (true) {
+  double cost = ChordalCost(problem, point, nullptr), bound = before.bound;
+  for (int steps_left = kMostSteps;;) {
     point = Descended(problem, point, direction);
     outcome.rank = static_cast<int>(point.rows());
-    outcome.relaxed_cost = MinimizeChordal(problem, max_steps, &point).cost;
+    const ChordalNewtonOutcome newton =
+        MinimizeChordal(problem, {steps_left, false, progress}, &point);
+    steps_left -= newton.num_steps;
+    outcome.relaxed_cost = newton.cost;
     DualCertificate certificate(problem, point);
     outcome.relaxed_bound = certificate.Bound();
-    if (outcome.relaxed_bound.holds || outcome.rank >= max_rank) break;
+    if (outcome.relaxed_bound.holds || outcome.rank >= max_rank || steps_left <= 0) break;
+    const double least = kLeastChange * cost;
+    if (cost - newton.cost <= least && outcome.relaxed_bound.bound - bound <= least) break;
+    cost = newton.cost;
+    bound = std::max(bound, outcome.relaxed_bound.bound);
     direction = certificate.Spectrum(1.5 * outcome.relaxed_bound.shift, 1).direction;
   }
   outcome.point = Rounded(problem, point);

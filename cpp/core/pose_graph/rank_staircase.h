@@ -17,8 +17,9 @@ struct StaircaseOutcome {
   Eigen::MatrixXd point;    ///< rounded to poses, not refined
 };
 
-/// `direction`: eigenvector of a negative eigenvalue of S at `point`.
-StaircaseOutcome ClimbStaircase(const ChordalProblem& problem, Eigen::MatrixXd point,
-                                Eigen::VectorXd direction, int max_rank, int max_steps);
+/// `direction`: eigenvector of a negative eigenvalue of S at `point`, whose bound is `before`.
+StaircaseOutcome ClimbStaircase(const ChordalProblem& problem, const DualBound& before,
+                                Eigen::MatrixXd point, Eigen::VectorXd direction, int max_rank,
+                                const ProgressCallback& progress);
 
 }  // namespace bundle

@@ -117,6 +117,38 @@ def test_eigenvalues_are_those_of_dense_matrices(seed):
         assert mine[:count] == pytest.approx(rest[:count], rel=1e-8, abs=1e-9 * scale)
 
 
+@pytest.mark.parametrize("seed", range(24))
+def test_tiny_graphs_lose_no_eigenvalue(seed):
+    """A search space of all dimensions has all eigenvalues, negative ones above all."""
+    rng = np.random.default_rng(seed)
+    dimension, size = 2 + seed % 2, 3 + seed % 3
+    graph = _random_graph(rng, dimension, size=size)
+    turned = graph.replace(poses=np.array([_moved(rng, pose, 2.0) for pose in graph.poses]))
+    weights = chordal_weights(graph, "mean", "log")
+    found = _run(turned, weights, 0, 1)
+    there = turned.replace(poses=found["poses"])
+    values, _ = certificate_eigenvalues(there, weights.kappa, weights.tau)
+    order = np.argsort(np.abs(values))
+    rest = np.sort(np.delete(values, order[:dimension]))
+    assert len(found["eigenvalues"]) == min(3, len(rest))
+    assert found["eigenvalues"] == pytest.approx(
+        rest[:3], rel=1e-6, abs=1e-9 * np.abs(values).max()
+    )
+
+
+def test_the_staircase_ends_where_nothing_changes(bundle_data):
+    """In a flat valley hundreds of steps and further ranks would not lower F."""
+    solved = bundle.solve(bundle.load(bundle_data / "g2o/manhattan_b.g2o.bz2"))
+    steps = []
+    found = bundle.certify(solved, progress=steps.append)
+    assert found.verdict == "not-certified" and found.staircase.rank == 3
+    assert found.cost == pytest.approx(2045.05394, rel=1e-8)
+    assert found.lower_bound == pytest.approx(2031.7493, rel=1e-6)
+    assert found.staircase.relaxed_cost <= found.cost
+    assert len(steps) < 40
+    assert found.staircase.lower_bound >= found.lower_bound
+
+
 @pytest.mark.parametrize("seed", range(50))
 def test_true_optima_and_planted_minima_get_the_right_verdict(seed):
     rng = np.random.default_rng(seed)

@@ -24,8 +24,9 @@ class Certificate(Displayed):
 
     Attributes:
         verdict: "certified": no poses have an F below ``cost - gap``. "not-certified": the test
-            fails; a lower minimum may exist. "not-a-minimum": the given poses are no minimum, so
-            that a certificate says nothing about them.
+            fails; a lower minimum may exist. "not-a-minimum": the given poses are near no
+            minimum of F, so that a certificate says nothing about them.
+        is_settled: True if the given poses are near a minimum of F or of chi2. False: refine first.
         cost: F at the critical point.
         initial_cost: F at the given poses.
         lower_bound: F of any poses is at least this number, by the dual problem. It may be negative
@@ -45,6 +46,7 @@ class Certificate(Displayed):
     """
 
     verdict: str
+    is_settled: bool
     cost: float
     initial_cost: float
     lower_bound: float

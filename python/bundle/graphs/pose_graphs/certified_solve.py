@@ -6,15 +6,17 @@ import dataclasses
 from collections.abc import Callable
 
 from bundle.base.words import number
-from bundle.graphs.pose_graphs.certify import certify, check_certifiable
+from bundle.graphs.pose_graphs.certificate import Certificate
+from bundle.graphs.pose_graphs.certify import NEAR_COST, certify, check_certifiable
 from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
 from bundle.interface.pose_graph_options import PoseGraphOptions
+from bundle.interface.solve_record import Progress
 from bundle.model.pose_graph_arrays import PoseGraph
 
-__all__ = ["STAIRCASE", "certified"]
+__all__ = ["CHORDAL_MINIMUM", "ESCAPES", "STAIRCASE", "certified"]
 
-STAIRCASE = "staircase"
-"""Name of the start of the second solve."""
+STAIRCASE, CHORDAL_MINIMUM = ESCAPES = ("staircase", "chordal_minimum")
+"""Names of the starts of second solves."""
 
 LOWER = 1e-6
 """Relative decrease of the cost below which the second solve is the same minimum."""
@@ -22,16 +24,20 @@ LOWER = 1e-6
 Solve = Callable[[PoseGraph, PoseGraphOptions], PoseGraphResult]
 
 
-def certified(graph: PoseGraph, options: PoseGraphOptions, solve: Solve) -> PoseGraphResult:
-    """Solve, certify the solution, and solve again from the staircase's poses if these are lower.
+def certified(
+    graph: PoseGraph, options: PoseGraphOptions, solve: Solve, progress: Progress | None = None
+) -> PoseGraphResult:
+    """Solve, certify the solution, and solve again from lower poses that the certificate has.
 
-    The certificate of the result is that of the first solution. A result without a usable solution
-    has none.
+    These are the staircase's poses if their F is lower, or the critical point of F if this was far
+    from the solution. The certificate of the result is that of the first solution. A result without
+    a usable solution has none. Ctrl-C during the certificate keeps the solution, as interrupted.
 
     Args:
         graph: graph to solve.
         options: options with ``certify``.
         solve: function that solves a graph with options.
+        progress: called after each step of the certificate.
 
     Raises:
         InputError: the graph or the loss has no certificate.
@@ -40,26 +46,48 @@ def certified(graph: PoseGraph, options: PoseGraphOptions, solve: Solve) -> Pose
     solved = solve(graph, options)
     if not solved.summary.is_solution_usable or solved.summary.interrupted:
         return solved
-    certificate = certify(solved, num_threads=solved.options.num_threads)
-    solved = dataclasses.replace(solved, options=options, certificate=certificate)
-    staircase = certificate.staircase
-    if staircase is None or not staircase.cost < (1 - LOWER) * certificate.cost:
+    solved = dataclasses.replace(solved, options=options)
+    try:
+        certificate = certify(solved, num_threads=solved.options.num_threads, progress=progress)
+    except KeyboardInterrupt:
+        interrupted = dataclasses.replace(solved.summary, interrupted=True)
+        return dataclasses.replace(solved, summary=interrupted)
+    solved = dataclasses.replace(solved, certificate=certificate)
+    there, init, how = _lower_poses(certificate)
+    if there is None:
         return solved
     first = solved.summary
-    there = graph.replace(poses=staircase.problem.poses)
-    second = solve(there, options.replace(certify=False, init="file"))
+    second = solve(
+        graph.replace(poses=there.poses, has_poses=True),
+        options.replace(certify=False, init="file"),
+    )
     last = second.summary
     is_lower = last.final_cost < (1 - LOWER) * first.final_cost
     if not (is_lower and last.is_solution_usable and not last.interrupted):
         return solved
-    reason = (
-        f"The certificate of a first solve failed (chi2 {number(first.chi2_final)}). A convex "
-        f"relaxation, of rank {staircase.rank}, gave lower poses."
-    )
+    reason = f"The certificate of a first solve failed (chi2 {number(first.chi2_final)}). {how}"
     return dataclasses.replace(
         second,
         initial_problem=graph,
         options=options,
+        chi2_before=solved.chi2_before,
         certificate=certificate,
-        summary=dataclasses.replace(last, init=STAIRCASE, init_choice=reason),
+        summary=dataclasses.replace(
+            last, init=init, init_choice=reason, chi2_initial=first.chi2_initial
+        ),
     )
+
+
+def _lower_poses(certificate: Certificate) -> tuple[PoseGraph | None, str, str]:
+    """Return poses below the solution, their name and their origin; None without such poses."""
+    stairs = certificate.staircase
+    if stairs is not None and stairs.cost < (1 - LOWER) * certificate.cost:
+        return (
+            stairs.problem,
+            STAIRCASE,
+            f"A convex relaxation, of rank {stairs.rank}, gave lower poses.",
+        )
+    if certificate.cost * (1 + NEAR_COST) < certificate.initial_cost:
+        words = "The minimum of the chordal cost next to it gave lower poses."
+        return certificate.problem, CHORDAL_MINIMUM, words
+    return None, "", ""

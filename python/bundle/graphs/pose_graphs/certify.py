@@ -4,9 +4,12 @@ The core moves the given poses to a critical point of the chordal cost by Newton
 its dual certificate (``cpp/core/pose_graph/dual_certificate.cpp``). A minimum of another cost (chi2
 with the logarithm, or with anisotropic information) is no critical point, but near one.
 
-The verdict "not-a-minimum" avoids a statement about poses that are no minimum at all. Poses are a
-minimum if Newton's method lowers F by at most a tenth, or if three steps of a solve lower chi2 by
-at most a hundredth.
+The verdict is about the given poses as long as the critical point belongs to them. It does if
+Newton's method lowers F by at most a tenth. Otherwise two solves tell:
+
+- One from the given poses. If it lowers chi2 by more than a hundredth, they are no minimum at all.
+- One from the critical point. If it ends at the chi2 of the first one, both are the same minimum.
+  Otherwise F has its minimum elsewhere, and its certificate says nothing about the given poses.
 """
 
 from __future__ import annotations
@@ -15,9 +18,10 @@ import os
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 import bundle._core as _core
-from bundle.base.arguments import check_type
+from bundle.base.arguments import check_function, check_type
 from bundle.base.arrays import freeze
 from bundle.base.paths import as_path, is_path
 from bundle.errors import InputError
@@ -38,10 +42,13 @@ from bundle.graphs.pose_graphs.information import checked_information
 from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
 from bundle.interface.option_fields import choice, number
 from bundle.interface.pose_graph_options import POSE_ERRORS, PoseGraphOptions
+from bundle.interface.solve_record import Progress
 from bundle.io.g2o_files import load_g2o
 from bundle.model.pose_graph_arrays import PoseGraph
 
 __all__ = ["certify", "check_certifiable"]
+
+Floats = NDArray[np.float64]
 
 MOST_RANK = 10
 MOST_STEPS = 150
@@ -51,7 +58,10 @@ NEAR_COST = 0.1
 """Relative decrease of F by Newton's method from poses that are near a minimum of F."""
 
 NEAR_CHI2 = 0.01
-"""Relative decrease of chi2 in three steps from poses that are near a minimum of chi2."""
+"""Relative decrease of chi2 by a solve from poses that are near a minimum of chi2."""
+
+SAME_CHI2 = 1e-6
+"""Relative difference of chi2 below which two solves end at the same minimum."""
 
 ZERO_COST = 1e-9
 """F and chi2 below this share of the median weight, times the number of edges, are those of exact
@@ -66,6 +76,7 @@ def certify(
     weights: str = "mean",
     max_rank: int = MOST_RANK,
     num_threads: int = 0,
+    progress: Progress | None = None,
 ) -> Certificate:
     """Test whether the poses of a graph are globally optimal.
 
@@ -82,6 +93,8 @@ def certify(
             those of SE-Sync (harmonic means).
         max_rank: largest rank of the staircase, up to 10; 0: no staircase.
         num_threads: number of threads; 0: all cores.
+        progress: called after each step of Newton's method, as by :func:`bundle.solve`, with F as
+            the cost.
 
     Raises:
         InputError: the graph has several components or several fixed poses, an edge has no
@@ -104,11 +117,12 @@ def certify(
     weights = choice("weights", weights, CHORDAL_WEIGHTS)
     max_rank = number("max_rank", max_rank, minimum=0, maximum=MOST_RANK, whole=True)
     num_threads = number("num_threads", num_threads, minimum=0, whole=True)
+    check_function("progress", progress)
     check_certifiable(graph, loss)
     cores = _core.hardware_threads()
     threads = min(int(num_threads) or cores, cores)
     weighed = checked_information(graph, information)
-    return _certificate(graph, weighed, error, weights, int(max_rank), threads)
+    return _certificate(graph, weighed, error, weights, int(max_rank), threads, progress)
 
 
 def check_certifiable(graph: PoseGraph, loss: str) -> None:
@@ -154,10 +168,16 @@ def _kept(solved: PoseGraphResult) -> PoseGraph:
 
 
 def _certificate(
-    graph: PoseGraph, weighed: PoseGraph, error: str, weights: str, max_rank: int, threads: int
+    graph: PoseGraph,
+    weighed: PoseGraph,
+    error: str,
+    weights: str,
+    max_rank: int,
+    threads: int,
+    progress: Progress | None,
 ) -> Certificate:
     used = chordal_weights(weighed, weights, error)
-    found = _run(weighed, used, max_rank, threads)
+    found = _run(weighed, used, max_rank, threads, progress=progress)
     below = bound_weights(weighed, error)
     staircase = _staircase(graph, found)
     bounds = [found["bound"]]
@@ -168,8 +188,10 @@ def _certificate(
     if not is_isotropic:
         chi2_bound = _chi2_bound(weighed, below, staircase, threads)
     chi2 = float(_core.edge_chi2(weighed, error).sum())
+    verdict, is_settled = _verdict(weighed, found, used, error, chi2, threads)
     return Certificate(
-        verdict=_verdict(weighed, found, used, error, chi2, threads),
+        verdict=verdict,
+        is_settled=is_settled,
         cost=found["cost"],
         initial_cost=found["initial_cost"],
         lower_bound=found["bound"],
@@ -187,7 +209,12 @@ def _certificate(
 
 
 def _run(
-    graph: PoseGraph, weights: ChordalWeights, max_rank: int, threads: int, explicit: bool = False
+    graph: PoseGraph,
+    weights: ChordalWeights,
+    max_rank: int,
+    threads: int,
+    explicit: bool = False,
+    progress: Progress | None = None,
 ) -> dict[str, Any]:
     return _core.certify_graph(
         graph,
@@ -198,6 +225,7 @@ def _run(
         num_eigenvalues=NUM_EIGENVALUES,
         explicit_form=explicit,
         num_threads=threads,
+        progress=progress,
     )
 
 
@@ -240,23 +268,28 @@ def _verdict(
     error: str,
     chi2: float,
     threads: int,
-) -> str:
+) -> tuple[str, bool]:
+    """Return the verdict, and True if the poses are near a minimum of F or of chi2."""
+    verdict = CERTIFIED if found["holds"] else NOT_CERTIFIED
     zero = ZERO_COST * graph.num_edges * float(np.median(weights.kappa))
     is_critical = found["holds"] or (found["converged"] and found["is_minimum"])
-    is_near = found["initial_cost"] <= (1 + NEAR_COST) * found["cost"] + zero
-    if not is_critical or not (is_near or _is_settled(graph, error, chi2, zero, threads)):
-        return NOT_A_MINIMUM
-    return CERTIFIED if found["holds"] else NOT_CERTIFIED
+    if found["initial_cost"] <= (1 + NEAR_COST) * found["cost"] + zero:
+        return verdict if is_critical else NOT_A_MINIMUM, True
+    here = _solved_chi2(graph, graph.poses, error, threads)
+    is_settled = chi2 - here <= NEAR_CHI2 * chi2 + zero
+    if not is_critical or not is_settled:
+        return NOT_A_MINIMUM, is_settled
+    there = _solved_chi2(graph, found["poses"], error, threads)
+    is_same = abs(there - here) <= SAME_CHI2 * here + zero
+    return verdict if is_same else NOT_A_MINIMUM, True
 
 
-def _is_settled(graph: PoseGraph, error: str, chi2: float, zero: float, threads: int) -> bool:
-    """Tell whether three steps of a solve lower chi2 by at most a hundredth."""
+def _solved_chi2(graph: PoseGraph, poses: Floats, error: str, threads: int) -> float:
+    """Return chi2 after a solve from some poses."""
     held, _, _ = _core.hold_poses(graph)
-    options = PoseGraphOptions(error=error, max_num_iterations=3, num_threads=threads)
+    options = PoseGraphOptions(error=error, num_threads=threads).asdict()
     nothing = np.zeros(graph.num_edges, bool)
-    after = _core.solve_pose_graph(graph, held, nothing, options.asdict(), None)
-    summary = after["summary"]
-    # Rejected steps lower nothing either, far from a minimum.
-    if summary["num_unsuccessful_steps"] and summary["termination_type"] != "CONVERGENCE":
-        return False
-    return bool(chi2 - float(after["chi2_after"].sum()) <= NEAR_CHI2 * chi2 + zero)
+    after = _core.solve_pose_graph(
+        graph, held, nothing, options, None, with_trials=True, poses=poses
+    )
+    return float(after["chi2_after"].sum())

@@ -12,7 +12,7 @@ from bundle.figures.cost_figures import bar_figure
 from bundle.figures.drawing import Figure
 from bundle.figures.graph_figures import DrawnGraph, plan_figures
 from bundle.graphs.pose_graphs.certificate import Certificate
-from bundle.graphs.pose_graphs.certified_solve import STAIRCASE
+from bundle.graphs.pose_graphs.certified_solve import ESCAPES, STAIRCASE
 from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.reports.sections import Section, Table
@@ -64,7 +64,7 @@ def _next(eigenvalues: np.ndarray, smallest: float) -> str:
 
 def _costs(solved: PoseGraphResult, found: Certificate) -> Figure:
     """Return chi2 and F with their lower bounds, as bars."""
-    has_escaped = solved.summary.init == STAIRCASE
+    has_escaped = solved.summary.init in ESCAPES
     values = {"chi2, first solution" if has_escaped else "chi2": found.chi2}
     if has_escaped:
         values["chi2"] = solved.summary.chi2_final

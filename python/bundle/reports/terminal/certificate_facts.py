@@ -11,7 +11,7 @@ from typing import Any
 
 from bundle.base.words import number, plural
 from bundle.graphs.pose_graphs.certificate import CERTIFIED, NOT_CERTIFIED, Certificate, Staircase
-from bundle.graphs.pose_graphs.certified_solve import STAIRCASE
+from bundle.graphs.pose_graphs.certified_solve import CHORDAL_MINIMUM, STAIRCASE
 from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
 from bundle.reports.sections import Section
 
@@ -23,17 +23,23 @@ def certificate_sentences(solved: PoseGraphResult) -> list[str]:
     found = solved.certificate
     if found is None:
         return []
-    return [_verdict(found, solved.summary.init == STAIRCASE), *_bound(solved, found)]
+    return [_verdict(found, solved.summary.init), *_bound(solved, found)]
 
 
-def _verdict(found: Certificate, has_escaped: bool) -> str:
+def _verdict(found: Certificate, init: str) -> str:
     stairs = found.staircase
-    if has_escaped and stairs is not None:
+    if init == STAIRCASE and stairs is not None:
         was = "not certified" if found.verdict == NOT_CERTIFIED else "not a minimum"
         return (
             f"The first solution was {was} (eigenvalue {found.min_eigenvalue:.6g}, F "
             f"{number(found.cost)}). A relaxation of rank {stairs.rank} led to this one. "
             f"{_of_staircase(stairs, found)}"
+        )
+    moved = f"{number(found.initial_cost)} -> {number(found.cost)}"
+    if init == CHORDAL_MINIMUM:
+        return (
+            f"Not certified: the first solution (chi2 {number(found.chi2)}) was not optimal. A "
+            f"solve from the minimum of the chordal cost F next to it ({moved}) led to this one."
         )
     if found.verdict == CERTIFIED:
         return _optimal(found.gap, found.cost, found)
@@ -43,9 +49,14 @@ def _verdict(found: Certificate, has_escaped: bool) -> str:
             f"{number(found.cost)} here and at least {number(_best_bound(found))} at any poses"
             f"{_without_escape(found)}."
         )
+    if not found.is_settled:
+        return (
+            "No certificate: the poses are not a minimum. Continue the solve "
+            "(--max-iterations), then certify."
+        )
     return (
-        "No certificate: the poses are not a minimum of the chordal cost. Continue the solve, then "
-        "certify."
+        "No certificate: the solve has converged, but the chordal cost F has no minimum here: "
+        f"Newton's method moves the poses away from it (F {moved})."
     )
 
 
@@ -119,6 +130,7 @@ def certificate_data(found: Certificate | None) -> dict[str, Any]:
     return {
         "certificate": {
             "verdict": found.verdict,
+            "is_settled": found.is_settled,
             "min_eigenvalue": found.min_eigenvalue,
             "gap": found.gap,
             "cost": found.cost,
