@@ -45,6 +45,9 @@ MISTAKES = (
     "half_angle",
     "adjoint",
     "frame",
+    "row_factor",
+    "row_swapped",
+    "one_row",
     "missing_term",
     "float_precision",
     "normal",
@@ -76,6 +79,7 @@ SIGNATURES: tuple[Callable[[Evidence], None], ...] = (
     column.varying_factors,
     column.terms_of_a_parameter,
     column.zero_entries,
+    row.one_row,
     column.rank_one,
 )
 

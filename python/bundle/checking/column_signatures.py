@@ -51,7 +51,7 @@ def zeros(evidence: Evidence) -> None:
 
 def factors(evidence: Evidence) -> None:
     """Find columns that are a constant times the correct column, in all rows or in some."""
-    by_factor: dict[tuple[float, ...], list[int]] = {}
+    by_factor: dict[tuple[float, ...], tuple[list[int], NDArray[np.intp]]] = {}
     where: dict[int, str] = {}
     for j in evidence.wrong:
         points = evidence.points_wrong_in(j)
@@ -61,12 +61,12 @@ def factors(evidence: Evidence) -> None:
         rows = _ratios(analytic, reference, axis=0)
         whole = np.full_like(rows, _ratios(analytic, reference, axis=None))
         for guess in (whole, rows):
-            clear = np.abs(guess - 1).max() > LEAST_FACTOR
-            if clear and evidence.explains((guess * reference)[..., None], [j], points):
+            off = np.flatnonzero(np.abs(guess - 1) > LEAST_FACTOR)
+            if len(off) and evidence.explains((guess * reference)[..., None], [j], points):
                 key = tuple(float(f"{ratio:.6g}") for ratio in guess)
-                by_factor.setdefault(key, []).append(j)
+                by_factor.setdefault(key, ([], off))[0].append(j)
                 break
-    for ratios, columns in by_factor.items():
+    for ratios, (columns, off) in by_factor.items():
         if len(set(ratios)) == 1:
             kind, words = _factor_in_words(ratios[0])
             note = where.get(columns[0], "")
@@ -76,7 +76,6 @@ def factors(evidence: Evidence) -> None:
             sentence = f"{evidence.names(columns)}: {words}{note}"
             evidence.found(kind, columns, sentence, ratios[0])
             continue
-        off = [row for row, ratio in enumerate(ratios) if abs(ratio - 1) > LEAST_FACTOR]
         same = len({ratios[row] for row in off}) == 1
         kind, words = _factor_in_words(ratios[off[0]]) if same else ("factor", "scaled")
         rows_text = ", ".join(map(str, off))

@@ -6,6 +6,9 @@
 - The residual is a logarithm, r = W Log(E). Its derivative is W J_r^-1(e) times the derivative of
   E, with e = Log(E). If J_r^-1 is missing, M = W J_r(e) W^-1. Since J_r(e) e = e, M r = r for any
   W.
+- One row alone is wrong: its derivatives are multiplied by a number that differs from point to
+  point, two of them are exchanged, or another formula is there. A deviation in one row has rank
+  one, which therefore says nothing about a product of the chain rule.
 """
 
 from __future__ import annotations
@@ -16,7 +19,7 @@ from numpy.typing import NDArray
 from bundle.checking.evidence import EXPLAINED, Evidence
 from bundle.checking.jacobian_deviation import Array
 
-__all__ = ["logarithm", "rows", "whitening"]
+__all__ = ["logarithm", "one_row", "rows", "whitening"]
 
 DEGREE = np.pi / 180
 
@@ -105,6 +108,63 @@ def logarithm(evidence: Evidence) -> None:
                     "right Jacobian J_r^-1 is missing, or another one is there",
                 )
                 break
+
+
+def one_row(evidence: Evidence) -> None:
+    """Find columns that are wrong in the same row alone."""
+    if evidence.analytic.shape[1] < 2:
+        return
+    by_row: dict[int, list[int]] = {}
+    for j in evidence.wrong:
+        wrong = np.flatnonzero((evidence.deviations.error[..., j] > evidence.tolerance).any(axis=0))
+        if len(wrong) == 1:
+            by_row.setdefault(int(wrong[0]), []).append(j)
+    for row, columns in by_row.items():
+        groups = [[j for j in columns if j in block.columns] for block in evidence.blocks]
+        for part in [columns, *groups]:
+            if len(part) > 1 and set(part) <= set(evidence.wrong):
+                kind, words = _mistake_of_row(evidence, row, part)
+                if kind:
+                    sentence = f"{evidence.names(part)}: in residual {row} {words}"
+                    evidence.found(kind, part, sentence)
+        left = [j for j in columns if j in evidence.wrong]
+        if len(left) > 1:
+            evidence.found(
+                "one_row",
+                left,
+                f"{evidence.names(left)}: wrong in residual {row} alone: another formula there, "
+                "such as a wrong term or a wrong power",
+            )
+
+
+def _mistake_of_row(evidence: Evidence, row: int, columns: list[int]) -> tuple[str, str]:
+    """Return the kind of the mistake in a row and its description; "" if it is another formula."""
+    reference = evidence.reference[..., columns]
+    given, right = evidence.analytic[:, row, columns], reference[:, row]
+
+    def explains(guess: Array) -> bool:
+        whole = reference.copy()
+        whole[:, row] = guess
+        return evidence.explains(whole, columns)
+
+    if np.count_nonzero(right, axis=1).min() > 1:  # any number is a multiple of another
+        ratios = (given * right).sum(axis=1) / (right * right).sum(axis=1)
+        if explains(ratios[:, None] * right):
+            return "row_factor", (
+                f"{ratios.min():.3g} to {ratios.max():.3g} times as large from point to point: a "
+                "factor such as r or 1 / r is missing, or applied twice"
+            )
+    scale = evidence.deviations.scale[:, row, columns]
+    for i in range(len(columns)):
+        for j in range(i):
+            for signs in ((1, 1), (-1, -1), (1, -1), (-1, 1)):
+                guess = right * scale
+                guess[:, [i, j]] = guess[:, [j, i]] * signs
+                if explains(guess / scale):
+                    names = evidence.names([columns[j], columns[i]])
+                    turned = "" if signs == (1, 1) else ", with a wrong sign"
+                    return "row_swapped", f"the derivatives by {names} are swapped{turned}"
+    return "", ""
 
 
 def _keeps_residual(evidence: Evidence, columns: list[int], size: int) -> bool:
