@@ -88,6 +88,7 @@ class Selection(Generic[P]):
         frames: _Mask | None = None,
         cameras: _Mask | None = None,
         points: _Mask | None = None,
+        sensors: _Mask | None = None,
     ) -> P:
         """Return the original problem with refined values of the selection inserted.
 
@@ -98,8 +99,10 @@ class Selection(Generic[P]):
             frames: as ``images``, for the poses of frames.
             cameras: as ``images``, for the parameters of cameras.
             points: as ``images``, for the coordinates of points.
+            sensors: as ``images``, for the poses of sensors on their rigs.
         """
         chosen = {"images": images, "frames": frames, "cameras": cameras, "points": points}
+        chosen["sensors"] = sensors
         old, new = estimates(whole), estimates(refined)
         values: dict[str, Any] = {}
         for one in VARIABLES:

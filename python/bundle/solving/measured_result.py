@@ -31,9 +31,11 @@ if TYPE_CHECKING:
     from bundle.georeference.alignment_result import ControlPointError
     from bundle.georeference.point_check import SurveyChecks
     from bundle.georeference.similarity import Similarity
+    from bundle.graphs.factors.factors import Factor
     from bundle.model.clipped_errors import HeldOut
     from bundle.solving.constraints.camera_bounds import ActiveBound
     from bundle.solving.constraints.constraint_record import RuleEnd
+    from bundle.solving.placed_problem import Prior
     from bundle.solving.round_record import PartRecord, Round
 
 __all__ = ["MeasuredResult"]
@@ -56,6 +58,8 @@ class MeasuredResult(SolveRecord):
     held_out: HeldOut | None = None
     edits: tuple[Edit, ...] = ()
     observation_mask: NDArray[np.bool_] | None = None
+    factors: tuple[Factor, ...] = ()
+    priors: tuple[Prior, ...] = ()
     _survey: Callable[[], SurveyChecks] | None = field(default=None, repr=False)
     _free: Callable[[], Problem | None] | None = field(default=None, repr=False)
 
@@ -78,7 +82,9 @@ class MeasuredResult(SolveRecord):
     def __getstate__(self) -> dict[str, Any]:
         # Factors may be functions that do not pickle; the outcome of the tests does.
         self.survey_checks, self.without_attitudes  # noqa: B018
-        return vars(self) | {"_survey": None, "_free": None}
+        if self.factors or self.priors:
+            self.gauge_freedom  # noqa: B018
+        return vars(self) | {"_survey": None, "_free": None, "factors": (), "priors": ()}
 
     @property
     def source_problem(self) -> Problem:
@@ -137,8 +143,10 @@ class MeasuredResult(SolveRecord):
 
     @cached_property
     def gauge_freedom(self) -> GaugeFreedom:
-        """Degrees of freedom that the observations leave undetermined at the input."""
-        return gauge_freedom(self.initial_problem, self.options)
+        """Degrees of freedom that observations, factors and priors leave free at the input."""
+        return gauge_freedom(
+            self.initial_problem, self.options, factors=self.factors, priors=self.priors
+        )
 
     def measure(self) -> None:
         """Measure all statistics now; later access takes no time.

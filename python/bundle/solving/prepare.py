@@ -145,6 +145,8 @@ class Prepared:
                 constraints=ends,
                 part=record,
                 observation_mask=self.part.observation_mask(state),
+                factors=self.request.factors,
+                priors=self.request.priors,
             )
         refined = placed.taken_from(last)
         mask = None if state is None else state.observation_mask[: given.num_observations]
@@ -158,6 +160,8 @@ class Prepared:
             control_points=placed.control_points(refined),
             edits=self._edits(),
             observation_mask=None if mask is None or mask.all() else mask,
+            factors=self.request.factors,
+            priors=self.request.priors,
         )
 
     def _edits(self) -> tuple[Edit, ...]:

@@ -50,6 +50,8 @@ class Result(MeasuredResult):
             or has no usable solution.
         edits: changes of the input before the solve, in order.
         observation_mask: mask of the observations of the input that the output has; None: all.
+        factors: factors of the solve in addition to the observations; () after unpickling.
+        priors: measured positions, attitudes and control points of the solve; () after unpickling.
     """
 
     def to_dataframe(self, table: str | None = None) -> pandas.DataFrame:

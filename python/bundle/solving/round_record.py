@@ -76,6 +76,8 @@ class PartRecord:
         num_observations: number of observations of these points.
         shared_camera_ids: cameras of both refined and other images. If their intrinsics are
             refined, projections into constant images change.
+        num_sensors: number of sensors on rigs of which all images are refined; the solve may move
+            these alone.
         rest: the marginalized remainder; None if it was constant.
     """
 
@@ -84,4 +86,5 @@ class PartRecord:
     num_points: int
     num_observations: int
     shared_camera_ids: tuple[int, ...]
+    num_sensors: int = 0
     rest: RestRecord | None = None

@@ -1,6 +1,7 @@
 """Rigs refined through the public interface: reference costs, scale, warnings, files."""
 
 import json
+import pickle
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 
 import bundle
 from bundle import InputError
+from bundle.cli.main import main
 from tests.printed import warning
 from tests.rig_scenes import FIVE, STEREO, rig_problem
 
@@ -133,6 +135,67 @@ def test_rounds_and_parts_keep_rigs() -> None:
     moved = (part.problem.cam_from_world != problem.cam_from_world).any(axis=1)
     np.testing.assert_array_equal(moved, problem.image_frame == problem.image_frame[3])
     np.testing.assert_array_equal(part.problem.sensor_from_rig, problem.sensor_from_rig)
+
+
+def test_a_part_refines_the_sensors_of_which_it_has_all_images() -> None:
+    """All images at once are the plain solve, with the sensors on their rigs."""
+    problem = rig_problem(rigs=(STEREO, FIVE[:2]), num_frames=6)
+    settings = TIGHT | {"refine_sensor_from_rig": True, "gauge": "none"}
+    whole = bundle.solve(problem, **settings)
+    for rest in ("fixed", "marginal"):
+        every = bundle.solve_rounds(
+            problem, only_images=problem.image_ids.tolist(), rest=rest, **settings
+        )
+        assert every.part.num_sensors == problem.num_sensors
+        assert every.summary.final_cost == pytest.approx(whole.summary.final_cost, rel=1e-9)
+        assert (every.problem.sensor_from_rig != problem.sensor_from_rig).any(axis=1).all()
+    # one rig alone: its sensors move, those of the other rig do not; nor does a fixed one
+    first = problem.frame_rig_ids[problem.image_frame] == problem.frame_rig_ids[0]
+    own = problem.sensor_rig_ids == problem.frame_rig_ids[0]
+    named = problem.image_ids[first].tolist()
+    half = bundle.solve_rounds(problem, only_images=named, **settings)
+    moved = (half.problem.sensor_from_rig != problem.sensor_from_rig).any(axis=1)
+    np.testing.assert_array_equal(moved, own)
+    assert half.part.num_sensors == own.sum()
+    keys = zip(
+        problem.sensor_rig_ids[own].tolist(), problem.sensor_camera_ids[own].tolist(), strict=True
+    )
+    held = bundle.solve_rounds(problem, only_images=named, fixed_sensors=tuple(keys), **settings)
+    np.testing.assert_array_equal(held.problem.sensor_from_rig, problem.sensor_from_rig)
+    # a part of the frames would move images that are not named
+    few = bundle.solve_rounds(problem, only_images=named[:2], **settings)
+    assert few.part.num_sensors == 0
+    np.testing.assert_array_equal(few.problem.sensor_from_rig, problem.sensor_from_rig)
+
+
+@pytest.mark.parametrize(("images", "words"), [("*", "sensors on rigs"), ("0*", "no sensors")])
+def test_a_report_says_which_sensors_a_part_refines(
+    images: str, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    problem = rig_problem(rigs=(STEREO,), num_frames=4)
+    bundle.save(problem, tmp_path / "rig")
+    named = images if images == "*" else str(problem.image_ids[0])
+    flags = ["--only-images", named, "--refine-sensor-from-rig", "--verbose", "--quiet"]
+    assert main(["refine", str(tmp_path / "rig"), "-o", str(tmp_path / "out"), *flags]) == 0
+    assert words in " ".join(capsys.readouterr().out.split())
+    moved = bundle.load(tmp_path / "out").sensor_from_rig != problem.sensor_from_rig
+    assert moved.any() == (images == "*")
+
+
+def test_the_gauge_freedom_of_a_result_counts_priors_and_factors() -> None:
+    problem = rig_problem(rigs=(STEREO,), num_frames=5)
+    places = [
+        bundle.PositionPrior(int(key), center, sigma=0.01)
+        for key, center in zip(problem.image_ids, problem.projection_centers, strict=True)
+    ]
+    free, held = bundle.solve(problem), bundle.solve(problem, priors=places)
+    assert (free.gauge_freedom.degrees, held.gauge_freedom.degrees) == (6, 0)
+    pose = bundle.PriorFactor(
+        ("frame", int(problem.frame_ids[0])), problem.rig_from_world[0], np.eye(6)
+    )
+    tied = bundle.solve(problem, factors=[pose])
+    assert tied.gauge_freedom.degrees == 0
+    assert pickle.loads(pickle.dumps(tied)).gauge_freedom.degrees == 0
 
 
 def test_a_checkpoint_keeps_rigs(tmp_path: Path) -> None:

@@ -10,7 +10,6 @@ from bundle.base.memory_sizes import format_size
 from bundle.base.waiting_time import Waiting
 from bundle.base.words import change, pixels, plural
 from bundle.errors import shown
-from bundle.interface.options import SolveOptions
 from bundle.interface.summary import Summary, sizes
 from bundle.model.content_digests import content_digests
 from bundle.model.problem import Problem
@@ -160,7 +159,7 @@ def _facts(
         *problem_facts(path, problem),
         *edit_rows(edits),
         *rig_fact(problem),
-        ("refined", _refined(solved.options)),
+        ("refined", _refined(solved)),
         *_gauge(solved),
         *_part(solved),
         ("backend", _backend(summary)),
@@ -325,9 +324,14 @@ def _cameras(changes: Sequence[CameraChange]) -> list[Section]:
     return [Section(tables=[table], notes=others if count > 0 else [])]
 
 
-def _refined(options: SolveOptions) -> str:
+def _refined(solved: Result) -> str:
+    options, part = solved.options, solved.part
     names = [name.replace("_", " ") for name in options.refine]
-    names += ["sensors on rigs"] * options.refine_sensor_from_rig
+    if options.refine_sensor_from_rig:
+        if part is None or part.num_sensors:
+            names.append("sensors on rigs")
+        else:
+            names.append("no sensors on rigs, which have images outside of the part")
     refined = ", ".join(names) or "nothing"
     words = [refined, f"gauge {options.gauge.replace('_', '-')}"]
     if options.loss != "trivial":

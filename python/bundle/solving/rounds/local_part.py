@@ -105,12 +105,19 @@ class LocalPart:
         self._named = self.named[self.selection.images]
         self._seen = self.seen[self.selection.points]
         self._refined_cameras = refined_cameras[self.selection.cameras]
+        # A sensor that moves on its rig moves its images in all frames.
+        self._sensors = np.ones(whole.num_sensors, bool)
+        if whole.num_frames:
+            others = whole.image_sensor[~self.named]
+            self._sensors[others[others >= 0]] = False
+        self._refined_sensors = self._sensors[self.selection.sensors]
         shared = np.unique(whole.image_camera[~self.named])
         self.record = PartRecord(
             num_images=int(self.named.sum()),
             num_images_held=int(self.neighbours.sum()),
             num_points=int(self.seen.sum()),
             num_observations=len(self.selection.observations),
+            num_sensors=int(self._refined_sensors.sum()),
             shared_camera_ids=tuple(whole.camera_ids[shared[refined_cameras[shared]]].tolist()),
         )
 
@@ -171,8 +178,21 @@ class LocalPart:
             free = np.ones(len(ids), bool) if self.is_marginal else moves
             name = f"fixed_{kind}_ids"
             fixed[name] = _held(name, options, known, ids, free)
-        # A sensor that moves on its rig would move images of every frame.
-        return options.replace(**fixed, refine_sensor_from_rig=False, fixed_sensors=())
+        if not (options.refine_sensor_from_rig and self._refined_sensors.any()):
+            return options.replace(**fixed, refine_sensor_from_rig=False, fixed_sensors=())
+        every = self._sensor_keys(whole)
+        unknown = [key for key in options.fixed_sensors if key not in every]
+        if unknown:
+            raise InputError(f"fixed_sensors: expected sensors in the problem, found {unknown[0]}")
+        held = {
+            key for key, free in zip(self._sensor_keys(part), self._refined_sensors, strict=True)
+            if not free or key in options.fixed_sensors
+        }  # fmt: skip
+        return options.replace(**fixed, fixed_sensors=tuple(sorted(held)))
+
+    def _sensor_keys(self, problem: Problem) -> list[tuple[int, int]]:
+        rigs, cameras = problem.sensor_rig_ids.tolist(), problem.sensor_camera_ids.tolist()
+        return list(zip(rigs, cameras, strict=True))
 
     def whole_frames_fixed(self, options: SolveOptions) -> SolveOptions:
         """Return the options with all images of a frame constant if one of them is."""
@@ -219,6 +239,7 @@ class LocalPart:
             frames=_frames_of(whole, self.named)[part.frames] if len(part.frames) else None,
             cameras=self._refined_cameras,
             points=self.seen[part.points],
+            sensors=self._refined_sensors,
         )
         return values.select(points=stays, observations=left).problem
 
