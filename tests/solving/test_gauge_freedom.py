@@ -6,6 +6,7 @@ from scipy.spatial.transform import Rotation
 
 import bundle
 from bundle import PositionPrior, SolveOptions, _core
+from bundle.solving.gauge_freedom import _nullity
 from tests.rig_scenes import FIVE, STEREO, rig_problem
 from tests.scenes import make_problem
 
@@ -261,3 +262,33 @@ def test_priors_of_frames_sensors_and_points_count():
     assert degrees(arm, refine_sensor_from_rig=True) == 6
     assert degrees(frame, refine_sensor_from_rig=True) == 1
     assert degrees(frame, arm, refine_sensor_from_rig=True) == 0
+
+
+@pytest.mark.parametrize(("least", "degrees"), [(0.99e-9, 1), (1.01e-9, 0)])
+def test_singular_values_on_both_sides_of_the_threshold(least, degrees):
+    """Columns have norm 1 before the projection: their sizes say nothing about their rank."""
+    rng = np.random.default_rng(0)
+    left, right = (np.linalg.qr(rng.normal(size=(n, 3)))[0] for n in (6, 3))
+    rows = left @ np.diag([1.0, 0.5, least]) @ right.T
+    sizes = np.array([1e-6, 1.0, 1e6])
+    assert _nullity(rows * sizes, sizes**2) == degrees
+    assert _nullity(rows * 0, sizes**2) == 3
+    assert _nullity(np.zeros((4, 0)), np.zeros(0)) == 0
+
+
+@pytest.mark.parametrize(("height", "degrees"), [(0.0, 1), (1e-7, 0)])
+def test_positions_near_a_line_leave_a_turn_about_it(height, degrees):
+    """Three positions, the middle one beside the line of the others."""
+    problem = make_problem(num_images=3)
+    there = np.array([[0.0, 0, 0], [1, 1, 1], [3, 3, 3]])
+    there[1] += height * np.array([1, -1, 0])
+    poses = problem.cam_from_world.copy()
+    for pose, place in zip(poses, there, strict=True):
+        pose[4:] = -Rotation.from_quat(pose[:4]).apply(place)
+    moved = problem.replace(cam_from_world=poses)
+    priors = [
+        PositionPrior(int(key), place, sigma=1.0)
+        for key, place in zip(problem.image_ids, there, strict=True)
+    ]
+    found = bundle.gauge_freedom(moved, priors=priors)
+    assert found.degrees == degrees

@@ -119,11 +119,29 @@ def test_the_bound_of_correlated_information_is_tight(dimension, error):
     singular = np.array(graph.information)
     singular[0, shift] = singular[0, :, shift] = 0
     assert bound_weights(graph.replace(information=singular), error) is None
-    along = vectors[:, :1] / scales[:, None]
-    cut = omega - values[0] * (1 + 1e-15) * along @ along.T  # its blocks stay regular
-    assert bound_weights(graph.replace(information=[0.5 * (cut + cut.T)]), error) is None or (
-        bound_weights(graph.replace(information=[0.5 * (cut + cut.T)]), error).kappa[0] < 1e-9 * a
+
+
+def test_singular_information_has_no_bound_and_no_harmonic_weights():
+    edge = {"edges": [[0, 1]], "poses": np.zeros((2, 3)), "measurements": np.zeros((1, 3))}
+    coupled = np.array([[1.0, 0, 1], [0, 1, 0], [1, 0, 1]])  # its blocks are regular
+    graph = bundle.PoseGraph(information=[coupled], **edge)
+    assert bound_weights(graph, "log") is None
+    assert np.isnan(bundle.certify(graph).chi2_lower_bound)
+    still = np.array([[0, 0, 0, 1.0, 0, 0, 0]])
+    flat = bundle.PoseGraph(
+        poses=np.repeat(still, 2, axis=0),
+        edges=[[0, 1]],
+        measurements=still,
+        information=[np.diag([1.0, 1, 0, 1, 1, 1])],
     )
+    assert chordal_weights(flat, "mean", "log").kappa == pytest.approx(1 / 3)
+    with pytest.raises(bundle.InputError, match="weights above 0 on rotation and translation"):
+        chordal_weights(flat, "se-sync", "log")
+    for part in (slice(0, 3), slice(3, 6)):
+        nothing = np.array(flat.information)
+        nothing[0, part, part] = 0
+        with pytest.raises(bundle.InputError, match="weights above 0"):
+            chordal_weights(flat.replace(information=nothing), "mean", "log")
 
 
 @pytest.mark.parametrize("weights", ["mean", "se-sync"])
@@ -169,13 +187,15 @@ def test_edges_that_were_left_out_have_no_part_in_the_certificate(dimension):
 
 def test_interrupted_and_unusable_solves_have_no_certificate():
     graph = ring(np.random.default_rng(0), 30, 2, noise=0.1)
+    calls = []
 
     def stop(record):
-        if record["iteration"] == 1:
+        calls.append(record)
+        if len(calls) == 2:
             raise KeyboardInterrupt
 
     stopped = bundle.solve(graph, init="file", certify=True, progress=stop)
-    assert stopped.summary.interrupted and stopped.certificate is None
+    assert stopped.summary.interrupted and stopped.certificate is None and len(calls) == 2
     huge = np.array(graph.measurements)
     huge[3, :2] = 1e160
     failed = bundle.solve(graph.replace(measurements=huge), init="file", certify=True)
@@ -215,8 +235,16 @@ def test_progress_has_each_step_of_newtons_method():
     assert len(more) > len(steps)  # those of the staircase
 
 
-@pytest.mark.parametrize(("gain", "takes_second"), [(0.99e-6, False), (1.01e-6, True)])
-def test_a_second_solve_must_end_lower(gain, takes_second):
+@pytest.mark.parametrize(
+    ("gain", "is_usable", "is_interrupted", "takes_second"),
+    [
+        (0.99e-6, True, False, False),
+        (1.01e-6, True, False, True),
+        (0.5, False, False, False),
+        (0.5, True, True, False),
+    ],
+)
+def test_a_second_solve_must_end_lower(gain, is_usable, is_interrupted, takes_second):
     """The staircase's poses are lower; the solve from there ends lower by a known share."""
     graph = ring(np.random.default_rng(0), 20, 2, turns=1, noise=0.02)
     real = bundle.solve(graph, init="file")
@@ -224,10 +252,14 @@ def test_a_second_solve_must_end_lower(gain, takes_second):
 
     def solve(given, options):
         solves.append(given)
-        cost = real.summary.final_cost * (1 if len(solves) == 1 else 1 - gain)
-        return dataclasses.replace(
-            real, summary=dataclasses.replace(real.summary, final_cost=cost), options=options
-        )
+        is_first = len(solves) == 1
+        cost = real.summary.final_cost * (1 if is_first else 1 - gain)
+        summary = dataclasses.replace(real.summary, final_cost=cost, chi2_initial=len(solves))
+        if not is_first:
+            ends = {"is_solution_usable": is_usable, "interrupted": is_interrupted}
+            summary = dataclasses.replace(summary, **ends)
+        before = real.chi2_before + len(solves)
+        return dataclasses.replace(real, summary=summary, options=options, chi2_before=before)
 
     options = bundle.PoseGraphOptions(certify=True, num_threads=1)
     found = certified_solve.certified(graph, options, solve)
@@ -237,5 +269,77 @@ def test_a_second_solve_must_end_lower(gain, takes_second):
     assert found.certificate.verdict == "not-certified"
     assert found.initial_problem is (graph if takes_second else real.initial_problem)
     # chi2 "before" stays that of the given poses
-    np.testing.assert_array_equal(found.chi2_before, real.chi2_before)
-    assert found.summary.chi2_initial == real.summary.chi2_initial
+    np.testing.assert_array_equal(found.chi2_before, real.chi2_before + 1)
+    assert found.summary.chi2_initial == 1
+
+
+def turned_pair(a, b, angle):
+    """Return two poses at an angle, and edges that measure 0 (weight a) and 2.5 rad (weight b).
+
+    F is one sinusoid: a minimum and a maximum. chi2 wraps, and has two minima.
+    """
+    return bundle.PoseGraph(
+        poses=np.array([[0, 0, 0], [0, 0, angle]], float),
+        edges=[[0, 1], [0, 1]],
+        measurements=np.array([[0, 0, 0], [0, 0, 2.5]], float),
+        information=np.array([np.diag([1.0, 1.0, a]), np.diag([1.0, 1.0, b])]),
+    )
+
+
+def test_a_minimum_of_chi2_without_one_of_the_chordal_cost():
+    """The minimum of F belongs to the other minimum of chi2, which a certified solve then takes."""
+    far, near = 0.8 * (2.5 - 2 * np.pi) / 1.8, 0.8 * 2.5 / 1.8
+    graph = turned_pair(1.0, 0.8, far)
+    found = bundle.certify(graph)
+    assert (found.verdict, found.is_settled) == ("not-a-minimum", True)
+    assert found.chi2 == pytest.approx(far**2 + 0.8 * (far - 2.5 + 2 * np.pi) ** 2)
+    phasor = 1 + 0.8 * np.exp(2.5j)
+    assert found.problem.poses[1, 2] == pytest.approx(np.angle(phasor))
+    assert found.cost == pytest.approx(2 * (1.8 - abs(phasor)))
+    optimum = near**2 + 0.8 * (near - 2.5) ** 2
+    for start, init in ((graph, "chordal_minimum"), (turned_pair(1.0, 0.8, near), "file")):
+        solved = bundle.solve(start, init="file", certify=True)
+        assert solved.summary.init == init
+        assert solved.summary.chi2_final == pytest.approx(optimum, rel=1e-9)
+        chi2 = bundle.pose_graph_chi2(start).sum()
+        assert solved.summary.chi2_initial == pytest.approx(chi2, rel=1e-9)
+    assert bundle.certify(turned_pair(1.0, 0.8, near)).verdict == "certified"
+    # a step away from the minimum of chi2, a solve is not finished
+    assert not bundle.certify(turned_pair(1.0, 0.8, far + 0.3)).is_settled
+
+
+def test_a_maximum_of_the_chordal_cost_is_no_minimum():
+    found = bundle.certify(turned_pair(1.0, 1.0, 1.25 - np.pi))
+    assert found.num_steps <= 1 and found.cost == pytest.approx(found.initial_cost)
+    assert (found.verdict, found.is_settled) == ("not-a-minimum", True)
+
+
+def test_a_bound_of_chi2_without_certificate_is_below_the_optimum():
+    """Anisotropic information, and poses of a ring wound once more."""
+    right, wound = (ring(np.random.default_rng(2), 14, 2, turns=k, noise=0.02) for k in (0, 1))
+    information = right.information * np.array([1.0, 1.4, 1.0])[:, None]
+    graphs = [graph.replace(information=information) for graph in (right, wound)]
+    optimum, local = (bundle.solve(graph, init="file") for graph in graphs)
+    assert local.summary.chi2_final > 2 * optimum.summary.chi2_final
+    for max_rank in (0, 4):
+        found = bundle.certify(local, max_rank=max_rank)
+        assert found.verdict == "not-certified" and not found.is_isotropic
+        assert found.chi2_lower_bound <= optimum.summary.chi2_final
+    assert found.chi2_lower_bound > 0.5 * optimum.summary.chi2_final
+
+
+def test_no_second_solve_without_lower_poses():
+    """With large noise the relaxation is loose: no certificate, and nothing lower."""
+    graph = ring(np.random.default_rng(4), 8, 3, noise=0.9, chords=4)
+    real = bundle.solve(graph, max_num_iterations=500)
+    solves = []
+
+    def solve(given, options):
+        solves.append(given)
+        return dataclasses.replace(real, options=options)
+
+    options = bundle.PoseGraphOptions(certify=True, num_threads=1)
+    found = certified_solve.certified(graph, options, solve)
+    stairs = found.certificate.staircase
+    assert stairs.cost >= (1 - 1e-6) * found.certificate.cost
+    assert len(solves) == 1 and found.summary.init == real.summary.init

@@ -87,8 +87,11 @@ def test_an_unknown_gradient_is_no_other_one():
 
 
 def test_costs_at_one_start_agree_to_rounding():
-    assert between(GRAPH, initial_cost=1e3 + 1e-4).is_same_start_cost
-    assert not between(GRAPH, initial_cost=1e3 + 1e-1).is_same_start_cost
+    for sign in (1, -1):
+        assert between(GRAPH, initial_cost=1e3 + sign * 0.99e-3).is_same_start_cost
+        assert not between(GRAPH, initial_cost=1e3 + sign * 1.01e-3).is_same_start_cost
+    for old, new in ((None, 1.0), (1.0, None)):  # unknown
+        assert between(replace(GRAPH, initial_cost=old), initial_cost=new).is_same_start_cost
 
 
 OTHER_HOST = ({"cpu_model": "a"}, {"cpu_model": "b"})
