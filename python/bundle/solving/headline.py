@@ -143,9 +143,31 @@ def _deletions(result: Result) -> list[str]:
     things += [plural(deleted.num_points, "point", grouped=True)] * (deleted.num_points > 0)
     things += [f"all of {plural(deleted.num_images, 'image')}"] * (deleted.num_images > 0)
     listed = " and ".join([", ".join(things[:-1]), things[-1]] if len(things) > 1 else things)
+    causes = _causes(result)
     before, after = result.reprojection_error_before, result.kept.before
     alone = f"RMSE {_change(before.rmse, after.rmse)} px at the input"
-    return [f"Deleted {listed}: this alone changes {alone}."]
+    return [f"Deleted {listed}{causes}: this alone changes {alone}."]
+
+
+def _causes(result: Result) -> str:
+    """Return the numbers of observations that the filters of the rounds deleted, by limit."""
+    if not result.rounds:
+        return ""
+    error, track, angle = (
+        sum(getattr(done, f"num_observations_{name}") for done in result.rounds)
+        for name in ("beyond_max_error", "with_short_track", "below_min_angle")
+    )
+    limits = result.rounds[-1]
+    told = [
+        f"{count:,} {cause}"
+        for count, cause in (
+            (error, f"above {limits.max_error:g} px"),
+            (angle, f"of points below {limits.min_angle:g} degrees"),
+            (track, "of short tracks"),
+        )
+        if count
+    ]
+    return f" ({', '.join(told)})" if told else ""
 
 
 def _held_out(result: Result) -> list[str]:

@@ -22,6 +22,12 @@ class Round:
         num_observations_removed: observations that the filter removed after the adjustment,
             including those of removed points.
         num_points_removed: points that the filter removed after the adjustment.
+        num_observations_beyond_max_error: removed because of their own error, because they are
+            behind the camera, or because they have no projection.
+        num_observations_with_short_track: removed with points whose track became too short.
+        num_observations_below_min_angle: removed with points of a small triangulation angle.
+        max_error: largest error that the filter keeps [px].
+        min_angle: smallest triangulation angle that the filter keeps [degrees].
     """
 
     round: int
@@ -33,6 +39,11 @@ class Round:
     num_observations: int
     num_observations_removed: int
     num_points_removed: int
+    num_observations_beyond_max_error: int = 0
+    num_observations_with_short_track: int = 0
+    num_observations_below_min_angle: int = 0
+    max_error: float = 0.0
+    min_angle: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,6 +7,7 @@ import pycolmap
 import pytest
 
 import bundle
+from bundle.solving.headline import headline
 from bundle.solving.rounds import solve_rounds as rounds_of_solves
 from tests.scenes import make_problem
 
@@ -70,6 +71,11 @@ def test_each_round_adjusts_what_the_one_before_has_left():
         )
         assert done.num_observations_removed == filtered.num_observations_removed
         assert done.num_points_removed == filtered.num_points_removed
+        assert (done.max_error, done.min_angle) == (1.2, 1.5)
+        causes = ("beyond_max_error", "with_short_track", "below_min_angle")
+        counts = [getattr(done, f"num_observations_{cause}") for cause in causes]
+        assert counts == [getattr(filtered, f"num_observations_{cause}") for cause in causes]
+        assert sum(counts) == done.num_observations_removed
         current = filtered.problem
     last = bundle.solve(current, options)
     np.testing.assert_array_equal(result.problem.points, last.problem.points)
@@ -229,3 +235,32 @@ def test_bad_flags_are_refused(run, colmap_model, tmp_path, flags, named):
     assert line.startswith("error: ")
     assert named in line
     assert not (tmp_path / "out").exists()
+
+
+def test_the_headline_tells_what_each_limit_deletes():
+    problem, _ = with_outliers()
+    limits = {"max_error": 1.2, "min_angle": 60.0, "min_track_length": 7}
+    result = bundle.solve_rounds(problem, num_rounds=1, loss="cauchy", **limits)
+    (done,) = result.rounds
+    first = bundle.solve(problem, loss="cauchy").problem
+    errors, _ = bundle.reprojection_errors(first)
+    kept = errors <= 1.2
+    track = np.bincount(first.observation_point[kept], minlength=first.num_points)
+    rays = first.points[:, None] - first.projection_centers[None]
+    rays /= np.linalg.norm(rays, axis=2, keepdims=True)
+    counts = [int((~kept).sum()), 0, 0]
+    for point in range(first.num_points):
+        seen = first.observation_image[kept & (first.observation_point == point)]
+        cosine = np.abs(rays[point, seen] @ rays[point, seen].T).min(initial=1.0)
+        if track[point] < 7:
+            counts[1] += int(track[point])
+        elif np.degrees(np.arccos(cosine)) < 60.0:
+            counts[2] += int(track[point])
+    names = ("beyond_max_error", "with_short_track", "below_min_angle")
+    assert [getattr(done, f"num_observations_{name}") for name in names] == counts
+    assert min(counts) > 0
+    told = f"({counts[0]:,} above 1.2 px, {counts[2]:,} of points below 60 degrees, "
+    (sentence,) = [one for one in headline(result) if one.startswith("Deleted ")]
+    assert f"{told}{counts[1]:,} of short tracks): this alone" in sentence
+    wide = bundle.solve_rounds(problem, num_rounds=1, min_angle=0, max_error=1.2, loss="cauchy")
+    assert "degrees" not in headline(wide)[1]

@@ -5,9 +5,11 @@ bounds, rounds and options, but not the held-out observations. At its minimum it
 on them, and its errors at them are predictions. Held-out observations are drawn from the problem
 before any filter: an outlier among them counts, at most as the clip.
 
-A point that the rounds of the second fit remove has no projection. Its held-out observations count
-as the clip, and so do removed observations among the fitted ones. Both statistics therefore cover
-the same observations with and without rounds, and deleting observations does not lower them.
+Both statistics cover the same observations with and without rounds, so that deleting observations
+does not lower them: removed observations keep their errors. A point that the rounds of the second
+fit remove is triangulated again, with the cameras of that fit and from the observations that are
+not held out, by a robust loss. So a fit is judged by its cameras, not by the number of points that
+it gives up.
 
 Measurements of control points are never held out. In a local adjustment the observations of the
 named images are candidates: other images are constant and do not change with their observations.
@@ -23,18 +25,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.base.arrays import freeze
+from bundle.interface.options import SolveOptions
 from bundle.interface.validation_options import HoldOutOptions
 from bundle.model.clipped_errors import HeldOut, errors_or_nan, summarize_clipped
 from bundle.model.estimates import estimates, with_estimates
 from bundle.model.problem import Problem
+from bundle.solving.executors import solve_prepared
 from bundle.solving.held_out.hold_out import choose
-from bundle.solving.prepare import Prepared
+from bundle.solving.prepare import Prepared, prepare
+from bundle.solving.request import SolveRequest
 from bundle.solving.result import Result
 
 if TYPE_CHECKING:
     from bundle.solving.rounds.run_state import State
 
 __all__ = ["HeldOutFit", "with_values"]
+
+ROBUST_LOSS = "cauchy"
+"""Loss of removed points after a least-squares fit: outliers are a reason for removal."""
 
 Fit = Callable[[Prepared], "tuple[Result, State | None]"]
 """Solve of a prepared problem: the result for its start, and the state of its rounds."""
@@ -76,10 +84,9 @@ class HeldOutFit:
             return finished
         options = self._prepared.options
         predicted = with_values(start, result.problem, rounds)
-        errors = errors_or_nan(predicted, options.cheirality, options.num_threads)
         if rounds is not None:
-            errors[~rounds.point_mask[start.observation_point]] = np.nan
-            errors[np.flatnonzero(~self._held)[~rounds.observation_mask]] = np.nan
+            predicted = self._triangulated(predicted, ~rounds.point_mask)
+        errors = errors_or_nan(predicted, options.cheirality, options.num_threads)
         held = summarize_clipped(errors[self._held])
         record = HeldOut(
             **vars(held),
@@ -89,6 +96,26 @@ class HeldOutFit:
             is_converged=result.summary.termination_type == "CONVERGENCE",
         )
         return replace(finished, held_out=record)
+
+    def _triangulated(self, problem: Problem, removed: NDArray[np.bool_]) -> Problem:
+        """Return the problem with removed points at the minimum of their fitted observations."""
+        rows = removed[problem.observation_point] & ~self._held
+        if not rows.any():
+            return problem
+        options = self._prepared.options
+        part = problem.select(points=removed, observations=rows)
+        alone = SolveOptions(
+            refine=("points",),
+            loss=ROBUST_LOSS if options.loss == "trivial" else options.loss,
+            loss_scale=options.loss_scale,
+            cheirality=options.cheirality,
+            num_threads=options.num_threads,
+            check_solution=False,
+        )
+        prepared = prepare(SolveRequest(problem=part.problem, options=alone))
+        points = problem.points.copy()
+        points[removed] = solve_prepared(prepared, None).problem.points
+        return problem._moved(points=freeze(points))
 
 
 def with_values(problem: Problem, refined: Problem, state: State | None = None) -> Problem:

@@ -47,6 +47,8 @@ class Filtered(Displayed):
             the camera or without a projection.
         num_points_with_short_track: points removed by rule 2.
         num_points_below_min_angle: points removed by rule 3.
+        num_observations_with_short_track: observations removed with them by rule 2.
+        num_observations_below_min_angle: observations removed with them by rule 3.
     """
 
     problem: Problem
@@ -57,6 +59,8 @@ class Filtered(Displayed):
     num_observations_beyond_max_error: int
     num_points_with_short_track: int
     num_points_below_min_angle: int
+    num_observations_with_short_track: int
+    num_observations_below_min_angle: int
 
     def _display(self) -> Display:
         return Display(
@@ -145,6 +149,8 @@ def _filtered(problem: Problem, good: _Mask, limits: RoundOptions, always: _Mask
         num_observations_beyond_max_error=problem.num_observations - len(left),
         num_points_with_short_track=int(short.sum()),
         num_points_below_min_angle=problem.num_points - num_points - int(short.sum()),
+        num_observations_with_short_track=int(track[short].sum()),
+        num_observations_below_min_angle=int(track[~short & ~stays].sum()),
     )
 
 

@@ -120,8 +120,9 @@ def solve_rounds(
             number of threads may differ). If the file does not exist, the run begins at the start.
             Further checkpoints are written to this file unless ``checkpoint`` names another one.
         hold_out: as in :func:`bundle.solve`. The second fit has rounds of its own. Observations
-            that it removes count as the clip, held out or fitted. With ``only_images``, the
-            observations to hold out are those of the named images.
+            that it removes keep their errors, and points that it removes are triangulated again
+            with its cameras. With ``only_images``, the observations to hold out are those of the
+            named images.
         hold_out_seed: as in :func:`bundle.solve`.
         progress: as in :func:`bundle.solve`, in each round.
         **changes: options by name, which replace those in ``options``.
@@ -257,7 +258,7 @@ def _next(prepared: Prepared, state: State, result: Result, limits: RoundOptions
     if limits.num_rounds == 0 or _is_last(state, limits):
         return adjusted.ended(result)
     filtered = _filter(prepared, result.problem, limits)
-    done = _round_of(len(state.rounds) + 1, result, filtered)
+    done = _round_of(len(state.rounds) + 1, result, filtered, limits)
     _check_left(filtered, done, limits)
     left = adjusted.left(filtered, done)
     has_ended = _is_last(left, limits) and not filtered.num_observations_removed
@@ -293,7 +294,7 @@ def _filter(prepared: Prepared, problem: Problem, limits: RoundOptions) -> Filte
     )
 
 
-def _round_of(number: int, result: Result, filtered: Filtered) -> Round:
+def _round_of(number: int, result: Result, filtered: Filtered, limits: RoundOptions) -> Round:
     """Return the record of a round."""
     from bundle.solving.round_record import Round
     from bundle.solving.rounds.segments import num_steps
@@ -309,6 +310,11 @@ def _round_of(number: int, result: Result, filtered: Filtered) -> Round:
         num_observations=adjusted.num_observations,
         num_observations_removed=filtered.num_observations_removed,
         num_points_removed=filtered.num_points_removed,
+        num_observations_beyond_max_error=filtered.num_observations_beyond_max_error,
+        num_observations_with_short_track=filtered.num_observations_with_short_track,
+        num_observations_below_min_angle=filtered.num_observations_below_min_angle,
+        max_error=limits.max_error,
+        min_angle=limits.min_angle,
     )
 
 
