@@ -339,3 +339,42 @@ def test_flags_of_positions_without_them(run, model, command):
     assert (done.code, done.out) == (2, "")
     assert done.err.startswith("error: --gps-sigma: ") and done.err.count("\n") == 1
     assert not (model.parent / "page.html").exists()
+
+
+def test_factors_scale_the_sigmas_of_the_file_and_of_the_flag(tmp_path, run, model):
+    """A file with some sigmas and factors is the file with the products."""
+    lines = (model.parent / "geo.txt").read_text("utf-8").splitlines()
+
+    def written(name, factors, default):
+        rows = [lines[0]]
+        for k, line in enumerate(lines[1:]):
+            first = " ".join(line.split()[:4])
+            sigmas = (0.05 * factors[0], 0.2 * factors[1]) if k % 2 else default
+            rows.append(first + (f" 0 0 0 {sigmas[0]:.12g} {sigmas[1]:.12g}" if sigmas else ""))
+        path = tmp_path / name
+        path.write_text("\n".join(rows) + "\n", "utf-8")
+        return path
+
+    scaled, plain = tmp_path / "scaled.json", tmp_path / "plain.json"
+    geo = written("own.txt", (1, 1), None)
+    words = ("--gps", geo, "--gps-sigma", "0.1/0.3", "--gps-sigma-scale", "4/0.5")
+    assert refine(run, model, *words, "--json", scaled)[0] == 0
+    geo = written("products.txt", (4, 0.5), (0.4, 0.15))
+    assert refine(run, model, "--gps", geo, "--json", plain)[0] == 0
+    costs = [
+        json.loads(path.read_text("utf-8"))["summary"]["final_cost"] for path in (scaled, plain)
+    ]
+    assert costs[0] == pytest.approx(costs[1], rel=1e-9)
+    code, _, error = refine(run, model, *words[:-1], "0")
+    assert code == 2 and "--gps-sigma-scale" in error
+
+
+@pytest.mark.parametrize("command", ["align", "covariance", "diagnose"])
+def test_factors_are_taken_by_every_command_with_positions(tmp_path, run, model, command):
+    words = ["--gps", model.parent / "geo.txt", "--gps-sigma-scale", "3"]
+    target = {"align": ["-o", tmp_path / "placed/"], "covariance": ["-o", tmp_path / "c.npz"]}
+    if command == "covariance":
+        assert refine(run, model, *words[:2])[0] == 0
+        model = model.parent / "out"
+    done = run(command, model, *target.get(command, ()), *words, "--quiet")
+    assert done.code == 0, done.err

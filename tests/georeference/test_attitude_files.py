@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from bundle import GravityPrior, HeadingPrior, InputError, OrientationPrior
-from bundle.georeference.attitudes import read_attitudes
+from bundle.georeference.attitudes import Attitudes, read_attitudes
 from tests.scenes import make_problem
 
 PROBLEM = make_problem(num_images=4).replace(
@@ -134,3 +134,14 @@ def test_problems_without_names_use_ids(tmp_path):
     path.write_text("2 0 1 0\n")
     unnamed = PROBLEM.replace(image_names=("",) * 4)
     assert read_attitudes(unnamed, gravity=path).priors[0].image == 2
+
+
+def test_factors_scale_gravity_and_orientations_apart():
+    given = Attitudes((
+        GravityPrior(1, (0, 1, 0), 2.0),
+        OrientationPrior(2, (0, 0, 0, 1), (5.0, 1.0)),
+        HeadingPrior(3, 10.0, 4.0),
+    ))  # fmt: skip
+    sigmas = [np.asarray(one.sigma_degrees).tolist() for one in given.scaled(3.0, 0.5).priors]
+    assert sigmas == [6.0, [2.5, 0.5], 2.0]
+    assert given.scaled(1.0, 1.0) is given

@@ -45,7 +45,7 @@ def run(arguments: argparse.Namespace) -> int:
         check_replaced(target, [source], arguments.overwrite, same_images(problem))
         check_georeference(**output)
         progress.stage("aligning")
-        aligned = align(problem, to=arguments.reference, **settings_of(given))
+        aligned = align(problem, to=arguments.reference, **settings_of(given, problem))
         progress.stage(f"writing {shown(target)}")
         lost = save(aligned.problem, **output, progress=progress.text)
         write_georeference(aligned, **output, reference=arguments.reference)

@@ -57,6 +57,7 @@ def run(arguments: argparse.Namespace) -> int:
             given=repeated_flags(arguments),
             options=options,
             priors=() if known is None else known.priors,
+            constraints=constraints,
         )
     asked = {name: getattr(options, name) for name in LINEARIZATION} | rules_as_options(rules)
     wall = perf_counter() - started

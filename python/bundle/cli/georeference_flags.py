@@ -116,7 +116,9 @@ def priors_of(
         if given.has_attitudes:
             from bundle.georeference.attitudes import read_attitudes
 
-            attitudes = read_attitudes(problem, **_settings(given, _OF_ATTITUDES))
+            attitudes = read_attitudes(problem, **_settings(given, _OF_ATTITUDES)).scaled(
+                given.gravity_sigma_scale, given.orientation_sigma_scale
+            )
             if kept:
                 attitudes.check_upright(problem, kept)
     if given.velocities is not None:
@@ -136,7 +138,7 @@ def _survey(given: GeoreferenceOptions, problem: Problem) -> GcpPriors | GpsPrio
     from bundle.georeference.gcp_priors import gcp_priors
     from bundle.georeference.gps_priors import gps_priors
 
-    settings = settings_of(given)
+    settings = settings_of(given, problem)
     if given.gps != "exif":  # the folder is for the report page
         settings.pop("images", None)
     if given.gcp is None:
@@ -144,6 +146,7 @@ def _survey(given: GeoreferenceOptions, problem: Problem) -> GcpPriors | GpsPrio
     return gcp_priors(problem, **settings)
 
 
+_SCALES = {"gps_sigma_scale", "gravity_sigma_scale", "orientation_sigma_scale"}
 _ONLY_ATTITUDES = {"gravity", "gravity_sigma", "orientations", "orientation_sigma"}
 _SHARED = {"images", "prior_loss", "prior_loss_scale"}
 _OF_ATTITUDES = {*_ONLY_ATTITUDES, *_SHARED}
@@ -155,13 +158,22 @@ def _settings(given: GeoreferenceOptions, names: Collection[str]) -> dict[str, A
     return {name: value for name, value in given.changed().items() if name in names}
 
 
-def settings_of(given: GeoreferenceOptions) -> dict[str, Any]:
+def settings_of(given: GeoreferenceOptions, problem: Problem) -> dict[str, Any]:
     """Return non-default arguments of ``gps_priors``, ``gcp_priors`` and ``align``.
+
+    Positions with scaled standard deviations are read here.
 
     Raises:
         InputError: the antenna position is invalid.
     """
-    settings = _settings(given, set(given.names()) - _ONLY_ATTITUDES - _ONLY_VELOCITIES)
+    names = set(given.names()) - _ONLY_ATTITUDES - _ONLY_VELOCITIES - _SCALES
+    settings = _settings(given, names)
+    if given.changed().keys() & {"gps_sigma_scale"}:
+        from bundle.georeference.given_positions import scaled_gps  # few runs have a scale
+
+        images = settings.pop("images", None) if given.gps == "exif" else None
+        scales = given.gps_sigma, given.gps_sigma_scale
+        settings["gps"] = scaled_gps(given.gps, images, problem, *scales)
     if "antenna" in settings:
         settings["antenna"] = given.lever_arm
     if "gcp" in settings:

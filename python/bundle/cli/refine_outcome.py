@@ -52,6 +52,7 @@ def judge(
         rounds=len(solved.rounds),
         priors=priors if inertial is None else (inertial, *priors),
         survey=solved.survey_checks,
+        constraints=asked.constraints,
         is_minimum=solved.summary.termination_type == "CONVERGENCE",
     )
 

@@ -97,6 +97,7 @@ def run(arguments: argparse.Namespace) -> int:
                     given=repeated_flags(arguments),
                     covariance=certainty,
                     priors=priors,
+                    constraints=constraints,
                 ),
             )
             progress.stage(f"writing {shown(page)}")

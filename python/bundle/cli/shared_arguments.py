@@ -33,11 +33,14 @@ MOVED = (
     f"{GEOREFERENCE} in OUTPUT, or beside it if it is a file, says where that is."
 )
 
-POSITIONS = ("gps", "images", "gps_sigma", "gps_offset", "antenna")
+POSITIONS = ("gps", "images", "gps_sigma", "gps_sigma_scale", "gps_offset", "antenna")
 CONTROL_POINTS = ("gcp", "gcp_sigma", "gcp_pixel_sigma", "check_points")
 READING = ("input_format", "image_size", "image_list", "reconstruction", "pixel_origin")
 """Destinations of the flags of :func:`add_input_format`."""
-ATTITUDES = ("gravity", "gravity_sigma", "orientations", "orientation_sigma")
+ATTITUDES = (
+    *("gravity", "gravity_sigma", "gravity_sigma_scale"),
+    *("orientations", "orientation_sigma", "orientation_sigma_scale"),
+)
 VELOCITIES = ("velocities", "velocity_sigma")
 ROBUSTNESS = ("prior_loss", "prior_loss_scale")
 

@@ -276,6 +276,19 @@ class Attitudes:
     priors: tuple[AttitudePrior, ...]
     notes: tuple[str, ...] = ()
 
+    def scaled(self, gravity: float, orientation: float) -> Attitudes:
+        """Return the priors with sigmas times a factor: of gravity, and of all others."""
+        if gravity == orientation == 1:
+            return self
+        priors = []
+        for prior in self.priors:
+            factor = gravity if isinstance(prior, GravityPrior) else orientation
+            given: Any = prior
+            sigma = np.asarray(given.sigma_degrees) * factor
+            one = float(sigma) if sigma.ndim == 0 else tuple(sigma.tolist())
+            priors.append(dataclasses.replace(given, sigma_degrees=one))
+        return dataclasses.replace(self, priors=tuple(priors))
+
     def errors(
         self, problem: Problem, *, turned: bool = False, free: Problem | None = None
     ) -> tuple[AttitudeErrors, ...]:

@@ -12,7 +12,7 @@ import numpy as np
 from bundle.base.paths import as_path, is_path
 from bundle.errors import InputError, brief, nearest
 from bundle.georeference.colmap_database import read_database_gps
-from bundle.georeference.control_point import GroundControlPoint
+from bundle.georeference.control_point import GroundControlPoint, parse_sigma
 from bundle.georeference.exif_gps import read_exif_gps
 from bundle.georeference.gcp_list import read_gcp_list
 from bundle.georeference.geo_file import read_geo_file
@@ -23,7 +23,14 @@ from bundle.georeference.reference_system import ReferenceSystem
 from bundle.io.database_images import is_database
 from bundle.model.problem import Problem
 
-__all__ = ["EXIF", "Frame", "given_control_points", "given_gps", "with_check_points"]
+__all__ = [
+    "EXIF",
+    "Frame",
+    "given_control_points",
+    "given_gps",
+    "scaled_gps",
+    "with_check_points",
+]
 
 EXIF = "exif"
 
@@ -158,3 +165,28 @@ def given_gps(
             return with_fix(read_database_gps(path))
         return with_fix(read_opensfm_gps(path)) if is_opensfm(path) else read_geo_file(path)
     raise InputError(f'gps: expected "exif", a path or GpsPositions, found {brief(gps)}')
+
+
+def scaled_gps(
+    gps: str | os.PathLike[str] | GpsPositions | None,
+    images: str | os.PathLike[str] | None,
+    problem: Problem,
+    gps_sigma: Any,
+    gps_sigma_scale: Any,
+) -> GpsPositions | None:
+    """Return positions as :func:`given_gps` does, all with standard deviations times a factor.
+
+    Args:
+        gps: as in :func:`given_gps`.
+        images: as in :func:`given_gps`.
+        problem: problem of the images.
+        gps_sigma: standard deviations of positions without their own.
+        gps_sigma_scale: horizontal and vertical factors.
+    """
+    default = parse_sigma("gps_sigma", gps_sigma)
+    scale = parse_sigma("gps_sigma_scale", gps_sigma_scale, unit="a factor")
+    positions = given_gps(gps, images, problem)
+    if positions is None:
+        return None
+    own = np.where(np.isnan(positions.accuracy), default, positions.accuracy)
+    return replace(positions, accuracy=own * scale)

@@ -78,6 +78,14 @@ class GeoreferenceOptions(Options):
         needs=("gps",),
         late=True,
     )
+    gps_sigma_scale: str = option(
+        "1",
+        "--gps-sigma-scale",
+        "factor on the standard deviations of positions, horizontal and vertical, also on those "
+        "that positions have of their own",
+        metavar="H[/V]",
+        needs=("gps",),
+    )
     antenna: str = option(
         "0,0,0",
         "--antenna",
@@ -152,6 +160,14 @@ class GeoreferenceOptions(Options):
         needs=("gravity",),
         above=0,
     )
+    gravity_sigma_scale: float = option(
+        1.0,
+        "--gravity-sigma-scale",
+        "factor on the standard deviations of directions, also on those of their own",
+        metavar="X",
+        needs=("gravity",),
+        above=0,
+    )
     orientations: str | None = option(
         None,
         "--orientations",
@@ -166,6 +182,14 @@ class GeoreferenceOptions(Options):
         "standard deviation of orientations that have no own one, heading and tilt, in degrees",
         metavar="H[/T]",
         needs=("orientations",),
+    )
+    orientation_sigma_scale: float = option(
+        1.0,
+        "--orientation-sigma-scale",
+        "factor on the standard deviations of orientations, also on those of their own",
+        metavar="X",
+        needs=("orientations",),
+        above=0,
     )
     velocities: str | None = option(
         None,
