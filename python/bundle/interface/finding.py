@@ -8,7 +8,10 @@ from typing import Any
 
 from bundle.base.records import dataclass
 
-__all__ = ["Finding"]
+__all__ = ["DETAILS", "Finding"]
+
+DETAILS = ("duplicate_points",)
+"""Kinds that terminals show with --verbose only: they matter little, and no command helps."""
 
 
 @dataclass(frozen=True, kw_only=True)

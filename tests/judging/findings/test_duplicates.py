@@ -46,3 +46,20 @@ def test_pairs_must_be_several_and_a_share_of_the_points(num_points, num_twins, 
         assert finding.evidence["num_pairs"] == num_twins
         share = 2 * num_twins / (num_points + num_twins)
         assert finding.evidence["share"] == pytest.approx(share) and share >= SHARE
+
+
+def test_two_points_at_one_pixel_of_one_image_are_no_duplicates():
+    """Two features may touch in one image by chance; in a second image they do not."""
+    problem = make_problem(num_images=6, num_points=60)
+    order = np.lexsort((problem.observation_point, problem.observation_image))
+    for num_images, is_found in ((1, False), (2, True)):
+        xy = problem.observation_xy.copy()
+        for image in range(num_images):
+            rows = order[problem.observation_image[order] == image]
+            points = problem.observation_point[rows]
+            row = dict(zip(points.tolist(), rows.tolist(), strict=True))
+            for even in range(0, 60, 2):
+                if even in row and even + 1 in row:
+                    xy[row[even + 1]] = xy[row[even]]
+        measured = Measured(whole=problem.replace(observation_xy=xy), command=NextCommand())
+        assert (duplicate_points(measured) is not None) == is_found

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from bundle.solving.constraints.rule_list import Constraints
     from bundle.solving.constraints.rules import Rule
     from bundle.solving.placed_problem import Prior
+    from bundle.solving.request import Rules
 
 __all__ = ["intrinsics_covariance", "problem_covariance"]
 
@@ -88,7 +89,9 @@ def problem_covariance(
     return recipe.compute(list(relative))
 
 
-def intrinsics_covariance(problem: Problem, options: SolveOptions) -> Covariance:
+def intrinsics_covariance(
+    problem: Problem, options: SolveOptions, constraints: Rules = ()
+) -> Covariance:
     """Return the covariance of the intrinsics, scaled by sigma0, as :func:`covariance` does.
 
     Sums are doubles also for small models: ten times faster, with fewer digits.
@@ -97,7 +100,9 @@ def intrinsics_covariance(problem: Problem, options: SolveOptions) -> Covariance
         InputError: as :func:`covariance`.
     """
     gauge = "two_cameras"  # intrinsics do not depend on it
-    request = SolveRequest(problem=problem, options=options.replace(gauge=gauge))
+    request = SolveRequest(
+        problem=problem, options=options.replace(gauge=gauge), constraints=constraints
+    )
     recipe = _Recipe(request, ("intrinsics",), gauge, "sigma0", "weights", long_sums=False)
     return recipe.compute([])
 

@@ -82,6 +82,7 @@ def find(
     covariance: Covariance | None = None,
     priors: Sequence[Any] = (),
     survey: SurveyChecks | None = None,
+    constraints: Any = (),
     is_minimum: bool = False,
 ) -> tuple[Finding, ...]:
     """Return what a user should know about a model and do next.
@@ -97,6 +98,7 @@ def find(
             computed here if that takes milliseconds.
         priors: measured positions and attitudes of images in the frame of the problem.
         survey: tests of control points and positions after the solve, or None.
+        constraints: rules of the solve that made the model.
         is_minimum: True if a solve with these options has just converged.
     """
     used = {problem.camera_models[camera] for camera in set(problem.image_camera.tolist())}
@@ -110,6 +112,7 @@ def find(
         covariance=covariance,
         priors=priors,
         survey=survey,
+        constraints=constraints,
         is_minimum=is_minimum,
     )
     found = [finding for finding in _findings(measured) if finding is not None]
@@ -121,13 +124,22 @@ def _lens(measured: Measured, fields: Sequence[LensField]) -> Finding | None:
     return lens_model(measured, fields) or absorbed_lens(measured)
 
 
-def _with_right_lens(measured: Measured) -> Measured:
-    """Return the model with a larger lens if its own is too small, which bends it."""
+def _lens_of(measured: Measured) -> str:
+    """Return the larger lens model that a model needs; "": none."""
     found = SystematicResiduals(measured)
     lens = _lens(measured, fields_of_lenses(found, measured.scale))
-    if lens is None or not is_affordable(measured):
+    return "" if lens is None else str(lens.evidence["larger_model"])
+
+
+def _without_bends(measured: Measured, is_robust: bool, lens: str) -> Measured:
+    """Return the model with its positions, solved again without outliers and with a larger lens."""
+    if not is_affordable(measured):
         return measured
-    return repaired(measured, lens.evidence["larger_model"]) or measured
+    if is_robust:
+        measured = repaired(measured, with_priors=True) or measured
+    if lens:
+        measured = repaired(measured, lens, with_priors=True) or measured
+    return measured
 
 
 def _fields(
@@ -153,20 +165,22 @@ def _findings(measured: Measured) -> Iterator[Finding | None]:
         yield start
         return  # other tests need a minimum
     far = outliers(measured)
+    yield far
     is_bent = offset is None and is_tense(measured)  # an offset bends the model
     can_repair = is_affordable(measured)
     free = repaired(measured) if can_repair and (far is not None or is_bent) else None
     drift = places = None
     if is_bent:
-        straight = _with_right_lens(free or measured)
-        drift = scale_drift(measured, straight.whole)
-        bends = far is not None or straight is not (free or measured)
-        places = None if drift is not None else measured_positions(measured, model_bends=bends)
-    if far is not None and free is not None:
-        far = outliers(measured, robust_scale=free.scale)
-    yield from (far, drift, places)
+        larger_model = _lens_of(free or measured)
+        straight = free or measured
+        if larger_model and can_repair:
+            straight = repaired(straight, larger_model) or straight
+        placed = _without_bends(measured, far is not None, larger_model)
+        drift = scale_drift(placed, straight.whole)
+        places = None if drift is not None else measured_positions(placed)
+    yield from (drift, places)
     if free is not None:
-        measured = free
+        measured = free if far is not None else free.of_command(measured.command)
     elif far is not None or drift is not None or places is not None:
         return
     found, fits, fields, moves = _fields(measured)

@@ -243,9 +243,7 @@ def focal_drift(measured: Measured, groups: Groups, *, is_jointed: bool = False)
             return Finding(
                 kind="focal_drift",
                 sentence=f"The focal length drifts by {100 * change:+.1f} % over the images of "
-                f"{named('camera', ids)} (zoom, focus or temperature): keep a lens per image, "
-                "with a prior if the views determine it weakly.",
-                command=measured.command.refine("--set", "cameras *: f prior 2 %"),
+                f"{named('camera', ids)} (zoom, focus or temperature): keep a lens per image.",
                 evidence={
                     "camera_ids": ids, "change": change, "chi2": gain, "chi2_left_per_dof": left,
                 },

@@ -11,7 +11,7 @@ power: each test asks for size as well as significance.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import field
+from dataclasses import field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -61,6 +61,7 @@ class Measured:
         covariance: covariance of intrinsics with scale "sigma0", or None.
         priors: measured positions of images.
         survey: tests of control points and positions after the solve, or None.
+        constraints: rules of the solve.
         is_minimum: True if a solve with these options has just converged.
     """
 
@@ -71,7 +72,12 @@ class Measured:
     covariance: Covariance | None = None
     priors: Sequence[Any] = ()
     survey: SurveyChecks | None = None
+    constraints: Any = ()
     is_minimum: bool = False
+
+    def of_command(self, command: NextCommand) -> Measured:
+        """Return this model with another maker of command lines."""
+        return replace(self, command=command)
 
     @cached_property
     def problem(self) -> Problem:
@@ -161,7 +167,8 @@ class Measured:
         from bundle.errors import InputError
 
         try:
-            return intrinsics_covariance(whole, self.options.replace(num_threads=1))
+            options = self.options.replace(num_threads=1)
+            return intrinsics_covariance(whole, options, self.constraints)
         except InputError:
             return None
 

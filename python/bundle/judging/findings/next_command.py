@@ -39,6 +39,11 @@ class NextCommand:
 
     def refine(self, *flags: str) -> str:
         """Return `bundle refine` with the flags of this run and these, which replace the former."""
+        words = self.after(*flags).given
+        return shlex.join(["bundle", "refine", self.source, "-o", self.target, *words])
+
+    def after(self, *flags: str) -> NextCommand:
+        """Return the maker of commands for a run with these flags in addition."""
         advised = list(_occurrences(flags))
         replaced = {_name(one) for one in advised} - REPEATED
         kept = [
@@ -46,8 +51,15 @@ class NextCommand:
             for one in _occurrences(self.given)
             if _name(one) not in replaced and one not in advised
         ]
-        words = [word for one in (*kept, *advised) for word in one]
-        return shlex.join(["bundle", "refine", self.source, "-o", self.target, *words])
+        words = tuple(word for one in (*kept, *advised) for word in one)
+        return NextCommand(self.source, self.target, words)
+
+    def value(self, flag: str, default: str) -> str:
+        """Return the value that this run gives to a flag of one value."""
+        for one in _occurrences(self.given):
+            if _name(one) == flag:
+                return one[0].partition("=")[2] or " ".join(one[1:])
+        return default
 
     def other(self, command: str, *flags: str) -> str:
         """Return another command on the input."""

@@ -7,9 +7,12 @@ share q of the cost beyond 6 scales, the RMSE is larger by 1 / sqrt(1 - q).
 
 Threshold. At least 3 observations, and q >= 0.2: RMSE inflated by 12 % or more.
 
-A robust loss reduces the weight of outliers, and rounds remove them; neither is advised twice.
-Rounds remove errors above 4 px by default. The command states another limit if 6 scales of a robust
-fit are far from it; those of least squares say little, since outliers bend the model.
+Advice. First a loss whose influence vanishes for large errors: it reduces the weight of outliers
+wherever they are, and nothing is deleted. The errors of such a fit tell a tail from a group of its
+own. A tail ends gradually: with a density as e^-nu, only 2^(1 - nu) of the errors beyond 6 scales
+are beyond 12. If at least half of them are, they are a group, and rounds delete it. The limit lies
+in the gap, at 6 sqrt(2) scales. Points are not deleted for small angles, which say how certain
+depths are and not that an observation is wrong.
 """
 
 from __future__ import annotations
@@ -24,57 +27,58 @@ __all__ = ["outliers"]
 
 BEYOND = 6.0
 COST_SHARE = 0.2
-USUAL_LIMIT = 2.0, 4.0
-"""Pixels of 6 scales between which the default limit of rounds, 4 px, is right."""
+GAP = 2.0
+"""Errors of a group are beyond as many times the limit of outliers."""
+GROUP = 0.5
+"""Share of the outliers that are a group of their own."""
 SMALLEST_LIMIT = 0.5
+"""Smallest error that a command deletes [px]."""
+BOUNDED = ("cauchy", "tukey", "arctan")
+"""Losses whose influence vanishes for large errors."""
 FEWEST_OUTLIERS = 3
 FEWEST_OBSERVATIONS = 30
 
 
-def outliers(measured: Measured, robust_scale: float | None = None) -> Finding | None:
-    """Return the finding about outliers, or None.
-
-    Args:
-        measured: the model.
-        robust_scale: noise of a fit that outliers do not bend [px]; None: unknown.
-    """
+def outliers(measured: Measured) -> Finding | None:
+    """Return the finding about outliers, or None."""
     known = measured.counted
     count = int(known.sum())
     if count < FEWEST_OBSERVATIONS:
         return None
-    errors = measured.errors[known]
-    far = errors > BEYOND * measured.local_scale[known]
+    errors, scales = measured.errors[known], measured.local_scale[known]
+    far = errors > BEYOND * scales
     with np.errstate(over="ignore", invalid="ignore"):
         squares = errors**2
         share = float(squares[far].sum() / squares.sum()) if far.any() else 0.0
-    is_handled = measured.options.loss != "trivial" and measured.rounds > 0
-    if int(far.sum()) < FEWEST_OUTLIERS or not share >= COST_SHARE or is_handled:
+    num = int(far.sum())
+    if num < FEWEST_OUTLIERS or not share >= COST_SHARE:
         return None
-    rmse = float(np.sqrt(squares.mean()))
-    rest = float(np.sqrt(squares[~far].mean()))
-    effect = (
-        f"they are {number(100 * share)} % of the cost"
-        if measured.options.loss == "trivial"
-        else f"the {measured.options.loss.replace('_', '-')} loss reduces their weight, and they "
-        "are still in the model"
-    )
-    limit: tuple[str, ...] = ()
-    if robust_scale is not None:
-        low, high = USUAL_LIMIT
-        wanted = max(BEYOND * robust_scale, SMALLEST_LIMIT)
-        limit = () if low <= wanted <= high else ("--max-error", f"{wanted:.2g}")
+    loss = measured.options.loss
+    if loss not in BOUNDED:
+        flags: tuple[str, ...] = ("--loss", "cauchy")
+        advice = f"they are {number(100 * share)} % of the cost. A robust loss reduces their weight"
+    elif measured.rounds or not (errors > GAP * BEYOND * scales).sum() >= GROUP * num:
+        return None
+    else:
+        limit = f"{max(GAP**0.5 * BEYOND * measured.scale, SMALLEST_LIMIT):.2g}"
+        flags = ("--rounds", "3", "--max-error", limit, "--min-angle", "0")
+        deleted = plural(int((errors > float(limit)).sum()), "observation")
+        advice = (
+            f"the {loss} loss reduces their weight, and they are a group apart. Rounds delete "
+            f"{deleted} above {limit} px, and no point for its angle"
+        )
     return Finding(
         kind="outliers",
-        sentence=f"Outliers: {plural(int(far.sum()), 'observation')} "
+        sentence=f"Outliers: {plural(num, 'observation')} "
         f"({number(100 * float(far.mean()))} %) have errors beyond {BEYOND:g} times the noise of "
-        f"their surroundings ({measured.scale:.2g} px); {effect}.",
-        command=measured.command.refine("--loss", "cauchy", "--rounds", "3", *limit),
+        f"their surroundings ({measured.scale:.2g} px); {advice}.",
+        command=measured.command.refine(*flags),
         evidence={
-            "num_outliers": int(far.sum()),
+            "num_outliers": num,
             "share": float(far.mean()),
             "cost_share": share,
             "scale": measured.scale,
-            "rmse": rmse,
-            "rmse_without": rest,
+            "rmse": float(np.sqrt(squares.mean())),
+            "rmse_without": float(np.sqrt(squares[~far].mean())),
         },
     )

@@ -1,19 +1,25 @@
 r"""Measured positions against the model: sigmas, single wrong positions, drift of the scale.
 
-The residual of image i in units of its sigma has the length d_i; for right sigmas d_i^2 is chi^2
-with as many degrees of freedom as measured axes (median 2.37 for three, 1.39 for two).
+East and north are one group of axes, up is the other: receivers know heights several times less
+well. The residual of image i in units of its sigma has the length d_i in a group; for right sigmas
+d_i^2 is chi^2 with as many degrees of freedom as measured axes (median 1.386 for two, 0.455 for
+one).
 
-Wrong sigmas. The ratio sqrt(median d^2 / its expected median) is above 2, over at least 6 images.
-The command gives the sigma that the residuals show.
-Single positions. d_i is above 5 ratios (at least 5 sigmas) in at most a third of the images.
-Both limits are 1.5 times as high if outliers or a small lens bend the model.
+Wrong sigmas. The ratio of a group, the root of median d^2 over its expected median, is above 2 and
+3 of its standard errors above 1, over at least 6 images. The command gives the sigmas that the
+residuals show, per group (position_sigmas.py). Where the file has sigmas of its own, it gives
+factors on these.
+Single positions. The residual of all axes, each in sigmas times the ratio of its group (at least
+1), is above 5 in at most a third of the images.
+A model that outliers or a small lens bend is judged as it is without them.
 
 Drift. Priors pull the model, so that a drift shows little in the residuals. If these show any
 tension (a ratio above 1.5, or a residual above 5 sigmas), the model is solved without positions,
 and with a larger lens if its own is too small. With its centres c and the positions p, the scale of
 a part of the images is s = sum |p - mean p| / sum |c - mean c|. That of the first half of the
 images in their order and that of the second differ by more than 9 % and by 5 standard errors; the
-error of each is sigma / (spread sqrt n).
+error of each is sigma / (spread sqrt n). Smaller sigmas are advised while more than 3 % of drift is
+left in the model with its positions.
 """
 
 from __future__ import annotations
@@ -26,37 +32,41 @@ from numpy.typing import NDArray
 from bundle.base.words import number, plural
 from bundle.errors import shown
 from bundle.interface.finding import Finding
+from bundle.interface.georeference_options import GPS_SIGMA
 from bundle.judging.findings.measured import Measured, median
+from bundle.judging.findings.position_sigmas import sigma_factors
+from bundle.judging.findings.repaired import is_affordable
 from bundle.model.problem import Problem
 from bundle.model.rotations import quaternion_inverse, quaternion_rotate
 
 __all__ = ["is_tense", "measured_positions", "position_offset", "scale_drift"]
 
-CHI2_MEDIANS = {1: 0.4549, 2: 1.3863, 3: 2.3660}
-RATIO, BENT_FACTOR = 2.0, 1.5
+GROUPS = ((slice(0, 2), 1.3863, 0.72), (slice(2, 3), 0.4549, 1.17))
+"""Axes of a group, the median of their chi^2, and the relative standard error of the median length
+of n residuals, times the root of n."""
+RATIO, ERRORS = 2.0, 3.0
 TENSION = 1.5
+UNKNOWN_SIGMA = 1e50
+"""Sigma of an axis without a measurement."""
+SMALLEST_CHANGE = 0.05
+"""Relative change of a sigma that is worth a command."""
 OUTLIER = 5.0
 FEWEST = 6
 DRIFT, DRIFT_ERRORS = 0.09, 5.0
+LEFT = DRIFT / 3
+"""Drift of the model with its positions, from which smaller sigmas are advised."""
 
 Floats = NDArray[np.float64]
 
 
-def measured_positions(measured: Measured, *, model_bends: bool = False) -> Finding | None:
-    """Return the finding about positions that contradict the model, or None.
-
-    Args:
-        measured: the model with its measured positions.
-        model_bends: True if outliers or a small lens bend the model.
-    """
+def measured_positions(measured: Measured) -> Finding | None:
+    """Return the finding about positions that contradict the model, or None."""
     rows, priors = _used(measured)
     if len(rows) < FEWEST:
         return None
-    factor = BENT_FACTOR if model_bends else 1.0
-    distance, ratio = _distances(measured, rows, priors)
-    wrong = np.flatnonzero(distance > OUTLIER * factor * max(ratio, 1.0))
+    distance, own, ratio, limit = _distances(measured, rows, priors)
+    wrong = np.flatnonzero(own > OUTLIER)
     problem = measured.whole
-    sigma = _horizontal_sigma(priors)
     evidence: dict[str, Any] = {
         "num_positions": len(rows),
         "ratio": ratio,
@@ -65,7 +75,7 @@ def measured_positions(measured: Measured, *, model_bends: bool = False) -> Find
     }
     is_robust = all(prior.loss != "trivial" for prior in priors)
     if len(wrong) and 3 * len(wrong) <= len(rows) and not is_robust:
-        worst = int(wrong[np.argmax(distance[wrong])])
+        worst = int(wrong[np.argmax(own[wrong])])
         name = shown(problem.image_names[rows[worst]]) or f"image {problem.image_ids[rows[worst]]}"
         return Finding(
             kind="positions",
@@ -76,14 +86,25 @@ def measured_positions(measured: Measured, *, model_bends: bool = False) -> Find
             command=measured.command.refine("--prior-loss", "cauchy"),
             evidence=evidence,
         )
-    if ratio > RATIO * factor:
+    if ratio > limit:
+        factors = sigma_factors(measured, rows, priors, ratio) if is_affordable(measured) else None
+        if factors is None:
+            factors = (ratio, ratio)
+        wanted = [1.0 if one is None else one for one in factors]
+        given = [_sigma(priors, axis) for axis in (0, 2)]
+        better = [one * factor for one, factor in zip(given, wanted, strict=True)]
+        changes = any(abs(np.log(factor)) > SMALLEST_CHANGE for factor in wanted)
         return Finding(
             kind="positions",
-            sentence=f"Measured positions and model differ by {number(ratio)} times the sigmas: "
-            f"they are nearer to {number(ratio * sigma)} than to {number(sigma)}, or the model is "
-            "bent.",
-            command=measured.command.refine("--gps-sigma", f"{ratio * sigma:.2g}"),
-            evidence=evidence,
+            sentence=f"Measured positions and model differ by {number(ratio)} times the sigmas"
+            + (
+                f": they are nearer to {_pair(better)} m (horizontal / vertical) than to "
+                f"{_pair(given)}, or the model is bent."
+                if changes
+                else "; they are too few, or too strong, to estimate them."
+            ),
+            command=_sigma_command(measured, given, wanted) if changes else "",
+            evidence=evidence | {"sigmas_found": better, "factors": list(factors)},
         )
     return None
 
@@ -117,12 +138,37 @@ def position_offset(measured: Measured) -> Finding | None:
     )
 
 
+def _sigma_command(measured: Measured, given: list[float], factors: list[float]) -> str:
+    """Return the command that gives the sigmas, or factors on those of the file."""
+    command = measured.command
+    asked = command.value("--gps-sigma", GPS_SIGMA).split("/")
+    of_flag = [float(asked[0]), float(asked[-1])]
+    scale = command.value("--gps-sigma-scale", "")
+    if not scale and all(
+        one >= UNKNOWN_SIGMA or abs(one - other) <= 1e-9 * other
+        for sigma in _sigmas(measured)
+        for one, other in zip(sigma, of_flag, strict=True)
+    ):
+        return command.refine(
+            "--gps-sigma", _pair([g * f for g, f in zip(given, factors, strict=True)])
+        )
+    before = [float(word) for word in (scale or "1").split("/")]
+    product = [factors[0] * before[0], factors[1] * before[-1]]
+    return command.refine("--gps-sigma-scale", _pair(product))
+
+
+def _pair(values: list[float]) -> str:
+    """Return a horizontal and a vertical number with two digits, one word if they are equal."""
+    words = [f"{value:.2g}" for value in values if value < UNKNOWN_SIGMA]
+    return "/".join(dict.fromkeys(words))
+
+
 def is_tense(measured: Measured) -> bool:
     """Return True if residuals of positions are larger than their sigmas say."""
     rows, priors = _used(measured)
     if len(rows) < FEWEST:
         return False
-    distance, ratio = _distances(measured, rows, priors)
+    distance, _, ratio, _ = _distances(measured, rows, priors)
     return bool(ratio > TENSION or (distance > OUTLIER).any())
 
 
@@ -136,19 +182,53 @@ def scale_drift(measured: Measured, free: Problem) -> Finding | None:
     rows, priors = _used(measured)
     if len(rows) < 2 * FEWEST:
         return None
-    distance, ratio = _distances(measured, rows, priors)
-    right = np.flatnonzero(distance <= OUTLIER * max(ratio, 1.0)).tolist()
+    own = _distances(measured, rows, priors)[1]
+    right = np.flatnonzero(own <= OUTLIER).tolist()
     rows, priors = [rows[k] for k in right], [priors[k] for k in right]
     if len(rows) < 2 * FEWEST:
         return None
+    free_drift, error = _drift(free, measured, rows, priors)
+    if not (abs(free_drift) > DRIFT and abs(free_drift) > DRIFT_ERRORS * error):
+        return None
+    left, _ = _drift(measured.whole, measured, rows, priors)
+    follows = not abs(left) > LEFT
+    advice = (
+        "The positions correct it."
+        if follows
+        else "Give the positions smaller sigmas, or close loops."
+    )
+    third = [1 / 3, 1 / 3]
+    return Finding(
+        kind="scale_drift",
+        sentence="The scale drifts: the second half of the images is "
+        f"{100 * np.expm1(free_drift):+.1f} % larger in the measured positions than in the model, "
+        f"against the first half (standard error {100 * error:.1f} %). {advice}",
+        command=""
+        if follows
+        else _sigma_command(measured, [_sigma(priors, axis) for axis in (0, 2)], third),
+        evidence={
+            "change": float(np.expm1(free_drift)),
+            "standard_error": error,
+            "left": float(np.expm1(left)),
+        },
+    )
+
+
+def _drift(
+    problem: Problem, measured: Measured, rows: list[int], priors: list[Any]
+) -> tuple[float, float]:
+    """Return the logarithm of the change of the scale between the halves, and its error.
+
+    Zero, with an infinite error, if a half has no extent.
+    """
     order = np.argsort(measured.whole.image_ids[rows], kind="stable")
     antennas = np.array(
-        [_antenna(free, row, prior) for row, prior in zip(rows, priors, strict=True)]
+        [_antenna(problem, row, prior) for row, prior in zip(rows, priors, strict=True)]
     )[order]
     positions = np.array([np.asarray(prior.position) for prior in priors])[order]
     flat = np.isnan(positions[:, 2]).any()
     given, found = (values[:, : 2 if flat else 3] for values in (positions, antennas))
-    sigma = _horizontal_sigma(priors)
+    sigma = _sigma(priors, 0)
     half = len(rows) // 2
     scales, errors = [], []
     for part in (slice(None, half), slice(half, None)):
@@ -157,34 +237,36 @@ def scale_drift(measured: Measured, free: Problem) -> Finding | None:
             for values in (given, found)
         ]
         if not spread[1] > 0 or not spread[0] > 0:
-            return None
-        count = len(given[part])
+            return 0.0, np.inf
         scales.append(spread[0] / spread[1])
-        errors.append(sigma * np.sqrt(count) / spread[0])
-    change = float(np.log(scales[1] / scales[0]))
-    error = float(np.hypot(*errors))
-    if not (abs(change) > DRIFT and abs(change) > DRIFT_ERRORS * error):
-        return None
-    return Finding(
-        kind="scale_drift",
-        sentence=f"The scale drifts: the second half of the images is {100 * np.expm1(change):+.1f}"
-        f" % larger in the measured positions than in the model, against the first half "
-        f"(standard error {100 * error:.1f} %). Give the positions smaller sigmas, or close loops.",
-        command=measured.command.refine("--gps-sigma", f"{sigma / 3:.2g}"),
-        evidence={"change": float(np.expm1(change)), "standard_error": error},
-    )
+        errors.append(sigma * np.sqrt(len(given[part])) / spread[0])
+    return float(np.log(scales[1] / scales[0])), float(np.hypot(*errors))
 
 
-def _distances(measured: Measured, rows: list[int], priors: list[Any]) -> tuple[Floats, float]:
-    """Return residuals in sigmas, and the ratio of their median to the expected one."""
+def _distances(
+    measured: Measured, rows: list[int], priors: list[Any]
+) -> tuple[Floats, Floats, float, float]:
+    """Return the residuals of positions in sigmas.
+
+    Returns:
+        Their lengths; their lengths in the sigmas that most residuals of a group show, if these are
+        larger; and the larger ratio of the groups with its limit.
+    """
     whitened = np.array(
         [prior.whiten(_antenna(measured.whole, row, prior) - np.asarray(prior.position))
          for row, prior in zip(rows, priors, strict=True)]
     )  # fmt: skip
-    axes = int(np.clip(median((np.abs(whitened) > 0).sum(axis=1).astype(float)), 1, 3))
-    distance = np.sqrt((whitened**2).sum(axis=1))
-    ratio = float(median(distance) / np.sqrt(CHI2_MEDIANS[axes]))
-    return distance, ratio
+    own, worst = whitened.copy(), (0.0, RATIO)
+    for axes, middle, error in GROUPS:
+        lengths = np.linalg.norm(whitened[:, axes], axis=1)
+        lengths = lengths[lengths > 0]
+        if len(lengths) < FEWEST:
+            continue
+        ratio = float(median(lengths) / np.sqrt(middle))
+        limit = max(RATIO, 1.0 + ERRORS * error / np.sqrt(len(lengths)))
+        own[:, axes] /= max(ratio, 1.0)
+        worst = max(worst, (ratio, limit), key=lambda pair: pair[0] / pair[1])
+    return np.linalg.norm(whitened, axis=1), np.linalg.norm(own, axis=1), *worst
 
 
 def _used(measured: Measured) -> tuple[list[int], list[Any]]:
@@ -215,6 +297,14 @@ def _antenna(problem: Problem, row: int, prior: Any) -> Floats:
     return antenna
 
 
-def _horizontal_sigma(priors: list[Any]) -> float:
-    sigmas = [float(np.sqrt(prior.full_covariance[0, 0])) for prior in priors]
-    return median(np.array(sigmas))
+def _sigmas(measured: Measured) -> list[tuple[float, float]]:
+    """Return the horizontal and the vertical sigma of each used position."""
+    return [
+        (float(np.sqrt(full[0, 0])), float(np.sqrt(full[2, 2])))
+        for full in (prior.full_covariance for prior in _used(measured)[1])
+    ]
+
+
+def _sigma(priors: list[Any], axis: int) -> float:
+    """Return the median sigma of an axis."""
+    return median(np.array([np.sqrt(prior.full_covariance[axis, axis]) for prior in priors]))

@@ -34,12 +34,17 @@ def is_affordable(measured: Measured) -> bool:
     return whole.num_observations <= MOST_OBSERVATIONS and whole.num_images <= MOST_IMAGES
 
 
-def repaired(measured: Measured, lens_model: str = "") -> Measured | None:
-    """Return the model solved again with a robust loss, without positions; None if it fails.
+def repaired(
+    measured: Measured, lens_model: str = "", *, with_priors: bool = False
+) -> Measured | None:
+    """Return the model solved again with a robust loss; None if it fails.
+
+    Its commands begin with the same repair, because its findings hold only after it.
 
     Args:
         measured: the model.
         lens_model: larger lens model for all cameras; "": the present one.
+        with_priors: keep the measured positions and attitudes.
     """
     from bundle.solving.executors import solve_prepared
     from bundle.solving.prepare import prepare
@@ -54,18 +59,29 @@ def repaired(measured: Measured, lens_model: str = "") -> Measured | None:
         function_tolerance=TOLERANCE,
         check_solution=False,
     )
+    priors = measured.priors if with_priors else ()
     try:
         if lens_model:
             from bundle.editing.cameras.model_change import change_camera_model
 
             problem = change_camera_model(problem, lens_model).problem
-        prepared = prepare(SolveRequest(problem=problem, options=options))
+        rules = measured.constraints
+        request = SolveRequest(
+            problem=problem, options=options, priors=priors, align=False, constraints=rules
+        )
+        prepared = prepare(request)
         result = prepared.finished(solve_prepared(prepared, None))
     except InputError:
         return None
     if not lens_model and result.summary.termination_type != "CONVERGENCE":
         return None
-    problem = result.problem
+    flags = ("--camera-model", lens_model) if lens_model else ("--loss", "cauchy")
     return dataclasses.replace(
-        measured, whole=problem, options=options, covariance=None, priors=(), is_minimum=True
+        measured,
+        whole=result.problem,
+        command=measured.command.after(*flags),
+        options=options,
+        covariance=None,
+        priors=priors,
+        is_minimum=True,
     )

@@ -24,6 +24,7 @@ import numpy as np
 from bundle.base.words import number, plural
 from bundle.errors import shown
 from bundle.interface.finding import Finding
+from bundle.interface.georeference_options import GRAVITY_SIGMA
 from bundle.judging.findings.measured import Measured
 
 if TYPE_CHECKING:
@@ -39,7 +40,12 @@ FEWEST = 6
 SMALLEST = 1.0
 """Angle in degrees below which a measurement is not accused."""
 
-FLAGS = {"gravity": "--gravity-sigma", "orientation": "--orientation-sigma"}
+SCALES = {
+    "gravity": "--gravity-sigma-scale",
+    "orientation": "--orientation-sigma-scale",
+    "heading": "--orientation-sigma-scale",
+}
+"""Flags with a factor on sigmas, also on those of the file."""
 
 
 def wrong_attitudes(measured: Measured) -> Finding | None:
@@ -95,13 +101,23 @@ def _wrong_sigmas(measured: Measured, errors: AttitudeErrors) -> Finding | None:
         "num_images": count,
         "ratio": errors.ratio,
     }
-    flag = FLAGS.get(errors.noun)
     sigma = f"{errors.ratio * errors.sigma:.2g}"
     return Finding(
         kind="attitudes",
         sentence=f"{errors.noun.capitalize()} and model differ by {number(errors.ratio)} times the "
         f"sigmas: they are nearer to {sigma} than to {number(errors.sigma)} degrees, or the model "
         "is bent. Give the measurements larger sigmas.",
-        command=measured.command.refine(flag, sigma) if flag else "",
+        command=_sigma_command(measured, errors, sigma),
         evidence=evidence,
     )
+
+
+def _sigma_command(measured: Measured, errors: AttitudeErrors, sigma: str) -> str:
+    """Return the command that gives the sigma of all, or a factor where the file has its own."""
+    command, flag = measured.command, SCALES[errors.noun]
+    scale = command.value(flag, "")
+    default = float(command.value("--gravity-sigma", str(GRAVITY_SIGMA)))
+    sigmas = [prior.sigma_degrees for prior in measured.priors if hasattr(prior, "direction")]
+    if errors.noun == "gravity" and not scale and np.allclose(sigmas, default, rtol=1e-9):
+        return command.refine("--gravity-sigma", sigma)
+    return command.refine(flag, f"{errors.ratio * float(scale or 1):.2g}")

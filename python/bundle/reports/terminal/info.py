@@ -13,7 +13,7 @@ from bundle.analysis.statistics.description import Description, Distribution
 from bundle.base.tables import Bar
 from bundle.base.words import contents, format_name, number, pixels, plural
 from bundle.errors import shown
-from bundle.interface.finding import Finding
+from bundle.interface.finding import DETAILS, Finding
 from bundle.model.problem import Problem
 from bundle.model.pycolmap.imported_source import imported_source
 from bundle.reports.sections import Column, Report, Section, Table, fields
@@ -43,6 +43,7 @@ def information(
 ) -> Report:
     """Return the report on the description of a problem and the findings about it."""
     count = description.num_repeated_observations
+    count_of_findings = sum(finding.kind not in DETAILS for finding in findings)
     tracks = f"{plural(count, 'repeated observation')} (a track visits the same image twice)"
     facts = [
         ("covisibility", _covisibility(description.covisibility)),
@@ -65,7 +66,7 @@ def information(
     return Report(
         command="info",
         input=about_problem(path, problem),
-        headline=_headline(path, problem, description, len(findings)),
+        headline=_headline(path, problem, description, count_of_findings),
         findings=findings,
         sections=[dataclasses.replace(section, is_detail=True) for section in details],
         data=fields(description),

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Sequence
 
 from bundle.base.tables import Block, Line, Paragraph, Piece, columns, facts, notes, render
 from bundle.base.words import plural
-from bundle.interface.finding import Finding
+from bundle.interface.finding import DETAILS, Finding
 from bundle.reports.sections import Report, Section, Table
 
 __all__ = ["CommandLine", "fitted", "laid_out"]
@@ -79,6 +79,8 @@ def _warnings(sentences: Sequence[str], verbose: bool) -> list[Block | str]:
 
 
 def _findings(findings: Sequence[Finding], most: int | None) -> list[Block | str]:
+    if most is not None:
+        findings = [finding for finding in findings if finding.kind not in DETAILS]
     shown = findings[:most]
     parts: list[Block | str] = []
     for finding in shown:

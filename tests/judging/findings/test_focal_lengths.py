@@ -1,0 +1,117 @@
+"""Findings about focal lengths, at the limits of their tests and with exact numbers."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import bundle
+from bundle.judging.findings.find import find
+from bundle.judging.findings.focal_lengths import (
+    FocalLengths,
+    focal_drift,
+    shared_lens,
+    undetermined_intrinsics,
+)
+from bundle.judging.findings.next_command import NextCommand
+from tests.campaigns.findings import make
+
+FOCAL = 1000.0
+
+
+def group(focal, sigma=1.0, distortion=0.0, factor=1.0):
+    focal = np.asarray(focal, float)
+    return FocalLengths(
+        cameras=np.arange(len(focal)),
+        focal=focal,
+        sigma=np.full(len(focal), sigma),
+        distortion=distortion,
+        inlier_factor=factor,
+        order=np.linspace(-1.0, 1.0, len(focal)),
+        is_covered=True,
+    )
+
+
+MEASURED = SimpleNamespace(
+    command=NextCommand(), whole=SimpleNamespace(camera_ids=np.arange(1, 101))
+)
+
+
+def drifting(change, num=10, sigma=1.0):
+    """Focal lengths that change by a share of their mean from the first to the last."""
+    return group(FOCAL * (1 + change / 2 * np.linspace(-1, 1, num)), sigma)
+
+
+@pytest.mark.parametrize("change", [0.05, -0.05])
+def test_a_drift_has_its_size_and_its_sign(change):
+    found = focal_drift(MEASURED, [drifting(change)])
+    assert found.evidence["change"] == pytest.approx(change, rel=1e-12)
+    spread = (np.linspace(-1, 1, 10) ** 2).sum()
+    assert found.evidence["chi2"] == pytest.approx((FOCAL * change / 2) ** 2 * spread, rel=1e-9)
+    assert f"{100 * change:+.1f} %" in found.sentence
+    assert found.command == ""  # a prior at the present values would undo the drift
+
+
+@pytest.mark.parametrize(
+    ("given", "is_found"),
+    [
+        (drifting(0.0201), True),
+        (drifting(0.0199), False),
+        (drifting(0.05, num=6), True),
+        (drifting(0.05, num=5), False),
+        (drifting(0.05, sigma=9.10), True),  # gain 30.7
+        (drifting(0.05, sigma=9.30), False),  # gain 29.4
+        (group(drifting(0.05).focal, sigma=60.0), False),  # not determined
+    ],
+)
+def test_limits_of_a_drift(given, is_found):
+    assert (focal_drift(MEASURED, [given]) is not None) == is_found
+
+
+def test_a_weak_joint_makes_the_limit_of_a_drift_three_times_as_high():
+    for sigma, is_found in ((5.20, True), (5.40, False)):  # gains 94.1 and 87.3
+        found = focal_drift(MEASURED, [drifting(0.05, sigma=sigma)], is_jointed=True)
+        assert (found is not None) == is_found
+
+
+def spread(chi2_per_dof):
+    """Three focal lengths whose Q / d has a value."""
+    return FOCAL + np.array([-1.0, 0.0, 1.0]) * np.sqrt(chi2_per_dof)
+
+
+@pytest.mark.parametrize(
+    ("given", "jointed", "is_found"),
+    [
+        (group(spread(3.99)), False, True),
+        (group(spread(4.01)), False, False),
+        (group(spread(11.9)), True, True),
+        (group(spread(12.1)), True, False),
+        (group([FOCAL]), False, False),
+        (group([FOCAL] * 2), False, True),
+        (group(spread(1.0), sigma=49.9), False, True),
+        (group(spread(1.0), sigma=50.1), False, False),  # 5 %
+    ],
+)
+def test_limits_of_equal_lenses(given, jointed, is_found):
+    assert (shared_lens(MEASURED, [given], is_jointed=jointed) is not None) == is_found
+
+
+def test_the_largest_undetermined_group_is_named_with_its_command():
+    for sigma, is_found in ((50.1, True), (49.9, False)):
+        found = undetermined_intrinsics(MEASURED, [group([FOCAL], sigma)])
+        assert (found is not None) == is_found
+    found = undetermined_intrinsics(MEASURED, [group([FOCAL], 100.0)])
+    assert found.command.endswith("--set 'camera 1: f prior 2 %'")
+    assert found.evidence["relative_sigma"] == [pytest.approx(0.1)]
+    assert undetermined_intrinsics(MEASURED, [group([FOCAL], 100.0, factor=0.4)]) is None
+
+
+def test_rules_of_the_solve_determine_a_focal_length():
+    """Advice that was followed is not given again."""
+    problem = make(20_000, ("undetermined_intrinsics",)).start
+    rule = "camera 1: f prior 2 %"
+    result = bundle.solve(problem, constraints=[rule], max_num_iterations=200)
+    kinds = [
+        [one.kind for one in find(result.problem, constraints=rules)] for rules in ((), [rule])
+    ]
+    assert "undetermined_intrinsics" in kinds[0] and "undetermined_intrinsics" not in kinds[1]
