@@ -8,6 +8,7 @@ import pytest
 
 from bundle.graphs.factors import check_solve
 from tests.campaigns import (
+    advice,
     conventions,
     covariance,
     degenerate,
@@ -105,6 +106,24 @@ def test_gauges_leave_minima_where_they_are():
     found = gauges.campaign(16, seed=1000)
     assert [entry for entry in found if entry.is_wrong] == []
     assert {kind for entry in found for kind in entry.kinds} >= {"rigs", "1 points", "2 points"}
+
+
+def test_followed_advice_helps_and_ends(tmp_path):
+    """Outliers in cameras of one lens: each order of both repairs ends at the same model."""
+    steps = advice.scene_steps(50_006, tmp_path)
+    assert [step for step in steps if step.faults] == []
+    assert {step.kind for step in steps} == {"outliers", "shared_lens"}
+    assert all(step.after < 0.3 * step.before for step in steps if "cauchy" not in step.words)
+
+
+def test_faults_of_advice_are_seen():
+    words = ["refine", "a", "-o", "b", "--set", "camera 1: f fixed", "--rounds", "2"]
+    assert advice._lost(words, [*words[:4], "--rounds", "3"]) == ["rules"]
+    assert advice._lost(words, [*words, "--set", "camera 1: k fixed"]) == []
+    assert advice._lost(words, words[:6]) == ["num_rounds"]
+    moved = np.random.default_rng(0).normal(size=(5, 3))
+    turned = moved @ np.array([[0, 1.0, 0], [-1, 0, 0], [0, 0, 1]]) * 3 + [1, 2, 3]
+    np.testing.assert_allclose(advice.similar(moved, turned), turned, atol=1e-12)
 
 
 def test_two_loops(monkeypatch):

@@ -1,0 +1,297 @@
+"""Commands of findings, followed as printed to the end: each must run, keep the flags, and help.
+
+python -m tests.campaigns.advice scenes COUNT [SEED]
+python -m tests.campaigns.advice models [NAME ...]
+
+Scenes are those of tests.campaigns.findings, with zero to three planted faults and flags that a
+user might have given. Each command of each finding of the first run is followed; after it, the
+first command of each next run, until none is printed. The position error against the truth, after
+a similarity, may grow by at most 5 % at a step.
+
+Models are the real ones of BUNDLE_DATA. They have no truth: 10 % of their observations are held out
+of the file that the commands read. All points are triangulated again from that file, robustly and
+with the cameras of each result, so that deleted points count, too. The RMSE of the held-out
+observations, clipped at 4 px, may grow by at most 5 % at a step.
+
+A command also fails if it does not end with exit 0, if a flag of the user is missing, if the solve
+does not converge and prints no further command, or if it repeats a command that was followed.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import os
+import shlex
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import bundle
+from bundle.cli.main import command_parser
+from bundle.cli.main import main as run_bundle
+from bundle.cli.next_run import DROPPED
+from bundle.model.clipped_errors import errors_or_nan, summarize_clipped
+from bundle.model.problem import Problem
+from tests.campaigns import findings
+
+WORSE = 1.05
+SMALLEST = 1e-7
+"""Error that no longer counts, as a share of the size of the scene."""
+LONGEST = 6
+"""Commands in a chain, after which it does not end."""
+USER = (
+    (),
+    ("--set", "cameras *: f in [1, 1000000]"),
+    ("--set", "image 2: rotation prior sigma 20", "--deterministic"),
+    ("--max-iterations", "150", "--no-check-solution"),
+    ("--hold-out", "10"),
+    ("--loss", "soft-l1", "--loss-scale", "2"),
+)
+"""Flags that a user might have given."""
+ORIGIN = np.array([500_000.0, 5_300_000.0, 100.0])
+"""Place of the synthetic positions in EPSG:32632."""
+MODELS: dict[str, tuple[str, ...]] = {
+    **{f"colmap/{name}": () for name in ("bartoszek", "batmo_rigs", "crane_mast", "lund_door")},
+    **{f"colmap/{name}": () for name in ("maupertuis", "video48", "vr_opencv", "long_tracks")},
+    "degenerate/pratikk0": (),
+    "rigs/kitti26_stereo_rig": (),
+    "rolling_shutter/phone": (),
+    "georeferenced/brighton_gps": (),
+    "georeferenced/copr_gcp": (),
+}
+"""Real models by their paths in BUNDLE_DATA, and flags of the first run."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """A command that was followed.
+
+    Attributes:
+        kind: finding that it came from.
+        words: its words.
+        before: error of the run before it.
+        after: its error; NaN if it failed.
+        faults: what is wrong with it; empty if it helps or does no harm.
+    """
+
+    kind: str
+    words: tuple[str, ...]
+    before: float
+    after: float
+    faults: tuple[str, ...]
+
+
+Judge = Callable[[Problem], float]
+"""Error of a result."""
+
+
+def follow(source: Path, flags: tuple[str, ...], judge: Judge) -> list[Step]:
+    """Refine a model and follow its findings; return the commands that were followed."""
+    target = source.with_name("out")
+    first = ["refine", str(source), "-o", f"{target}/", "--overwrite", *flags]
+    begun, _ = _run(first, target)
+    steps: list[Step] = []
+    if begun is None:
+        return steps
+    error = judge(bundle.load(target))
+    for finding in begun["findings"]:
+        if finding["command"].startswith("bundle refine"):
+            steps += _chain(finding, {_key(first)}, first, target, judge, error)
+    return steps
+
+
+def _chain(
+    finding: dict[str, Any], known: set[str], last: list[str], target: Path, judge: Judge,
+    before: float,
+) -> Iterator[Step]:  # fmt: skip
+    """Yield the steps that begin with a finding."""
+    for _ in range(LONGEST):
+        words = shlex.split(finding["command"])[1:]
+        faults = [f"lost {name}" for name in _lost(last, words)]
+        if _key(words) in known:
+            faults.append("repeats a command")
+        known = known | {_key(words)}
+        report, code = _run(words, target)
+        after = np.nan
+        if report is None or code != 0:
+            faults.append(f"exit {code}")
+        if report is not None:
+            after = judge(bundle.load(target))
+            if not after <= max(WORSE * before, SMALLEST):
+                faults.append("worse")
+        found = [] if report is None else report["findings"]
+        following = [one for one in found if one["command"].startswith("bundle refine")]
+        is_converged = report is not None and report["summary"]["termination_type"] == "CONVERGENCE"
+        if not is_converged and not following:
+            faults.append("neither converged nor a next command")
+        yield Step(finding["kind"], tuple(words), before, after, tuple(faults))
+        if not following or "repeats a command" in faults:
+            return
+        finding, last, before = following[0], words, after
+    yield Step(finding["kind"], tuple(words), before, after, ("the chain does not end",))
+
+
+def _run(words: list[str], target: Path) -> tuple[dict[str, Any] | None, int]:
+    """Run a command; return its report, or None, and its exit code."""
+    report = target.with_name("report.json")
+    report.unlink(missing_ok=True)
+    more = ["--quiet", "--threads", "1", "--json", str(report)]
+    said = io.StringIO()
+    with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
+        try:
+            code = run_bundle([*words, *more])
+        except SystemExit as error:
+            code = int(str(error.code))
+    if not report.exists():
+        print(f"exit {code}: {shlex.join(words)}: {said.getvalue().strip()}", flush=True)
+        return None, code
+    return json.loads(report.read_text("utf-8")), code
+
+
+def _key(words: list[str]) -> str:
+    return repr(sorted(_given(words).items()))
+
+
+def _given(words: list[str]) -> dict[str, Any]:
+    """Return the arguments of a command."""
+    arguments = vars(command_parser().parse_args(words))
+    beside = {*DROPPED, "taken", "flags", "kind", "command"}
+    return {name: value for name, value in arguments.items() if name not in beside}
+
+
+def _lost(before: list[str], after: list[str]) -> list[str]:
+    """Return the arguments of a command that the next one lacks."""
+    given, now = _given(before), _given(after)
+    return [
+        name
+        for name, value in given.items()
+        if value not in (None, False)
+        and (now[name] is None or (isinstance(value, list) and not set(value) <= set(now[name])))
+    ]
+
+
+def position_error(image_ids: np.ndarray, truth: np.ndarray) -> Judge:
+    """Return the judge by true positions: their RMS error after a similarity, by the size."""
+    row = {image: k for k, image in enumerate(image_ids.tolist())}
+    size = float(np.sqrt(((truth - truth.mean(axis=0)) ** 2).sum(axis=1).mean()))
+
+    def judge(result: Problem) -> float:
+        given = truth[[row[image] for image in result.image_ids.tolist()]]
+        moved = similar(result.projection_centers, given)
+        return float(np.sqrt(((moved - given) ** 2).sum(axis=1).mean())) / size
+
+    return judge
+
+
+def similar(points: np.ndarray, onto: np.ndarray, others: np.ndarray | None = None) -> np.ndarray:
+    """Return points, or others, moved by the similarity of least squares (Umeyama 1991)."""
+    a, b = points.mean(axis=0), onto.mean(axis=0)
+    u, d, v = np.linalg.svd((onto - b).T @ (points - a))
+    sign = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ v))])
+    scale = (d * sign).sum() / ((points - a) ** 2).sum()
+    return ((points if others is None else others) - a) @ (u * sign @ v).T * scale + b
+
+
+def held_out_error(whole: Problem, held: np.ndarray) -> Judge:
+    """Return the judge by held-out observations; see the top of this file."""
+    fitted = np.ones(whole.num_observations, bool)
+    fitted[held] = False
+    row = {point: k for k, point in enumerate(whole.point_ids.tolist())}
+
+    def judge(result: Problem) -> float:
+        kept = [row[point] for point in result.point_ids.tolist() if point in row]
+        shared = np.isin(result.point_ids, whole.point_ids)
+        points = similar(whole.points[kept], result.points[shared], whole.points)
+        points[kept] = result.points[shared]
+        seen = whole.select(observations=fitted).problem
+        names = (
+            *("cam_from_world", "image_camera", "camera_models", "camera_params", "camera_sizes"),
+            *("camera_ids", "rig_from_world", "sensor_from_rig", "rolling_shutter"),
+        )
+        cameras = {name: getattr(result, name) for name in names}
+        robust = {"refine": ("points",), "loss": "cauchy", "num_threads": 1}
+        again = bundle.solve(seen.replace(points=points, **cameras), **robust).problem
+        errors = errors_or_nan(whole.replace(points=again.points, **cameras), "auto", 1)
+        return float(summarize_clipped(errors[held]).clipped_rmse)
+
+    return judge
+
+
+def scene_steps(seed: int, folder: Path) -> list[Step]:
+    """Follow the findings of a seeded scene."""
+    scene = findings.make(seed)
+    rng = np.random.default_rng([seed, 7])
+    source = folder / "model"
+    bundle.save(scene.start, f"{source}/", format="colmap")
+    flags = list(USER[int(rng.integers(len(USER)))])
+    if scene.priors:
+        names = dict(zip(scene.start.image_ids.tolist(), scene.start.image_names, strict=True))
+        has_sigmas = bool(rng.random() < 0.5)
+        sigma = float(np.max(scene.priors[0].sigma))
+        lines = ["EPSG:32632"]
+        for prior in scene.priors:
+            east, north, up = np.asarray(prior.position) + ORIGIN
+            own = f" 0 0 0 {sigma:.4g} {sigma:.4g}" if has_sigmas else ""
+            lines.append(f"{names[prior.image]} {east:.6f} {north:.6f} {up:.6f}{own}")
+        (folder / "geo.txt").write_text("\n".join(lines) + "\n", "utf-8")
+        flags += ["--gps", str(folder / "geo.txt")]
+        flags += [] if has_sigmas else ["--gps-sigma", f"{sigma:.4g}"]
+    truth = scene.truth.projection_centers
+    if "scale_drift" in scene.planted:  # planted into the positions: these are the truth
+        truth = np.array([np.asarray(prior.position) for prior in scene.priors])
+    return follow(source, tuple(flags), position_error(scene.truth.image_ids, truth))
+
+
+def model_steps(name: str, folder: Path) -> list[Step]:
+    """Follow the findings of a real model."""
+    whole = bundle.load(Path(os.environ["BUNDLE_DATA"]) / name)
+    kept, held = bundle.hold_out(whole, percent=10, seed=0)
+    bundle.save(kept, f"{folder / 'model'}/", format="colmap")
+    return follow(folder / "model", MODELS.get(name, ()), held_out_error(whole, held))
+
+
+def summary(steps: list[Step]) -> str:
+    """Return the share of good steps, by kind."""
+    total, good = Counter(), Counter()
+    for step in steps:
+        for kind in (step.kind, "all"):
+            total[kind] += 1
+            good[kind] += not step.faults
+    return "\n".join(f"{kind:24} {good[kind]} of {total[kind]}" for kind in sorted(total))
+
+
+def main() -> int:
+    """Follow the findings of scenes or models and print what fails."""
+    names: list[Any]
+    if sys.argv[1] == "scenes":
+        first = int(sys.argv[3]) if len(sys.argv) > 3 else 50_000
+        names, steps_of = list(range(first, first + int(sys.argv[2]))), scene_steps
+    else:
+        names, steps_of = sys.argv[2:] or list(MODELS), model_steps  # type: ignore[assignment]
+    steps: list[Step] = []
+    for name in names:
+        with tempfile.TemporaryDirectory() as folder:
+            try:
+                found = steps_of(name, Path(folder))
+            except bundle.InputError as error:
+                print(f"{name}: {error}", flush=True)
+                continue
+        steps += found
+        for step in found:
+            told = f"{step.before:.4g} -> {step.after:.4g}"
+            bad = f" FAULT {', '.join(step.faults)}" if step.faults else ""
+            print(f"{name} {step.kind} {told}{bad}: {shlex.join(step.words[4:])}", flush=True)
+    print(summary(steps))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
