@@ -79,7 +79,7 @@ def test_factors_multiply_those_of_the_run(flight):
 
 
 def test_few_positions_have_no_estimate(flight):
-    """Of 6 positions, 6 heights have a redundancy below 10."""
+    """The heights of 6 positions have a redundancy below 10."""
     problem, positions = flight
     rows = [0, 5, 14, 21, 30, 35]
     every = priors_of(problem, positions, 0.1)
