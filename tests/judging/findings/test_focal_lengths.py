@@ -10,7 +10,6 @@ from bundle.judging.findings.find import find
 from bundle.judging.findings.focal_lengths import (
     FocalLengths,
     focal_drift,
-    shared_lens,
     undetermined_intrinsics,
 )
 from bundle.judging.findings.next_command import NextCommand
@@ -72,28 +71,6 @@ def test_a_weak_joint_makes_the_limit_of_a_drift_three_times_as_high():
     for sigma, is_found in ((5.20, True), (5.40, False)):  # gains 94.1 and 87.3
         found = focal_drift(MEASURED, [drifting(0.05, sigma=sigma)], is_jointed=True)
         assert (found is not None) == is_found
-
-
-def spread(chi2_per_dof):
-    """Three focal lengths whose Q / d has a value."""
-    return FOCAL + np.array([-1.0, 0.0, 1.0]) * np.sqrt(chi2_per_dof)
-
-
-@pytest.mark.parametrize(
-    ("given", "jointed", "is_found"),
-    [
-        (group(spread(3.99)), False, True),
-        (group(spread(4.01)), False, False),
-        (group(spread(11.9)), True, True),
-        (group(spread(12.1)), True, False),
-        (group([FOCAL]), False, False),
-        (group([FOCAL] * 2), False, True),
-        (group(spread(1.0), sigma=49.9), False, True),
-        (group(spread(1.0), sigma=50.1), False, False),  # 5 %
-    ],
-)
-def test_limits_of_equal_lenses(given, jointed, is_found):
-    assert (shared_lens(MEASURED, [given], is_jointed=jointed) is not None) == is_found
 
 
 def test_the_largest_undetermined_group_is_named_with_its_command():
