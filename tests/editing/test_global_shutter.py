@@ -118,9 +118,3 @@ def test_shared_and_split_cameras_keep_their_shutters():
     other = problem.replace(rolling_shutter=problem.rolling_shutter.replace(readout=readout))
     with pytest.raises(bundle.InputError, match=r"camera 2: expected the shutter .* readout 0\.8"):
         bundle.share_cameras(other)
-
-
-def test_models_with_a_rolling_shutter_are_not_merged(tmp_path):
-    bundle.save(scene_of(), tmp_path / "a")
-    with pytest.raises(bundle.InputError, match="rolling shutter"):
-        bundle.merge(tmp_path / "a", tmp_path / "a")

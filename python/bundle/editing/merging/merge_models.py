@@ -25,6 +25,7 @@ from bundle.editing.merging.frame_of_a import DEGREES, find_similarity
 from bundle.editing.merging.joined_images import added_images
 from bundle.editing.merging.joining import join
 from bundle.editing.merging.merge_result import Merge
+from bundle.editing.merging.merged_shutters import shutter_of, with_shutters
 from bundle.editing.merging.shared_keypoints import shared_keypoints
 from bundle.errors import InputError
 from bundle.georeference.similarity import moved
@@ -168,7 +169,7 @@ def merge(a: Source, b: Source, *, max_error: float = MAX_ERROR) -> Merge:
     apart = second.points[pairs[one, 1]] - first.points[pairs[one, 0]]
     centers = second.projection_centers[images[:, 1]] - first.projection_centers[images[:, 0]]
     return Merge(
-        problem=problem_of_records(merged),
+        problem=with_shutters(problem_of_records(merged), first, second, added, records),
         similarity=similarity,
         shared_images=tuple(first.image_names[row] for row in images[:, 0]),
         num_pairs=len(pairs),
@@ -192,11 +193,6 @@ def _rows(name: str, problem: Problem) -> dict[str, int]:
         raise InputError(
             f"{name}: expected images with names, which identify the same image in both "
             "models; BAL files have no names"
-        )
-    if problem.rolling_shutter is not None:
-        raise InputError(
-            f"{name}: expected a model without a rolling shutter, found rolling_shutter.json: "
-            "such models cannot be merged yet"
         )
     if problem.num_frames:
         raise InputError(
@@ -250,6 +246,9 @@ def _cameras(a: Problem, b: Problem, images: NDArray[np.int64]) -> tuple[dict[in
             notes.append(
                 f"{names[0]} stays, because its image size differs from that of {names[1]}."
             )
+            continue
+        if shutter_of(b).direction[old] != shutter_of(a).direction[new]:
+            notes.append(f"{names[0]} stays, because its shutter differs from that of {names[1]}.")
             continue
         taken[int(b.camera_ids[old])] = int(a.camera_ids[new])
         models = b.camera_models[old], a.camera_models[new]

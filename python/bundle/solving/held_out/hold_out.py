@@ -55,7 +55,7 @@ def hold_out(
     Example:
         >>> kept, held = bundle.hold_out(problem, percent=10)
         >>> fitted = bundle.solve(kept).problem
-        >>> fields = ("cam_from_world", "camera_params", "points")
+        >>> fields = ("cam_from_world", "camera_params", "points", "rolling_shutter")
         >>> predicted = problem.replace(**{name: getattr(fitted, name) for name in fields})
         >>> errors, _ = bundle.reprojection_errors(predicted)
         >>> errors[held]
