@@ -169,6 +169,7 @@ def test_rounds_and_gravity_together_with_samples(run, folder, made):
     assert 1 < len(report["rounds"]) <= 3
     assert report["rounds"][0]["num_observations_removed"] >= len(xy[::50])
     assert report["imu"]["gauge_freedom"] == 4
+    assert report["imu"]["chi2"] < report["imu"]["chi2_bound"]  # of the observations kept
     assert report["deleted"]["num_observations"] == (
         problem.num_observations - bundle.load(folder / "out").num_observations
     )

@@ -147,11 +147,19 @@ def test_millimetres_and_inverted_poses_are_refused(flight, model):
         adjusted(swapped, *model, OPTIONS)
 
 
-def test_outliers_of_a_quadratic_loss_do_not_accuse_the_imu(flight, model):
+def test_outliers_of_a_quadratic_loss_are_named_instead_of_the_imu(flight, model):
     problem, stamps = model
     xy = np.array(problem.observation_xy)
     xy[::25] += 30.0
     found = adjusted(
         flight.sequence, problem.replace(observation_xy=xy), stamps, OPTIONS.replace(loss="trivial")
     )
-    assert "imu_contradiction" not in [one.kind for one in found.findings]
+    assert found.findings[0].evidence["cause"] == "outliers"
+    assert found.findings[0].flags == ("--loss", "cauchy")
+
+
+def test_few_iterations_leave_a_minimum_of_the_images_to_compare_with(flight):
+    problem, stamps = model_of(flight.sequence, flight.ground_truth, 4, noise=0.2)
+    found = adjusted(flight.sequence, problem, stamps, OPTIONS.replace(max_num_iterations=4))
+    assert np.isfinite(found.agreement.chi2)
+    assert found.result.summary.termination_type == "NO_CONVERGENCE"

@@ -22,6 +22,7 @@ def known(intervals=QUIET, chi2=100.0, **changes):
         **{
             "agreement": agreement,
             "is_converged": True,
+            "is_quadratic": False,
             "rotations": MAP,
             "axes": "",
             "clocks": ClockErrors(),
@@ -91,6 +92,26 @@ def test_a_contradiction_has_the_cause_that_other_evidence_shows(changes, cause)
     found = imu_findings(known(chi2=2400.0, **changes))[0]
     assert found.evidence["cause"] == cause
     assert found.is_problem
+
+
+def test_outliers_under_a_quadratic_loss_are_the_cause():
+    for variance, is_quadratic, cause in (
+        (4.1, True, "outliers"), (3.9, True, "unknown"), (4.1, False, "unknown"),
+    ):  # fmt: skip
+        found = known(is_quadratic=is_quadratic)
+        agreement = Agreement(2400.0, 300, QUIET, 1.0, variance)
+        first = imu_findings(found._replace(agreement=agreement))[0]
+        assert first.evidence["cause"] == cause
+        assert (first.flags == ("--loss", "cauchy")) == (cause == "outliers")
+
+
+def test_a_cost_without_room_for_vibration():
+    for chi2, scale, count in ((226.0, 2.0, 1), (224.0, 2.0, 0), (226.0, 1.9, 0)):
+        assert kinds(chi2=chi2, noise_scale=scale) == count * ["imu_cost"]
+    assert kinds(chi2=226.0, offset=ClockOffset(0.02, 1e-3)) == ["imu_clocks"]
+    (found,) = imu_findings(known(chi2=270.0))
+    assert (found.is_problem, found.evidence["seconds"]) == (False, pytest.approx(0.01))
+    assert "0.9 times" in found.sentence
 
 
 def test_the_next_command_of_a_contradiction():

@@ -72,6 +72,8 @@ NOISE_SCALE, AT_INTERVAL = 5.0, 0.25
 """Factor on the noise densities of data sheets, which do not include vibration, for images at this
 interval in seconds."""
 LEAST_IMAGES = 5
+MOST_STEPS = 200
+"""Least limit of iterations for the images alone, which take milliseconds each."""
 MOST_SOLVES = 3
 """Most solves in a row, each with motions that are integrated again."""
 
@@ -119,7 +121,8 @@ def adjust_with_imu(
             not those of camera_from_imu, or the motion does not determine the scale.
     """
     bodies = ImuBodies.of(problem, image_times_ns, camera_from_imu)
-    images = _images_alone(problem, options or SolveOptions(), tuple(priors), progress)
+    given = options or SolveOptions()
+    images = _images_alone(problem, given, tuple(priors), progress)
     options = _checked(bodies, options)
     imu_samples = choice("imu_samples", imu_samples, ("auto", *RULES))
     scale = _noise_scale(bodies.stamps, imu_noise_scale)
@@ -136,10 +139,13 @@ def adjust_with_imu(
         (_adjusted(case, video, clock) for video, clock in _videos(case, samples, imu_samples)),
         key=lambda found: found.cost,
     )
-    known = _evidence(case, best, samples, scale, place)
-    findings = imu_findings(known)
     if rounds is not None and rounds.num_rounds:
         best = _filtered(case, best, rounds)
+    kept = best.state.problem
+    if kept.num_observations < problem.num_observations:
+        case = case._replace(images=_images_alone(kept, given, tuple(priors), progress))
+    known = _evidence(case, best, samples, scale, place)
+    findings = imu_findings(known)
     back, state, last = np.argsort(bodies.rows), best.state, best.results[-1]
     costs = np.asarray(last.factor_costs_after)
     summary = last.summary
@@ -294,7 +300,8 @@ def _adjusted(case: _Case, video: ImageIntervals, clock: ClockOffset) -> _Adjust
 def _images_alone(
     problem: Problem, options: SolveOptions, priors: tuple[Prior, ...], progress: Progress | None
 ) -> Result:
-    """Return the adjustment without the IMU."""
+    """Return the adjustment without the IMU, at its minimum, with which costs are compared."""
+    options = options.replace(max_num_iterations=max(options.max_num_iterations, MOST_STEPS))
     found = solve_rounds(problem, options, num_rounds=0, priors=priors, progress=progress)
     if found.summary.interrupted:
         raise KeyboardInterrupt
@@ -332,7 +339,7 @@ def _evidence(
     noise_scale: float,
     place: Callable[[int], str] | None,
 ) -> Evidence:
-    """Return what is known about images and IMU after the solves with all observations."""
+    """Return what is known about images and IMU after the solves."""
     last, alone = found.results[-1], case.images
     count = len(case.bodies) - 1
     problem = alone.problem
@@ -353,6 +360,7 @@ def _evidence(
     return Evidence(
         agreement=agreement,
         is_converged=last.summary.termination_type == "CONVERGENCE",
+        is_quadratic=case.options.loss == "trivial",
         rotations=rotations,
         axes=axes,
         clocks=video.clock_errors(case.rotations, case.noise, clock),

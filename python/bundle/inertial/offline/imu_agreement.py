@@ -54,12 +54,14 @@ class Agreement(NamedTuple):
         freedom: degrees of freedom.
         interval_chi2: (n,) of each interval.
         variance: v.
+        images_variance: variance factor of the images alone.
     """
 
     chi2: float
     freedom: int
     interval_chi2: Array
     variance: float
+    images_variance: float = 1.0
 
     @staticmethod
     def of(
@@ -79,7 +81,7 @@ class Agreement(NamedTuple):
         variance = float(np.median(intervals)) / chi2_median(FREEDOM)
         least = min(1.0, 1 / noise_scale**2)
         chi2 = 2 * (cost - alone[0]) / max(alone[1], 1.0)
-        return Agreement(chi2, FREEDOM * count, intervals, min(max(variance, least), 1.0))
+        return Agreement(chi2, FREEDOM * count, intervals, min(max(variance, least), 1.0), alone[1])
 
     @property
     def bound(self) -> float:

@@ -30,6 +30,11 @@ __all__ = ["LONG_ARM", "Evidence", "ImuFinding", "imu_findings"]
 
 Array = NDArray[np.float64]
 
+OUTLIERS = 4.0
+"""Variance factor of the images under a quadratic loss from which outliers rule the cost."""
+VIBRATION, HIGH_COST = 2.0, 0.75
+"""Factor of the noise from which it has room for vibration, and cost relative to its expectation
+above which nothing of that is left: vibrating flights have 0.6, calm ones 0.15."""
 LONG_ARM = 3.0
 """Distance in metres between camera and IMU from which millimetres are likely."""
 
@@ -49,8 +54,8 @@ class ImuFinding(NamedTuple):
     """Finding without its command line.
 
     Attributes:
-        kind: "imu_contradiction", "imu_samples", "imu_interval", "camera_from_imu", "gyro_scale",
-            "imu_clocks" or "imu_noise".
+        kind: "imu_contradiction", "imu_cost", "imu_samples", "imu_interval", "camera_from_imu",
+            "gyro_scale", "imu_clocks" or "imu_noise".
         sentence: the fact with its numbers.
         flags: flags that the next command adds; none: no command helps.
         evidence: numbers behind the sentence.
@@ -70,6 +75,7 @@ class Evidence(NamedTuple):
     Attributes:
         agreement: chi2 of the adjustment.
         is_converged: True if its solve converged.
+        is_quadratic: True without a robust loss.
         rotations: map between the rotations.
         axes: sentence on the axes of the accelerometer, or "".
         clocks: errors of single times.
@@ -85,6 +91,7 @@ class Evidence(NamedTuple):
 
     agreement: Agreement
     is_converged: bool
+    is_quadratic: bool
     rotations: RotationMap
     axes: str
     clocks: ClockErrors
@@ -108,7 +115,7 @@ def imu_findings(known: Evidence) -> tuple[ImuFinding, ...]:
         )
         if one is not None
     ]  # fmt: skip
-    first = _contradiction(known, others)
+    first = _contradiction(known, others) or (None if others else _cost(known))
     return tuple(others if first is None else [first, *others])
 
 
@@ -122,13 +129,15 @@ def _contradiction(known: Evidence, others: Sequence[ImuFinding]) -> ImuFinding 
     arm = float(np.linalg.norm(known.camera_from_imu[4:]))
     too_small = max(1 / (one * known.noise_scale) if one else 0.0 for one in known.noise)
     named = [one.kind for one in others if one.kind in CAUSES and "offset" not in one.evidence]
+    if known.is_quadratic and agreement.images_variance > OUTLIERS:
+        kind, cause = "outliers", "the images alone have outliers, on which no robust loss acts"
     if not cause and known.axes:
         kind, cause = "accel_axes", known.axes
     if not cause and arm > LONG_ARM:
         kind, cause = "arm", f"camera_from_imu has an arm of {arm:.3g} m: is it in millimetres?"
     if not cause and named:
         kind, cause = named[0], CAUSES[named[0]]
-    flags: tuple[str, ...] = ()
+    flags: tuple[str, ...] = ("--loss", "cauchy") if kind == "outliers" else ()
     if not cause:
         kind, cause = "unknown", CAUSES["unknown"]
         if too_small > 1:
@@ -154,6 +163,24 @@ def _contradiction(known: Evidence, others: Sequence[ImuFinding]) -> ImuFinding 
             "row": row,
         },
         is_problem=True,
+    )
+
+
+def _cost(known: Evidence) -> ImuFinding | None:
+    """Return the finding of a cost that leaves no room for vibration."""
+    agreement = known.agreement
+    ratio = agreement.chi2 / agreement.freedom
+    if not (known.noise_scale >= VIBRATION and ratio > HIGH_COST):
+        return None
+    worst = int(np.argmax(agreement.interval_chi2))
+    row, seconds = _when(known, worst)
+    return ImuFinding(
+        "imu_cost",
+        f"Images and IMU together cost {ratio:.2g} times what noise explains that is already "
+        f"{known.noise_scale:.2g} times that of the calibration, most at {seconds:.2f} s "
+        f"({known.place(row)}): check the arm of camera_from_imu and the noise densities.",
+        (),
+        {"chi2": agreement.chi2, "freedom": agreement.freedom, "row": row, "seconds": seconds},
     )
 
 

@@ -57,7 +57,7 @@ class InertialAdjustment(Displayed):
         imu_samples: kind of the samples: "instant" or "interval".
         gauge_freedom: degrees of freedom of the world that motions and priors leave: 4 (position
             and heading) without priors, 3 with headings, 0 with positions.
-        agreement: chi2 of images and IMU, as a whole and by interval, before rounds of filtering.
+        agreement: chi2 of images and IMU, as a whole and by interval.
         findings: findings about samples, calibration and clocks; a problem makes the result not
             usable.
     """
