@@ -233,7 +233,7 @@ def lower_start(
     least = min(costs, key=lambda init: costs[init])
     return (
         f"twice the cost is {number(2 * end)}, and {number(2 * costs[least])} from {NAMES[least]} "
-        f"{when}. Start there: init {least}, or auto."
+        f"{when}. Start there (--init {least.replace('_', '-')}), or compare all (--init auto)."
     )
 
 

@@ -179,6 +179,13 @@ def test_edges_that_were_left_out_have_no_part_in_the_certificate(dimension):
     assert found.problem.num_edges == graph.num_edges - 1
     assert found.chi2 == pytest.approx(solved.summary.chi2_final, rel=1e-9)
     assert found.verdict == "certified"
+    # "before" is that of the given poses, for all edges, although the solve began elsewhere
+    far = graph.replace(poses=bundle.initial_poses(graph, "odometry"))
+    moved = bundle.solve(far, consistency=True, init="chordal")
+    before = bundle.pose_graph_chi2(far)
+    np.testing.assert_allclose(moved.chi2_before, before, rtol=1e-9, atol=1e-12)
+    kept = np.delete(before, closure).sum()
+    assert moved.summary.chi2_initial == pytest.approx(kept, rel=1e-9)
     alone = bundle.certify(solved)
     assert alone.cost == pytest.approx(found.cost, rel=1e-9)
     # chi2 of all edges includes the wrong one

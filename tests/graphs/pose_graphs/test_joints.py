@@ -7,7 +7,7 @@ import bundle
 from bundle import _core
 from bundle.graphs.pose_graphs import joints
 from bundle.graphs.pose_graphs.joints import find_joints, typical_sigmas
-from tests.graphs.pose_graphs.graphs import matrix, pose_of, random_pose
+from tests.graphs.pose_graphs.graphs import error_by_matrices, matrix, pose_of, random_pose
 
 
 def bridged(dimension, bridge, *, sizes=(4, 3), seed=0):
@@ -74,13 +74,16 @@ def test_a_weak_joint(dimension, turn, least, num_weak):
         np.testing.assert_allclose(moved, least * still, atol=1e-9)
 
 
+@pytest.mark.parametrize("turn", [0, 1])
 @pytest.mark.parametrize("dimension", [2, 3])
 @pytest.mark.parametrize(("least", "num_open"), [(0.5e-13, 1), (2e-13, 0)])
-def test_an_undetermined_joint(dimension, least, num_open):
+def test_an_undetermined_joint(dimension, least, num_open, turn):
     d = 3 if dimension == 2 else 6
     values = np.ones(d)
     values[-1] = least
-    graph = bridged(dimension, scaled(dimension, values, 0), seed=3)
+    if turn:  # a direction across the axes, exactly undetermined or clearly not
+        values[-1] = 0.0 if num_open else 1e-11
+    graph = bridged(dimension, scaled(dimension, values, turn), seed=3)
     found = found_in(graph)
     assert found.num_open == num_open == len(found.opened) == found.directions.shape[1]
     assert len(found.weak) == 1 - num_open
@@ -141,3 +144,41 @@ def test_the_error_of_edges_has_its_own_eigenvalues(error, part):
     values[:3] = 0.5e-4
     (joint,) = found_in(bridged(3, scaled(3, values, 0)), error).weak
     np.testing.assert_allclose(joint.eigenvalues[:3], part * 0.5e-4, rtol=1e-6)
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_two_edges_at_different_poses_hold_a_cluster_together(dimension):
+    """The information is that of a rigid motion of the cluster, by differences of matrices."""
+    d = 3 if dimension == 2 else 6
+    values = np.full(d, 1e-6)
+    values[0] = 1e-9
+    chain = bridged(dimension, scaled(dimension, values, 1))
+    poses = chain.poses
+    graph = chain.replace(
+        edges=np.vstack([chain.edges, [[1, 6]]]),
+        measurements=np.vstack(
+            [chain.measurements, pose_of(np.linalg.inv(matrix(poses[1])) @ matrix(poses[6]))]
+        ),
+        information=np.concatenate([chain.information, chain.information[3:4]]),
+        edge_lines=np.zeros(7, np.int64),
+    )
+    (joint,) = found_in(graph).weak
+    assert joint.poses.tolist() == [4, 5, 6] and joint.edges.tolist() == [3, 6]
+    rows = []
+    manifold = "se2" if dimension == 2 else "se3"
+    for edge, (i, j) in ((3, (3, 4)), (6, (1, 6))):
+        weights, axes = np.linalg.eigh(graph.information[edge])
+        root = np.sqrt(weights)[:, None] * axes.T
+        columns = []
+        for step in 1e-6 * np.eye(d):
+            sides = []
+            for sign in (1, -1):
+                moved = matrix(_core.retract(manifold, poses[4], sign * step))
+                there = moved @ np.linalg.inv(matrix(poses[4])) @ matrix(poses[j])
+                error = error_by_matrices("log", poses[i], pose_of(there), graph.measurements[edge])
+                sides.append(root @ error)
+            columns.append((sides[0] - sides[1]) / 2e-6)
+        rows.append(np.array(columns).T * typical_sigmas(graph))
+    stacked = np.vstack(rows)
+    expected = np.linalg.eigvalsh(stacked.T @ stacked)
+    np.testing.assert_allclose(joint.eigenvalues, expected, rtol=1e-5)

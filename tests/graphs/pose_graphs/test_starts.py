@@ -168,7 +168,10 @@ def test_auto_ends_at_the_best_start(seed):
     graph = graphs.manhattan_world(seed)
     inits = ("lower", "file", "chordal", "odometry", "spanning_tree")
     ends = {init: bundle.solve(graph, init=init).summary.chi2_final for init in inits}
-    found = bundle.solve(graph, init="auto").summary
+    solved = bundle.solve(graph, init="auto")
+    found = solved.summary
+    same = bundle.solve(graph, init=found.init)
+    np.testing.assert_array_equal(solved.iterations["cost"], same.iterations["cost"])
     assert found.chi2_final <= (1 + 1e-6) * min(ends.values())
     assert ends[found.init] == pytest.approx(found.chi2_final, rel=1e-9)
     assert max(ends.values()) > 1.01 * min(ends.values())
