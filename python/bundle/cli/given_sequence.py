@@ -9,6 +9,7 @@ from bundle.cli.option_flags import naming_flags, options_given
 from bundle.cli.progress import Progress
 from bundle.cli.recording_flags import refuse_recording_flags
 from bundle.errors import InputError, shown
+from bundle.inertial.tracking.sequence_axes import axes_findings
 from bundle.interface.finding import Finding
 from bundle.interface.tracking_options import TrackingOptions
 from bundle.io.recognition import is_recording
@@ -51,7 +52,9 @@ def given_sequence(path: str, arguments: argparse.Namespace, progress: Progress)
     if not is_recording(path):
         refuse_recording_flags(arguments)
         sequence, findings = read_sequence(path)
-        return GivenSequence(sequence, findings, None)
+        fatal = any(finding.is_fatal for finding in findings)
+        axes = () if fatal else axes_findings(sequence, path)
+        return GivenSequence(sequence, (*axes, *findings), None)
     from bundle.inertial.tracking.track_images import track_images  # for images only
 
     progress.stage(f"tracking features of {shown(path)}")

@@ -17,11 +17,13 @@ from bundle.cli.output import publish
 from bundle.cli.progress import Progress
 from bundle.cli.standard_streams import complain
 from bundle.errors import InputError, shown
+from bundle.inertial.tracking.sequence_axes import explanations
 from bundle.inertial.two_loops.closure_files import load_closures
 from bundle.inertial.two_loops.replay import TwoLoopsResult, run_two_loops
 from bundle.inertial.vio.keyframe_record import KeyframeRecord
-from bundle.inertial.vio.odometry import run_odometry
+from bundle.inertial.vio.odometry import OdometryResult, run_odometry
 from bundle.inertial.vio.trajectory_comparison import compare_trajectories, covered_by
+from bundle.inertial.vio.window_alarms import DISAGREEMENT
 from bundle.interface.window_options import WindowOptions
 from bundle.io.atomic import atomic_write as atomic
 from bundle.io.recognition import sequence_format
@@ -70,12 +72,15 @@ def run(arguments: argparse.Namespace) -> int:
         corrected = None
         if truth is not None and loops is not None:
             corrected = compare_trajectories(loops.published, truth)
-        if result.is_usable:
-            progress.stage(f"writing {shown(target)}")
-            save_tum(target, result.trajectory.timestamps_ns, result.trajectory.states)
-            if loops is not None:
-                published = loops.published
-                save_tum(arguments.publish, published.timestamps_ns, published.states)
+        findings = given.findings
+        if given.tracking is None and (not result.is_usable or _disagrees(result)):
+            progress.stage("searching the cause")
+            findings = (*findings, *explanations(sequence, source))
+        progress.stage(f"writing {shown(target)}")
+        save_tum(target, result.trajectory.timestamps_ns, result.trajectory.states)
+        if loops is not None and result.is_usable:
+            published = loops.published
+            save_tum(arguments.publish, published.timestamps_ns, published.states)
         if arguments.telemetry is not None:
             atomic.write_text(as_path(arguments.telemetry), telemetry_lines(result))
         if arguments.html is not None:
@@ -84,16 +89,15 @@ def run(arguments: argparse.Namespace) -> int:
             progress.stage(f"writing {shown(arguments.html)}")
             write_odometry(result, arguments.html, truth=truth, error=error, name=Path(source).name)
     wall = perf_counter() - started
-    written = target if result.is_usable else None
     report = odometry_report(
         source,
         sequence_format(source),
         sequence,
         result,
         error,
-        written,
+        target,
         wall,
-        given.findings,
+        findings,
         waiting,
         given.tracking,
     )
@@ -106,6 +110,10 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.json == "-":
         complain(result.message)
     return EXIT_NO_SOLUTION
+
+
+def _disagrees(result: OdometryResult) -> bool:
+    return any(DISAGREEMENT in alarm for each in result.keyframes for alarm in each.alarms)
 
 
 def _replayed(

@@ -37,7 +37,7 @@ from bundle.model.rotations import (
 )
 from bundle.model.sequence.recording import Recording
 
-__all__ = ["RotationCheck", "check_rotations"]
+__all__ = ["RotationCheck", "check_rotations", "kabsch", "share_unexplained"]
 
 Array = np.ndarray[Any, Any]
 
@@ -123,6 +123,15 @@ def check_rotations(recording: Recording, turns: list[Turn]) -> RotationCheck:
     )
 
 
+def share_unexplained(recording: Recording, turns: list[Turn]) -> float:
+    """Return the share of the rotation that the calibration leaves unexplained; 0 if unknown."""
+    pairs = _Pairs(recording, turns)
+    if len(pairs.camera) < FEWEST:
+        return 0.0
+    lens = rotation_matrices(np.array(recording.calibration.camera_from_imu)[None, :4])[0]
+    return pairs.unexplained(lens, pairs.imu(0.0))
+
+
 class _Pairs:
     """Rotation vectors of image pairs by the tracks, and by samples at a shift of time."""
 
@@ -188,10 +197,10 @@ def _causes(lens: Array, camera: Array, imu: Array) -> list[tuple[str, Array, st
             if not np.array_equal(axes, np.eye(3)):
                 words = " ".join("-+"[s > 0] + "xyz"[k] for s, k in zip(signs, order, strict=True))
                 found.append(("axes", lens @ axes, words))
-    return [*found, ("turned", _kabsch(camera, imu), "")]
+    return [*found, ("turned", kabsch(camera, imu), "")]
 
 
-def _kabsch(camera: Array, imu: Array) -> Array:
+def kabsch(camera: Array, imu: Array) -> Array:
     """Return the rotation that takes one set of vectors to the other, with robust weights."""
     rotation = np.eye(3)
     weight = np.ones(len(camera))
@@ -206,7 +215,7 @@ def _kabsch(camera: Array, imu: Array) -> Array:
 def _angle(lens: Array, pairs: _Pairs, imu: Array) -> tuple[float, float]:
     """Return the angle to the rotation that tracks imply, and its standard deviation, degrees."""
     drift = np.median(pairs.camera - imu @ lens.T, axis=0)
-    rotation = _kabsch(pairs.camera - drift, imu)
+    rotation = kabsch(pairs.camera - drift, imu)
     errors = pairs.camera - drift - imu @ rotation.T
     spread = np.linalg.svd(imu, compute_uv=False)
     cosine = (float(np.trace(rotation @ lens.T)) - 1) / 2

@@ -37,7 +37,16 @@ from bundle.model.rotations import (
 from bundle.model.sequence.calibration import Calibration
 from bundle.model.sequence.sequence import Sequence
 
-__all__ = ["VioStart", "find_start", "initialize_vio"]
+__all__ = [
+    "SPAN",
+    "Span",
+    "VioStart",
+    "find_span",
+    "find_start",
+    "initialize_vio",
+    "objection_to",
+    "span_start",
+]
 
 Array = np.ndarray[Any, Any]
 
@@ -98,7 +107,9 @@ class VioStart(Displayed):
         )
 
 
-class _Span(NamedTuple):
+class Span(NamedTuple):
+    """Images over two seconds, and observations of points in three or more of them."""
+
     images: Array
     seen: Observations
     track_ids: Array
@@ -154,27 +165,33 @@ def find_start(
     while next_stamp <= latest:
         begin = int(np.searchsorted(stamps, next_stamp))
         next_stamp += round(1e9 * STRIDE)
-        span = _span(images, begin, int(covered[-1]))
+        span = find_span(images, begin, int(covered[-1]))
         if span is None:
             continue
-        found = solve_linear_start(
-            images.intervals(span.images.tolist()),
-            span.seen,
-            np.array(calibration.camera_from_imu),
-            calibration.noise,
-            calibration.pixel_sigma / calibration.focal,
-            np.zeros(3),
-            gravity,
-            integration,
-        )
-        reason = _objection(found, span, calibration)
+        found = span_start(images, span, gravity, integration)
+        reason = objection_to(found, span, calibration)
         if not reason:
             return _levelled(found, span, stamps[span.images])
     nothing = np.zeros(0, np.int64)
     return VioStart("none", reason, nothing, nothing, np.zeros((0, 16)), nothing, np.zeros((0, 3)))
 
 
-def _span(images: SequenceImages, first: int, end: int) -> _Span | None:
+def span_start(images: SequenceImages, span: Span, gravity: float, integration: str) -> LinearStart:
+    """Return the linear start of a span."""
+    calibration = images.sequence.calibration
+    return solve_linear_start(
+        images.intervals(span.images.tolist()),
+        span.seen,
+        np.array(calibration.camera_from_imu),
+        calibration.noise,
+        calibration.pixel_sigma / calibration.focal,
+        np.zeros(3),
+        gravity,
+        integration,
+    )
+
+
+def find_span(images: SequenceImages, first: int, end: int) -> Span | None:
     """Return images over two seconds and their points in three or more images, if sufficient."""
     stamps = images.stamps
     last = int(np.searchsorted(stamps, stamps[first] + round(1e9 * SPAN), "right")) - 1
@@ -193,10 +210,10 @@ def _span(images: SequenceImages, first: int, end: int) -> _Span | None:
         return None
     order = np.lexsort((place, point))
     seen = Observations(point[order], place[order], images.xy[row[order]])
-    return _Span(chosen, seen, images.track_ids[row[seen_at]])
+    return Span(chosen, seen, images.track_ids[row[seen_at]])
 
 
-def _objection(found: LinearStart, span: _Span, calibration: Calibration) -> str:
+def objection_to(found: LinearStart, span: Span, calibration: Calibration) -> str:
     """Return the name of the test that a solution fails; "" if it passes all."""
     seen = span.seen
     turn = rotation_matrices(np.array(calibration.camera_from_imu)[None, :4])[0]
@@ -216,7 +233,7 @@ def _objection(found: LinearStart, span: _Span, calibration: Calibration) -> str
     return "" if found.scale_sigma < MOST_SCALE_SIGMA else "no excitation"
 
 
-def _levelled(found: LinearStart, span: _Span, stamps: Array) -> VioStart:
+def _levelled(found: LinearStart, span: Span, stamps: Array) -> VioStart:
     up = level_quaternion(-found.gravity)
 
     def turned(vectors: Array) -> Array:

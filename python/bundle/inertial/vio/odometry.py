@@ -89,7 +89,7 @@ def run_odometry(
     window, images, options = run.window, run.images, run.window.options
     message, interrupted = "done", False
     try:
-        for image in images.after(run.next_image, options.frame_rate):
+        for image in () if run.lost else images.after(run.next_image, options.frame_rate):
             record = run.add(image)
             if run.lost:
                 break

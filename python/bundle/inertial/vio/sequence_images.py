@@ -22,7 +22,7 @@ import numpy as np
 from bundle.errors import InputError
 from bundle.inertial.vio.landmark_table import FrameTracks, sight_numbers
 from bundle.inertial.vio.window_frame import ImuInterval
-from bundle.model.sequence.bad_samples import LONGEST_BRIDGE, bad_stretches
+from bundle.model.sequence.bad_samples import bad_stretches, is_bridged
 from bundle.model.sequence.sequence import Sequence
 from bundle.model.sequence.sequence_findings import GAP
 
@@ -59,8 +59,7 @@ class ImuSlices:
             ends = [(int(gap), int(gap) + 1, 0.0) for gap in self._gaps]
             for each in stretches:
                 first, last = max(each.first - 1, 0), min(each.last + 1, len(stamps) - 1)
-                seconds = 1e-9 * float(stamps[each.last] - stamps[each.first])
-                if each.sensor == ("gyro", "accel")[sensor] and seconds <= LONGEST_BRIDGE:
+                if each.sensor == ("gyro", "accel")[sensor] and is_bridged(each, stamps):
                     ends.append((first, last, each.size))
                     good[each.first : each.last + 1] = not each.is_replaced
             if not good.all() and good.any():

@@ -42,6 +42,7 @@ Array = np.ndarray[Any, Any]
 
 # Sigmas beyond which a whole track is an outlier.
 OUTLIER = 6.0
+FEWEST = 4  # observations of an image that say something about it
 
 
 class SlidingWindow:
@@ -54,6 +55,9 @@ class SlidingWindow:
         focal: pixels per unit of normalised image coordinates, for sigmas and limits in pixels.
         gravity: m/s^2 in the world, z up.
         options: a :class:`bundle.WindowOptions`, or some of its fields by name.
+
+    Attributes:
+        far_share: share of the newest image's observations that the last solve left far away.
 
     Raises:
         InputError: an argument has a wrong shape or value.
@@ -86,6 +90,7 @@ class SlidingWindow:
         self.prior: MarginalPrior | None = None
         self.records: list[KeyframeRecord] = []
         self.was_interrupted = False
+        self.far_share = 0.0
         self._depths = LandmarkDepths()
         self._numbers = TrackNumbers()
         self._telemetry = WindowTelemetry(self)
@@ -281,6 +286,8 @@ class SlidingWindow:
 
     def _reject(self, table: LandmarkTable, norms: Array) -> None:
         """Discard tracks far from their prediction in most of their images, or behind one."""
+        now = norms[table.observers == len(self.frames) - 1]
+        self.far_share = float(np.mean(~(now <= OUTLIER))) if len(now) >= FEWEST else 0.0
         count = np.maximum(np.bincount(table.landmarks, minlength=len(table.ids)), 1)
         far = np.bincount(table.landmarks, norms > OUTLIER, len(table.ids))
         behind = np.bincount(table.landmarks, ~np.isfinite(norms), len(table.ids)) > 0

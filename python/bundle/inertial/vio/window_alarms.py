@@ -19,7 +19,7 @@ import numpy as np
 
 from bundle.interface.window_options import WindowOptions
 
-__all__ = ["INDEFINITE", "WindowAlarms", "walks_down", "yaw_falls"]
+__all__ = ["DISAGREEMENT", "INDEFINITE", "WindowAlarms", "walks_down", "yaw_falls"]
 
 Array = np.ndarray[Any, Any]
 
@@ -127,9 +127,9 @@ class WindowAlarms:
         if len(self._excess) < KEYFRAMES or min(self._excess) <= LARGEST_IMU_EXCESS:
             return ()
         return (
-            "camera and IMU contradict each other: the IMU costs "
+            f"{DISAGREEMENT}: the IMU costs "
             f"{excess:.1f} times what its noise explains; camera_from_imu, the time "
-            "offset, the focal length or the noise is wrong",
+            "offset, the focal length, a rolling shutter or the noise is wrong",
         )
 
     def _persists(self, kind: str, is_seen: bool, count: int = KEYFRAMES) -> bool:
@@ -168,9 +168,13 @@ class WindowAlarms:
             alarms.append(f"prior cost negative: {cost:.3g}; the prior has lost its digits")
         if self._persists("cost", cost > LARGEST_PRIOR_COST * size):
             alarms.append(
-                f"prior contradicted: it costs {cost:.3g} with {size} coordinates; wrong tracks "
-                "or a wrong calibration were marginalised into it (against wrong tracks use a "
-                "more robust --loss, such as cauchy)"
+                f"prior contradicted: it costs {cost:.3g} with {size} coordinates; wrong tracks, "
+                "wrong samples or a wrong calibration were marginalised into it"
+                + (
+                    ""
+                    if self.options.loss == "cauchy"
+                    else " (against wrong tracks use a more robust --loss, such as cauchy)"
+                )
             )
         return alarms
 
@@ -198,4 +202,5 @@ class WindowAlarms:
         return alarms
 
 
+DISAGREEMENT = "camera and IMU contradict each other"
 NO_EXCITATION = "no excitation: the accelerometer does not determine the scale, which may drift"

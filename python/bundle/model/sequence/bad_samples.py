@@ -24,7 +24,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-__all__ = ["LONGEST_BRIDGE", "BadStretch", "bad_stretches"]
+__all__ = ["BadStretch", "bad_stretches", "is_bridged"]
 
 Array = np.ndarray[Any, Any]
 
@@ -62,12 +62,17 @@ def bad_stretches(gyro: Array, accel: Array) -> tuple[BadStretch, ...]:
             kind = "frozen" if values[first].any() else "zero"
             found.append(BadStretch(kind, sensor, first, last))
             good[first : last + 1] = False
-        for first, last in _saturated(values, good):
-            found.append(BadStretch("saturated", sensor, first, last))
-            good[first : last + 1] = False
         for first, last, size in _spikes(values, good, least):
             found.append(BadStretch("spike", sensor, first, last, size))
+            good[first : last + 1] = False
+        for first, last in _saturated(values, good):
+            found.append(BadStretch("saturated", sensor, first, last))
     return tuple(sorted(found, key=lambda each: (each.first, each.sensor)))
+
+
+def is_bridged(stretch: BadStretch, stamps: Array) -> bool:
+    """Return True if a stretch is short enough to be bridged."""
+    return float(stamps[stretch.last] - stamps[stretch.first]) <= 1e9 * LONGEST_BRIDGE
 
 
 def _runs(flags: Array) -> Array:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from bundle.base.records import dataclass
 from bundle.base.words import plural
-from bundle.model.sequence.bad_samples import LONGEST_BRIDGE, bad_stretches
+from bundle.model.sequence.bad_samples import bad_stretches, is_bridged
 from bundle.model.sequence.sequence import Place, Sequence
 
 __all__ = ["SequenceFinding", "sequence_findings"]
@@ -137,9 +137,9 @@ def _bad_samples(sequence: Sequence, place: Place, findings: list[SequenceFindin
             size=worst.size,
         )
         after = 1e-9 * float(stamps[worst.first] - stamps[0])
-        longest = 1e-9 * float(stamps[worst.last] - stamps[worst.first]) > LONGEST_BRIDGE
         others = f" ({plural(len(these), 'time')} in all)" if len(these) > len(sensors) else ""
-        remedy = "too long to be bridged" if longest else "bridged with more uncertainty"
+        is_short = is_bridged(worst, stamps)
+        remedy = "bridged with more uncertainty" if is_short else "too long to be bridged"
         findings.append(
             SequenceFinding(
                 kind,

@@ -100,7 +100,7 @@ def odometry_report(
 def _headline(result: OdometryResult, error: TrajectoryError | None) -> list[str]:
     """Return the outcome with images and speed, and the error against the truth."""
     if not result.is_usable:
-        return [f"No trajectory was written: {result.message}."]
+        return [f"Not usable: {result.message}. The trajectory ends there or is wrong."]
     end = "Interrupted: the trajectory ends early; " if result.interrupted else ""
     stamps = result.trajectory.timestamps_ns
     motion = 1e-9 * float(stamps[-1] - stamps[0])

@@ -1,0 +1,140 @@
+"""Runs that end as unusable: their rules on both sides, and what is left of them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from bundle.cli.main import main
+from bundle.errors import InputError
+from bundle.inertial.vio.keyframe_record import KeyframeRecord
+from bundle.inertial.vio.odometry import OdometryResult, run_odometry
+from bundle.inertial.vio.sliding_window import SlidingWindow
+from bundle.inertial.vio.window_alarms import DISAGREEMENT, WindowAlarms
+from bundle.inertial.vio.window_run import _lost_reason
+from bundle.interface.window_options import WindowOptions
+from bundle.io.sequences.sequence_folder import save_sequence
+from bundle.io.sequences.trajectory_files import load_tum
+from bundle.synthetic.flight.synthetic_flight import SyntheticFlight, synthesize_flight
+
+SECOND = 10**9
+
+
+@pytest.fixture(scope="module")
+def flight() -> SyntheticFlight:
+    return synthesize_flight(duration=4.0, rest=1.5, num_tracks=20, seed=2)
+
+
+@pytest.fixture(scope="module")
+def result(flight: SyntheticFlight) -> OdometryResult:
+    return run_odometry(flight.sequence, time_budget=100.0)
+
+
+def records(result: OdometryResult, changed: dict[int, dict[str, Any]]) -> list[KeyframeRecord]:
+    """Return 100 records, one every half second, some of them changed."""
+    plain = replace(result.keyframes[-1], alarms=(), prior_definiteness=0.0)
+    return [replace(plain, timestamp_ns=k * SECOND // 2, **changed.get(k, {})) for k in range(100)]
+
+
+def test_camera_and_imu_may_contradict_each_other_at_a_fifth_of_the_keyframes(
+    result: OdometryResult,
+) -> None:
+    alarm = {"alarms": (f"{DISAGREEMENT}: the IMU costs much",)}
+    for count, expected in ((20, ""), (21, "21 of 100")):
+        found = _lost_reason(records(result, {4 * k: alarm for k in range(count)}))
+        assert expected in found and bool(found) == bool(expected)
+
+
+def test_a_burst_of_contradictions_counts(result: OdometryResult) -> None:
+    alarm = {"alarms": (f"{DISAGREEMENT}: the IMU costs much",)}
+    for last, expected in ((46, ""), (47, "3.5 s")):  # from 40 on: 3 and 3.5 s
+        found = _lost_reason(records(result, dict.fromkeys(range(40, last + 1), alarm)))
+        assert expected in found and bool(found) == bool(expected)
+
+
+def test_an_indefinite_prior_counts_at_a_tenth(result: OdometryResult) -> None:
+    for count, expected in ((10, False), (11, True)):
+        changed = {k: {"prior_definiteness": -1e-8} for k in range(count)}
+        assert bool(_lost_reason(records(result, changed))) == expected
+
+
+@pytest.mark.parametrize(("share", "images", "is_lost"), [
+    (0.51, 6, True), (0.51, 5, False), (0.5, 10, False),
+])  # fmt: skip
+def test_tracks_far_from_their_landmarks(
+    flight: SyntheticFlight, monkeypatch: pytest.MonkeyPatch, share: float, images: int,
+    is_lost: bool,
+) -> None:  # fmt: skip
+    reject, calls = SlidingWindow._reject, []
+
+    def far(self: SlidingWindow, table: Any, norms: Any) -> None:
+        reject(self, table, norms)
+        calls.append(1)
+        if 5 <= len(calls) < 5 + images:
+            self.far_share = share
+
+    monkeypatch.setattr(SlidingWindow, "_reject", far)
+    found = run_odometry(flight.sequence, time_budget=100.0)
+    assert ("far from" in found.message) == is_lost
+    assert found.is_usable != is_lost
+
+
+def test_the_share_of_far_observations_is_that_of_the_newest_image(
+    flight: SyntheticFlight,
+) -> None:
+    stamps = np.unique(flight.sequence.track_timestamps_ns)
+    xy = flight.sequence.xy.copy()
+    late = flight.sequence.track_timestamps_ns >= stamps[60]
+    odd = flight.sequence.track_ids % 4 == 0
+    xy[late & odd] += 200.0
+    shares = []
+    reject = SlidingWindow._reject
+
+    def watched(self: SlidingWindow, table: Any, norms: Any) -> None:
+        reject(self, table, norms)
+        shares.append((self.frames[-1].stamp, self.far_share))
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(SlidingWindow, "_reject", watched)
+        run_odometry(replace(flight.sequence, xy=xy), time_budget=100.0)
+    assert max(share for stamp, share in shares if stamp < stamps[60]) == 0
+    first = next(share for stamp, share in shares if stamp >= stamps[60])
+    assert 0.05 < first < 0.5
+
+
+@pytest.mark.parametrize("where", ["start", "add_frame"])
+def test_a_window_without_a_solution_ends_as_lost_with_report_and_trajectory(
+    where: str, flight: SyntheticFlight, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    original, calls = getattr(SlidingWindow, where), []
+
+    def fails(self: SlidingWindow, *given: Any, **named: Any) -> Any:
+        calls.append(1)
+        found = original(self, *given, **named)
+        if where == "start" or len(calls) > 20:
+            raise InputError("window: expected eliminated landmarks in front of the camera")
+        return found
+
+    monkeypatch.setattr(SlidingWindow, where, fails)
+    save_sequence(flight.sequence, tmp_path / "s")
+    target, report = tmp_path / "x.tum", tmp_path / "x.json"
+    arguments = [str(tmp_path / "s"), "-o", str(target), "--json", str(report), "--quiet"]
+    assert main(["vio", *arguments]) == 1
+    said = capsys.readouterr()
+    assert "no solution" in said.out and said.err == ""
+    assert report.exists()
+    assert len(load_tum(target).timestamps_ns) == (4 if where == "start" else 24)
+
+
+def test_a_more_robust_loss_is_not_advised_to_those_who_use_it() -> None:
+    for loss, expected in (("cauchy", False), ("huber", True), ("trivial", True)):
+        alarms = WindowAlarms(WindowOptions(loss=loss), (1e-4, 1e-2))
+        prior = {"prior_asymmetry": 0.0, "prior_ratio": 1e-3, "prior_definiteness": 0.0}
+        for k in range(2):
+            said = alarms.of(k, np.zeros(16), (None, 4), prior, (100.0, 60), "healthy", (None, 0.0))
+        assert ("--loss" in " ".join(said)) == expected
