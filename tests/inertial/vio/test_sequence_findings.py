@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -24,7 +26,7 @@ def test_saturated_samples_are_found_with_their_row() -> None:
     accel = np.array(sequence().accel)
     accel[100:106, 1] = accel[200:203, 1] = 156.96
     found = findings(sequence(accel=accel))["saturated"]
-    assert found.count == 6
+    assert found.count == 9
     assert found.sentence.startswith("S100:")
     accel[100:103] = [0, 0, 9.81]
     assert "saturated" not in findings(sequence(accel=accel))
@@ -42,6 +44,33 @@ def test_degrees_gaps_images_without_samples_and_single_views_are_found() -> Non
     assert findings(given)["no samples"].count == 11  # from 2.5 s to 3.5 s, behind the samples
     ids = np.arange(105)
     assert findings(sequence(track_ids=ids))["one view"].count == 105
+
+
+@pytest.mark.parametrize("sensor", [0, 1])
+@pytest.mark.parametrize(
+    ("factor", "found", "is_fatal"),
+    [(0.08, 1, False), (0.12, 0, False), (40.0, 0, False), (60.0, 1, True), (2e3, 0, False)],
+)
+def test_stated_noise_is_compared_with_that_of_the_samples(
+    sensor: int, factor: float, found: int, is_fatal: bool
+) -> None:
+    rng = np.random.default_rng(0)
+    true = 1e-3, 2e-2
+    gyro, accel = (rng.normal(0, d * 200**0.5, (4001, 3)) for d in true)
+    slow = np.sin(5e-3 * np.arange(4001))[:, None]
+    stated = [d * (factor if k == sensor else 1.0) for k, d in enumerate(true)]
+    given = sequence(
+        imu_timestamps_ns=START + 5_000_000 * np.arange(4001),
+        gyro=gyro + slow,
+        accel=accel + [0, 0, 9.81] + 3 * slow,
+        calibration=calibration(noise=replace(NOISE, gyro_noise_density=stated[0],
+                                              accel_noise_density=stated[1])),
+    )  # fmt: skip
+    kinds = [each for each in findings(given).values() if each.kind == "noise"]
+    assert len(kinds) == found
+    if found:
+        assert kinds[0].is_fatal == is_fatal
+        assert ("gyro", "accel")[sensor] + "_noise_density" in kinds[0].sentence
 
 
 def test_figures_are_those_that_the_sequence_was_made_with() -> None:

@@ -18,6 +18,9 @@ Array = NDArray[np.float64]
 
 GAP = 2.5  # a longer interval between samples, in sampling periods, counts as a gap
 LONGEST_GAP = 0.1  # s; integration across longer gaps is unreliable
+QUIET = 100  # samples of a span
+OVERSTATED, UNDERSTATED = 50.0, 10.0  # ratios; noise models of other programs have up to 40
+NOISELESS = 1e-3  # ratio
 MOVED = 3.0  # sigmas of an observation; noise alone gives 1.7
 FASTEST = math.radians(2000)  # rad/s: the widest range of usual gyroscopes
 ONE_VIEW = 0.5  # fraction of tracks with one view from which a finding is reported
@@ -29,7 +32,7 @@ class SequenceFinding:
 
     Attributes:
         kind: "imu gap", "image gap", "frozen", "zero", "saturated", "spike", "one view",
-            "no samples", "rate".
+            "no samples", "noise", "rate".
         sentence: description with file and line, or with the row.
         count: number of occurrences.
         is_fatal: True if odometry would give a wrong trajectory.
@@ -48,6 +51,7 @@ def sequence_findings(
     findings: list[SequenceFinding] = []
     stamps = sequence.imu_timestamps_ns
     _imu_gaps(sequence, imu_place, findings)
+    _noise(sequence, findings)
     _bad_samples(sequence, imu_place, findings)
     is_fast = np.linalg.norm(sequence.gyro, axis=1) > FASTEST
     for each in bad_stretches(sequence.gyro, sequence.accel):
@@ -78,6 +82,44 @@ def sequence_findings(
         )
     _tracks(sequence, track_place, findings)
     return tuple(findings)
+
+
+def quietest_noise(values: Array, period: float) -> float:
+    """Return the white noise density of samples (n, 3) in the quietest of many short spans.
+
+    Second differences of white noise have six times its variance, those of a smooth motion little.
+    """
+    change = np.diff(values, 2, axis=0)
+    spans = len(change) // QUIET
+    if not spans:
+        return float("nan")
+    variances = (change[: spans * QUIET] ** 2).reshape(spans, QUIET, 3).mean(axis=(1, 2)) / 6
+    return float(np.sqrt(variances.min() * period))
+
+
+def _noise(sequence: Sequence, findings: list[SequenceFinding]) -> None:
+    """Compare stated noise with samples; those of a simulation without noise say nothing."""
+    noise, period = (
+        sequence.calibration.noise,
+        1e-9 * np.median(np.diff(sequence.imu_timestamps_ns)),
+    )
+    for name, stated, values in (
+        ("gyro_noise_density", noise.gyro_noise_density, sequence.gyro),
+        ("accel_noise_density", noise.accel_noise_density, sequence.accel),
+    ):
+        found = quietest_noise(values, float(period))
+        is_large = found > NOISELESS * stated and stated > OVERSTATED * found
+        if is_large or found > UNDERSTATED * stated:
+            findings.append(
+                SequenceFinding(
+                    "noise",
+                    f"calibration: {name}: expected about {found:.2g}, the noise of the samples "
+                    f"where they are quietest, found {stated:.2g}: "
+                    + ("with this noise the IMU says nothing" if is_large else "too certain"),
+                    1,
+                    is_fatal=is_large,
+                )
+            )
 
 
 def _imu_gaps(sequence: Sequence, place: Place, findings: list[SequenceFinding]) -> None:
