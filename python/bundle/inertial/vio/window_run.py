@@ -168,7 +168,8 @@ class WindowRun:
 
     def failure(self) -> str:
         """Return the reason why this is not a valid estimate of the motion; "" if it is valid."""
-        return self.lost or _lost_reason(self.window.records)
+        records = self.window.records
+        return _out_of_time(records) or self.lost or _lost_reason(records)
 
     def records(self) -> tuple[KeyframeRecord, ...]:
         """Return the telemetry; for a short run without excitation, add its alarm."""
@@ -200,12 +201,17 @@ class WindowRun:
         return found.kind, chosen[-1]
 
 
+def _out_of_time(records: list[KeyframeRecord]) -> str:
+    """Return the error of a window of which most solves took no step; otherwise ""."""
+    without_step = sum(record.out_of_time and record.num_iterations == 0 for record in records)
+    if 2 * without_step <= len(records):
+        return ""
+    return f"the time budget ended {without_step} of {len(records)} solves before their first step"
+
+
 def _lost_reason(records: list[KeyframeRecord]) -> str:
     """Return the error of many keyframes if the window is not a valid estimate; otherwise ""."""
     count = len(records)
-    without_step = sum(record.out_of_time and record.num_iterations == 0 for record in records)
-    if 2 * without_step > count:
-        return f"the time budget ended {without_step} of {count} solves before their first step"
     by_kind = alarms_by_kind(records)
     if "prior cost negative" in by_kind:
         return f"{by_kind['prior cost negative'][0][1]}"
