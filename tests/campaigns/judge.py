@@ -33,8 +33,9 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import beta
 
 import bundle
+from bundle.judging.validation import judgement
 from bundle.judging.validation import validate_problem as validation_module
-from bundle.judging.validation.decision import DecisionRule, decide
+from bundle.judging.validation.decision import Cameras, DecisionRule, decide
 from bundle.model.folds import are_repeated, folds_of
 from bundle.model.residuals import residuals
 from tests.campaigns import judge_scenes
@@ -56,7 +57,17 @@ def record(scene: judge_scenes.JudgeScene) -> dict:
         fits.extend(fit_candidates(*arguments, **keywords))
         return fits
 
-    with mock.patch.object(validation_module, "fit_candidates", kept):
+    cameras = []
+    cameras_of = judgement.cameras_of
+
+    def known(*arguments):
+        cameras.append(cameras_of(*arguments))
+        return cameras[0]
+
+    with (
+        mock.patch.object(validation_module, "fit_candidates", kept),
+        mock.patch.object(judgement, "cameras_of", known),
+    ):
         found = bundle.validate(scene.problem, num_threads=1)
     test = found.row_test
     folds = folds_of(scene.problem, found.num_folds, found.seed)
@@ -75,6 +86,10 @@ def record(scene: judge_scenes.JudgeScene) -> dict:
             }
             for one, fit in zip(found.candidates, fits, strict=True)
         ],
+        "cameras": {
+            name: np.where(np.isfinite(values), values, -1.0).tolist()
+            for name, values in vars(cameras[0]).items()
+        },
         "recommended": found.recommended,
         "row_test": None if test is None else [test.anisotropy, test.shear, test.size],
         "image": found.image[counts].tolist(),
@@ -138,6 +153,12 @@ def decided(entry: dict, rule: DecisionRule, *, veto: bool = True) -> int:
         [one["num_intrinsics"] for one in entry["candidates"]],
         [one["vetoed"] if veto else "" for one in entry["candidates"]],
         rule,
+        Cameras(
+            **{
+                name: np.where(np.array(values) < 0, np.nan, values)
+                for name, values in entry["cameras"].items()
+            }
+        ),
     ).recommended
 
 
@@ -239,6 +260,7 @@ def compare_rules(entries: list[dict]) -> str:
         "threshold 0.5 %": (replace(base, threshold=0.005), True),
         "clip 2": (replace(base, clip=2.0), True),
         "clip 10": (replace(base, clip=10.0), True),
+        "cameras ignored": (replace(base, movement=1e9, price=1.0), True),
     }
     rows = [f"{'rule':16s} exact equivalent (held out) overfit  p90 position"]
     for name, (rule, veto) in rules.items():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bundle.errors import InputError
-from bundle.judging.validation.decision import DecisionRule, decide, jackknife
+from bundle.judging.validation.decision import Cameras, DecisionRule, decide, jackknife
 
 
 def planted(levels, num_images=20, per_image=50, seed=0, spread=0.02):
@@ -104,3 +104,59 @@ def test_both_limits_of_the_rule_count():
         rule = DecisionRule(threshold=share * factor, num_standard_errors=0.0)
         assert decide(errors, image, [10, 20], rule=rule).recommended == recommended
     assert (DecisionRule().num_standard_errors, DecisionRule().threshold) == (2.0, 0.01)
+
+
+def cameras(distance, sigma, certainties):
+    """Cameras of two candidates; the second is the best."""
+    return Cameras(
+        distances=np.array([[0.0, distance], [distance, 0.0]]),
+        sigmas=np.array([np.nan, sigma]),
+        certainties=np.array(certainties, float),
+    )
+
+
+def chosen_by(given, rule):
+    """Decide between a small candidate and a best one, which predicts better by D."""
+    errors, image = planted([1.05, 1.0], spread=0.0)
+    errors[0, image % 20 < 10] /= 1.09
+    return decide(errors, image, [10, 20], rule=rule, cameras=given)
+
+
+def test_cameras_that_moved_make_a_small_difference_relevant():
+    plain = chosen_by(None, DecisionRule())
+    share = plain.differences[0] / plain.scores[1]
+
+    def recommended(distance, sigma=1.0, movement=1.0, errors=0.0):
+        rule = DecisionRule(threshold=share * 1.01, num_standard_errors=errors, movement=movement)
+        return chosen_by(cameras(distance, sigma, [1.0, 1.0]), rule).recommended
+
+    assert recommended(1.001) == 1
+    assert recommended(0.999) == 0
+    assert recommended(2.001, movement=2.0) == 1
+    assert recommended(1.999, movement=2.0) == 0
+    assert recommended(1.001, errors=99.0) == 0  # not significant
+    assert recommended(np.nan) == recommended(1.001, sigma=np.nan) == 0
+
+
+def test_an_expensive_candidate_must_predict_better_by_the_price():
+    plain = chosen_by(None, DecisionRule())
+    share = plain.differences[0] / plain.scores[1]
+
+    def recommended(certainty, factor=1.01, distance=0.0):
+        rule = DecisionRule(threshold=share * factor / 3.0, num_standard_errors=0.0)
+        return chosen_by(cameras(distance, 1.0, [1.0, certainty]), rule).recommended
+
+    assert recommended(3.001) == 0
+    assert recommended(2.999) == 1
+    assert recommended(3.001, factor=0.99) == 1
+    assert recommended(3.001, distance=99.0) == 0
+    assert recommended(np.nan) == 1
+    rule = DecisionRule()
+    assert (rule.movement, rule.expensive, rule.price) == (1.0, 3.0, 3.0)
+
+
+def test_significance_counts_whatever_the_cameras_do():
+    errors, image = planted([1.0005, 1.0])
+    for moved in (0.0, 99.0):
+        given = cameras(moved, 1.0, [1.0, 1.0])
+        assert decide(errors, image, [10, 20], cameras=given).recommended == 0

@@ -43,7 +43,7 @@ def test_a_record_repeats_its_decision(entries):
     for entry in entries:
         assert judge.decided(entry, DecisionRule()) == entry["recommended"]
     assert "1.000 [" in judge.table(entries)
-    assert len(judge.compare_rules(entries).splitlines()) == 9
+    assert len(judge.compare_rules(entries).splitlines()) == 10
 
 
 def test_scenes_repeat_and_have_the_truth_that_they_state():

@@ -38,6 +38,7 @@ from bundle.base.arrays import distinct
 from bundle.base.words import named, number, plural
 from bundle.errors import InputError
 from bundle.interface.finding import Finding
+from bundle.interface.options import SolveOptions
 from bundle.judging.findings.lens_terms import larger_models
 from bundle.judging.findings.measured import SMALLEST_SCALE, Measured
 from bundle.model.cameras import camera_models
@@ -45,7 +46,7 @@ from bundle.model.lenses.exact_image import exact_params
 from bundle.model.problem import Problem
 from bundle.model.rotations import cross_matrices, rotation_matrices
 
-__all__ = ["absorbed_lens", "chi2_tail"]
+__all__ = ["Step", "absorbed_lens", "chi2_tail"]
 
 SIGNIFICANT = 1e-4
 """Probability of so large a T if the lens model is right."""
@@ -83,7 +84,7 @@ def _found(measured: Measured, names: list[str]) -> Finding | None:
     largest = _extended(measured, names[-1])
     if largest is None or not chi2_tail(largest.squared_distance, 1) < SIGNIFICANT:
         return None
-    present = Step(measured, whole)
+    present = Step(whole, measured.options)
     for name in names:
         step = largest if name == names[-1] else _extended(measured, name)
         if step is None or step.num_parameters <= present.num_parameters:
@@ -135,7 +136,7 @@ def _extended(measured: Measured, model: str) -> Step | None:
         params[camera, : len(exact)] = exact
     models = (model,) * problem.num_cameras
     larger = problem.replace(camera_models=models, camera_params=params)
-    step = Step(measured, larger)
+    step = Step(larger, measured.options)
     return step if step.variance > 0 else None
 
 
@@ -150,8 +151,8 @@ class Step:
         moves: (num_images, 3) movement of the projection centres.
     """
 
-    def __init__(self, measured: Measured, problem: Problem) -> None:
-        self._given = (problem, measured.options)
+    def __init__(self, problem: Problem, options: SolveOptions) -> None:
+        self._given = (problem, options)
         found = newton_step(*self._given)
         self._has_gauge = found["gauge_degrees"] > 0
         self.decrease: float = 2.0 * found["predicted_decrease"]

@@ -17,6 +17,11 @@ as the best if its score is not significantly higher (D <= z SE), or not higher 
 the one of these with the fewest free parameters, as in the one-standard-error rule of Breiman,
 Friedman, Olshen and Stone (1984). Among equal numbers of parameters the lower score decides.
 
+Two exceptions look at the cameras. A significant difference of less than t is relevant if the
+cameras of both fits are farther apart than m = 1 times their standard deviation: the block bends,
+and hardly any residual shows it. A best candidate whose positions are more than 3
+times less certain than those of another must predict better by 3 t; else this price decides.
+
 ``tests/campaigns/judge.py`` measures the numbers z and t on scenes of known truth. Lower limits
 choose larger lenses: with z = 1.5 and t = 0.5 %, three times as many scenes get a larger lens than
 the true one, and the noise-free error is no lower.
@@ -47,11 +52,32 @@ class DecisionRule:
         clip: largest normalised error that counts, in sigmas.
         num_standard_errors: significance z of a difference, in standard errors.
         threshold: relevant difference t, relative to the best score.
+        movement: relevant distance m of the cameras, in their standard deviations.
+        expensive: ratio of the standard deviations of positions that has its price.
+        price: relevant difference, in thresholds, of an expensive candidate.
     """
 
     clip: float = 3.0
     num_standard_errors: float = 2.0
     threshold: float = 0.01
+    movement: float = 1.0
+    expensive: float = 3.0
+    price: float = 3.0
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Cameras:
+    """Cameras of the candidates; NaN if not known.
+
+    Attributes:
+        distances: (n, n) rms distances of the centres of two fits after a similarity.
+        sigmas: (n,) rms standard deviation of the centres in each fit, without a free similarity.
+        certainties: (n,) median standard deviation of a position beside cameras and points.
+    """
+
+    distances: _Floats
+    sigmas: _Floats
+    certainties: _Floats
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -81,6 +107,7 @@ def decide(
     num_parameters: ArrayLike,
     vetoes: Sequence[str] | None = None,
     rule: DecisionRule | None = None,
+    cameras: Cameras | None = None,
 ) -> Decision:
     """Return the recommended candidate.
 
@@ -91,6 +118,7 @@ def decide(
         num_parameters: (num_candidates,) number of free parameters.
         vetoes: reason why a candidate may not be recommended; "" if it may. None: no vetoes.
         rule: numbers of the rule; None: the defaults.
+        cameras: positions of the fits; None: only the errors count.
 
     Raises:
         InputError: no candidate can be recommended.
@@ -108,9 +136,13 @@ def decide(
     spread = np.array([jackknife(row, sums[best], counts) for row in sums])
     spread[~has_fit] = np.nan
     above = scores - scores[best]
-    is_equal = takes_part & (
-        (above <= rule.num_standard_errors * spread) | (above <= rule.threshold * scores[best])
-    )
+    limit = np.full(len(scores), rule.threshold * scores[best])
+    if cameras is not None:  # comparisons with NaN are False
+        is_cheaper = cameras.certainties[best] > rule.expensive * cameras.certainties
+        limit[is_cheaper] *= rule.price
+        moved = cameras.distances[:, best] > rule.movement * cameras.sigmas[best]
+        limit[moved & ~is_cheaper] = 0.0
+    is_equal = takes_part & ((above <= rule.num_standard_errors * spread) | (above <= limit))
     order = np.lexsort((scores, cost))
     return Decision(
         recommended=int(order[is_equal[order]][0]),

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import combinations
 from time import perf_counter
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bundle.base.words import number
+from bundle.errors import InputError
+from bundle.georeference.pose_alignment import align_centers
 from bundle.interface.finding import Finding
 from bundle.interface.options import SolveOptions
 from bundle.judging.validation.candidate_fits import CandidateFit, Fitting
 from bundle.judging.validation.candidates import groups_of
-from bundle.judging.validation.decision import Decision, DecisionRule, decide
+from bundle.judging.validation.decision import Cameras, Decision, DecisionRule, decide
 from bundle.judging.validation.information_criteria import dispersion, information_criteria
 from bundle.judging.validation.known_positions import KnownErrors, known_errors
 from bundle.judging.validation.position_certainty import Certainty, certainty
@@ -75,6 +78,7 @@ def judged(
         num_intrinsics,
         vetoes,
         rule,
+        cameras_of(fits, certainties),
     )
     criteria = _criteria(fits, certainties, fitting)
     records = tuple(
@@ -108,6 +112,30 @@ def judged(
         notes=found.notes,
         time_in_seconds=perf_counter() - begun,
     )
+
+
+def cameras_of(fits: Sequence[CandidateFit], certainties: Sequence[Certainty]) -> Cameras:
+    """Return distances and standard deviations of the cameras of all fits."""
+    centers = [None if fit.error else fit.refined.projection_centers for fit in fits]
+    distances = np.full((len(fits), len(fits)), np.nan)
+    for a, b in combinations(range(len(fits)), 2):
+        distances[a, b] = distances[b, a] = _distance(centers[a], centers[b])
+    return Cameras(
+        distances=distances,
+        sigmas=np.array([one.camera_sigma for one in certainties]),
+        certainties=np.array([one.position_sigma for one in certainties]),
+    )
+
+
+def _distance(source: _Floats | None, target: _Floats | None) -> float:
+    """Return the rms distance of centres after a similarity; NaN without one."""
+    if source is None or target is None:
+        return float("nan")
+    try:
+        aligned = align_centers(source, target).apply(source)
+    except InputError:  # on one line
+        return float("nan")
+    return float(np.sqrt(((aligned - target) ** 2).sum(axis=1).mean()))
 
 
 def _independent(problem: Problem, folds: NDArray[np.int16]) -> NDArray[np.bool_]:

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from bundle.analysis.uncertainty.covariance_by_input import covariance
 from bundle.errors import InputError
+from bundle.judging.findings.larger_lens import Step
 from bundle.model.problem import Problem
 from bundle.model.problem_keys import touched_ids
 from bundle.model.residuals import residuals
@@ -44,11 +45,14 @@ class Certainty(NamedTuple):
     Attributes:
         position_sigma: median over the images of the sigma of a position; NaN if not computed.
         num_parameters: number of parameters that the fit determines, by rank; 0 if not computed.
+        camera_sigma: rms standard deviation of the centres, all axes together, without a free
+            similarity; NaN if not computed.
         note: reason why the values are not computed.
     """
 
     position_sigma: float
     num_parameters: int
+    camera_sigma: float = float("nan")
     note: str = ""
 
 
@@ -65,7 +69,7 @@ def certainty(prepared: Prepared, full: Result) -> Certainty:
             constraints=() if prepared.applied is None else prepared.applied,  # type: ignore[arg-type]
         )
     except InputError as error:
-        return Certainty(float("nan"), 0, str(error))
+        return Certainty(float("nan"), 0, note=str(error))
     sigmas = position_sigmas(sound, found.pose_covariance)
     moves = sigmas[sigmas > 0]
     removed = full.problem.num_observations - sound.num_observations
@@ -74,7 +78,18 @@ def certainty(prepared: Prepared, full: Result) -> Certainty:
     return Certainty(
         position_sigma=float(np.median(moves)) if len(moves) else 0.0,
         num_parameters=determined + 3 * (full.problem.num_points - sound.num_points),
+        camera_sigma=_camera_sigma(prepared, full),
     )
+
+
+def _camera_sigma(prepared: Prepared, full: Result) -> float:
+    """Return the standard deviation of the cameras among each other; NaN with rules, which tie."""
+    if prepared.applied is not None:
+        return float("nan")
+    try:
+        return Step(prepared.placed.taken_from(full.problem), full.options).position_sigma()
+    except InputError:
+        return float("nan")
 
 
 def _sound(prepared: Prepared, full: Result) -> Problem:

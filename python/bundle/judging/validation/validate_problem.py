@@ -66,9 +66,10 @@ def validate(
     candidates. Each candidate is fitted to all observations but a fold, and predicts this fold. Its
     score is the RMS of the normalised errors of all folds, clipped at 3 sigmas. The recommended
     candidate is the one with the fewest parameters among those that predict as well as the best:
-    within 2 standard errors or 1 %. Errors at repeated measurements (points that occur twice) do
-    not count in the decision. A lens per image is vetoed if the residuals of the shared lens show
-    motion or a rolling shutter, which such lenses absorb.
+    within 2 standard errors or 1 %, unless its cameras moved or the best one is much less certain
+    (:mod:`bundle.judging.validation.decision`). Errors at repeated measurements (points that occur
+    twice) do not count in the decision. A lens per image is vetoed if the residuals of the shared
+    lens show motion or a rolling shutter, which such lenses absorb.
 
     Args:
         problem: the problem, which is not changed; also the path of one, or a
