@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bundle.base.words import plural
 from bundle.interface.finding import Finding
 from bundle.judging.findings.find import find
 from bundle.judging.findings.next_command import NextCommand
@@ -19,7 +20,10 @@ if TYPE_CHECKING:
     from bundle.inertial.offline.inertial_result import InertialAdjustment
     from bundle.solving.result import Result
 
-__all__ = ["judge", "readout_sigmas", "write_page"]
+__all__ = ["judge", "not_converged", "readout_sigmas", "write_page"]
+
+MORE_STEPS = 4
+"""Factor on a limit of steps that did not suffice."""
 
 
 def judge(
@@ -43,7 +47,8 @@ def judge(
     if not solved.summary.is_solution_usable or opened.sliced is not None:
         return about_imu
     priors: tuple[Any, ...] = () if opened.known is None else opened.known.priors
-    return about_imu + find(
+    limited = not_converged(solved, command)
+    return about_imu + limited + find(
         solved.problem,
         source=asked.source,
         target=asked.target,
@@ -55,6 +60,22 @@ def judge(
         constraints=asked.constraints,
         is_minimum=solved.summary.termination_type == "CONVERGENCE",
     )
+
+
+def not_converged(solved: Result, command: NextCommand) -> tuple[Finding, ...]:
+    """Return the finding about a solve that ended at its limit of steps, if it did."""
+    most = solved.options.max_num_iterations
+    steps = len(solved.iterations["cost"]) - 1
+    if solved.summary.termination_type != "NO_CONVERGENCE" or steps < max(most, 1):
+        return ()
+    found = Finding(
+        kind="not_converged",
+        sentence=f"The solve ended at its limit of {plural(most, 'step')} before it converged, so "
+        "that the result is not a minimum. Allow more steps.",
+        command=command.refine("--max-iterations", str(MORE_STEPS * most)),
+        evidence={"max_num_iterations": most},
+    )
+    return (found,)
 
 
 def readout_sigmas(

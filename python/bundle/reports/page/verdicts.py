@@ -316,6 +316,7 @@ QUESTIONS: tuple[tuple[Callable[[Judged], Verdict | None], Collection[str]], ...
         _error,
         (
             "not_refined",
+            "not_converged",
             "no_observations",
             "unsupported_camera_models",
             "observations_outside_image",
