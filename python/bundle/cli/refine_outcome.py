@@ -48,17 +48,21 @@ def judge(
         return about_imu
     priors: tuple[Any, ...] = () if opened.known is None else opened.known.priors
     limited = not_converged(solved, command)
-    return about_imu + limited + find(
-        solved.problem,
-        source=asked.source,
-        target=asked.target,
-        given=asked.given,
-        options=solved.options,
-        rounds=len(solved.rounds),
-        priors=priors if inertial is None else (inertial, *priors),
-        survey=solved.survey_checks,
-        constraints=asked.constraints,
-        is_minimum=solved.summary.termination_type == "CONVERGENCE",
+    return (
+        about_imu
+        + limited
+        + find(
+            solved.problem,
+            source=asked.source,
+            target=asked.target,
+            given=asked.given,
+            options=solved.options,
+            rounds=len(solved.rounds),
+            priors=priors if inertial is None else (inertial, *priors),
+            survey=solved.survey_checks,
+            constraints=asked.constraints,
+            is_minimum=solved.summary.termination_type == "CONVERGENCE",
+        )
     )
 
 

@@ -115,11 +115,11 @@ def cameras(distance, sigma, certainties):
     )
 
 
-def chosen_by(given, rule):
+def chosen_by(given, rule, counts=(10, 20)):
     """Decide between a small candidate and a best one, which predicts better by D."""
     errors, image = planted([1.05, 1.0], spread=0.0)
     errors[0, image % 20 < 10] /= 1.09
-    return decide(errors, image, [10, 20], rule=rule, cameras=given)
+    return decide(errors, image, counts, rule=rule, cameras=given)
 
 
 def test_cameras_that_moved_make_a_small_difference_relevant():
@@ -160,3 +160,27 @@ def test_significance_counts_whatever_the_cameras_do():
     for moved in (0.0, 99.0):
         given = cameras(moved, 1.0, [1.0, 1.0])
         assert decide(errors, image, [10, 20], cameras=given).recommended == 0
+
+
+def test_a_price_is_no_equality():
+    plain = chosen_by(None, DecisionRule())
+    share = plain.differences[0] / plain.scores[1]
+    rule = DecisionRule(threshold=share / 2.0, num_standard_errors=0.0)
+    paid = chosen_by(cameras(0.0, 1.0, [1.0, 9.0]), rule)
+    assert paid.is_equal.tolist() == [True, True]
+    assert paid.by_price.tolist() == [True, False]
+    alike = DecisionRule(threshold=share * 1.01, num_standard_errors=0.0)
+    assert not chosen_by(cameras(0.0, 1.0, [1.0, 9.0]), alike).by_price.any()
+    significant = DecisionRule(threshold=share / 2.0, num_standard_errors=99.0)
+    assert not chosen_by(cameras(0.0, 1.0, [1.0, 9.0]), significant).by_price.any()
+
+
+def test_cameras_of_a_larger_lens_may_move():
+    plain = chosen_by(None, DecisionRule())
+    rule = DecisionRule(
+        threshold=plain.differences[0] / plain.scores[1] * 1.01, num_standard_errors=0.0
+    )
+    moved = cameras(99.0, 1.0, [1.0, 1.0])
+    assert chosen_by(moved, rule, (19, 20)).is_equal.tolist() == [False, True]
+    assert chosen_by(moved, rule, (20, 20)).is_equal.tolist() == [True, True]
+    assert chosen_by(moved, rule, (30, 20)).is_equal.tolist() == [True, True]

@@ -17,9 +17,9 @@ as the best if its score is not significantly higher (D <= z SE), or not higher 
 the one of these with the fewest free parameters, as in the one-standard-error rule of Breiman,
 Friedman, Olshen and Stone (1984). Among equal numbers of parameters the lower score decides.
 
-Two exceptions look at the cameras. A significant difference of less than t is relevant if the
-cameras of both fits are farther apart than m = 1 times their standard deviation: the block bends,
-and hardly any residual shows it. A best candidate whose positions are more than 3
+Two exceptions look at the cameras. A significant difference of less than t to a smaller lens is
+relevant if the cameras of both fits are farther apart than m = 1 times their standard deviation:
+the block bends, and hardly any residual shows it. A best candidate whose positions are more than 3
 times less certain than those of another must predict better by 3 t; else this price decides.
 
 ``tests/campaigns/judge.py`` measures the numbers z and t on scenes of known truth. Lower limits
@@ -91,6 +91,7 @@ class Decision:
         differences: score minus the score of the best candidate.
         standard_errors: standard error of each difference over the images; 0 for the best.
         is_equal: True for a candidate as good as the best; False if vetoed.
+        by_price: True for one that predicts worse, but costs less certainty than the best.
     """
 
     recommended: int
@@ -99,6 +100,7 @@ class Decision:
     differences: _Floats
     standard_errors: _Floats
     is_equal: NDArray[np.bool_]
+    by_price: NDArray[np.bool_]
 
 
 def decide(
@@ -141,7 +143,7 @@ def decide(
         is_cheaper = cameras.certainties[best] > rule.expensive * cameras.certainties
         limit[is_cheaper] *= rule.price
         moved = cameras.distances[:, best] > rule.movement * cameras.sigmas[best]
-        limit[moved & ~is_cheaper] = 0.0
+        limit[moved & ~is_cheaper & (cost < cost[best])] = 0.0
     is_equal = takes_part & ((above <= rule.num_standard_errors * spread) | (above <= limit))
     order = np.lexsort((scores, cost))
     return Decision(
@@ -151,6 +153,9 @@ def decide(
         differences=above,
         standard_errors=spread,
         is_equal=is_equal,
+        by_price=is_equal
+        & (above > rule.num_standard_errors * spread)
+        & (above > rule.threshold * scores[best]),
     )
 
 

@@ -76,7 +76,8 @@ def _word(records: Sequence[ValidatedCandidate], decision: Decision, present: in
     candidates = [k for k, one in enumerate(records) if not one.error and not one.vetoed]
     if present >= 0 and records[present].vetoed:
         return "vetoed"
-    if len(candidates) > 1 and decision.is_equal[candidates].all():
+    predicts_alike = decision.is_equal & ~decision.by_price
+    if len(candidates) > 1 and predicts_alike[candidates].all():
         return "no difference"
     if present < 0 or records[present].error:
         return "unknown"
