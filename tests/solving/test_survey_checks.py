@@ -253,5 +253,27 @@ def test_levels():
                 "is_estimated": False, "focal_lengths": (1.0, 1.0, 0.1)}  # fmt: skip
     assert OffsetCheck(p=0.99e-3, **make).is_significant
     assert not OffsetCheck(p=1.01e-3, **make).is_significant
-    assert OffsetCheck(p=1e-9, **make).explains(4.9)
-    assert not OffsetCheck(p=1e-9, **make).explains(5.1)
+    for axes, limit in (("up", 10.8276), ("all", 16.2662)):
+        below, above = (
+            OffsetCheck(p=0.5, **{**make, "axes": axes, "statistic": limit + by})
+            for by in (-0.01, 0.01)
+        )
+        assert above.may_explain(limit) and not above.may_explain(limit + 0.02)
+        assert not below.may_explain(0)
+
+
+def test_an_offset_that_a_loss_hides_is_found():
+    problem, positions, gcps, _ = block(shift=(0, 0, 45))
+    robust = [dataclasses.replace(one, loss="cauchy") for one in [*positions, *gcps]]
+    offset = solved(problem, robust, []).survey_checks.offset
+    assert offset.is_significant and offset.value[2] == pytest.approx(45, abs=1.5)
+
+
+def test_pixel_noise_that_is_larger_than_stated_makes_no_offset():
+    problem, positions, gcps, _truth = block()
+    rng = np.random.default_rng(6)
+    noisy = problem.observation_xy + 8 * NOISE * rng.normal(size=problem.observation_xy.shape)
+    worse = problem.replace(observation_xy=noisy)
+    checks = solved(worse, positions, gcps).survey_checks
+    assert not checks.offset.is_significant and not checks.offset.is_estimated
+    assert checks.offset.focal_lengths[0] == checks.offset.focal_lengths[1]

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.base.records import dataclass
-from bundle.base.tails import f_tail
+from bundle.base.tails import chi2_tail, f_tail
 
 __all__ = ["LEAST_REDUNDANCY", "OffsetCheck", "PointCheck", "SurveyChecks", "scaled_tail"]
 
@@ -69,9 +69,10 @@ class OffsetCheck:
         """True if an offset is more probable than none."""
         return self.p < self.LEVEL
 
-    def explains(self, statistic: float) -> bool:
-        """Return True if it is significant, and more so than a point with this statistic."""
-        return self.is_significant and self.statistic > statistic
+    def may_explain(self, statistic: float) -> bool:
+        """Return True if T is large by the stated sigmas, and larger than that of a point."""
+        by_sigmas = chi2_tail(self.statistic, 3 if self.axes == "all" else 1)
+        return by_sigmas < self.LEVEL and self.statistic > statistic
 
     @property
     def sentence(self) -> str:

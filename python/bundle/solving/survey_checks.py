@@ -11,10 +11,11 @@ the model that has it. The offset and its test are
     o = -C g,    T = g^T C g, chi squared with 3 degrees of freedom;
 
 for the height alone, with the other coordinates held, T = g_up^2 / (C^-1)_up with 1. Residuals show
-nothing of an offset that a focal length absorbs; g does. Pixels and positions whose residuals are
-larger than their sigmas say, by the factors s, make the test one of F = T / (k s^2). With p < 1e-3,
-the model is adjusted with the offset, along all axes only if these explain more: o, its sigma and
-the focal length come from there.
+nothing of an offset that a focal length absorbs; g does. If T is large (p < 1e-3), the model is
+adjusted with the offset, along all axes only if these explain more: o, its sigma and the focal
+length come from there. Pixels and positions whose residuals are larger than their sigmas say, by
+the factors s, make the test one of F = T / (k s^2). It is decided in the adjusted model, because an
+offset bends the other one and enlarges its residuals.
 
 A gross error and an offset explain the same residuals; the one with the larger T is named, and the
 other tested after it.
@@ -159,11 +160,11 @@ class _Adjusted:
             suspects = {name: one.statistic for name, one in points.items() if one.is_suspect}
             worst = max(suspects, key=lambda name: suspects[name], default="")
             largest = suspects.get(worst, 0.0)
-            if self.offset is None and offset is not None and offset.explains(largest):
-                self.offset = PositionOffset.beside(self.plain, offset.axes)
-                self.value = np.array(offset.value)
-                self._adjust()
-                continue
+            if self.offset is None and offset is not None and offset.may_explain(largest):
+                found = self._adjusted_with(offset)
+                if found is not None:
+                    offset = found
+                    continue
             if not worst:
                 break
             self.suspects[worst] = points[worst]
@@ -209,6 +210,18 @@ class _Adjusted:
                 self.others = [one for one in self.others if one.keys != (("point", point_id),)]
                 return True
         return False
+
+    def _adjusted_with(self, offset: OffsetCheck) -> OffsetCheck | None:
+        """Adjust with an offset; return its test there, None if it is not significant."""
+        plain = self.plain
+        self.offset = PositionOffset.beside(plain, offset.axes)
+        self.value = np.array(offset.value)
+        self._adjust()
+        found = self._offset()
+        if found is not None and found.is_significant:
+            return found
+        self.plain, self.offset, self.value = plain, None, np.zeros(3)
+        return None
 
     def _adjust(self) -> None:
         """Solve again from the present values."""

@@ -1,0 +1,143 @@
+"""Exact numbers of attitude priors: sigmas by axis, kinds that turn the world, thresholds."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import bundle
+from bundle import GravityPrior, HeadingPrior, InputError, OrientationPrior, PositionPrior
+from bundle.georeference.attitudes import Attitudes
+from bundle.georeference.problem_attitudes import ProblemAttitudes
+from bundle.georeference.similarity import Similarity, moved
+from tests.georeference.test_attitude_priors import gravity_of, rotations, upright_and_turned
+
+AXIS = (1.0, 0.3, 0.2)
+HEADING, TILT = 3.0, 0.5
+
+
+def oriented(truth, turn, sigmas=(HEADING, TILT)):
+    """Exact orientations of a world that is turned by a rotation vector in degrees."""
+    world = Rotation.from_rotvec(np.radians(turn))
+    quaternions = (rotations(truth) * world).as_quat()
+    return [
+        OrientationPrior(int(one), row, sigmas)
+        for one, row in zip(truth.image_ids, quaternions, strict=True)
+    ]
+
+
+def headings_of(truth, by, sigma=1.0, axis=AXIS):
+    """Headings of an axis of the cameras that are off by an angle in degrees."""
+    east, north, _ = rotations(truth).inv().apply(axis).T
+    found = np.degrees(np.arctan2(east, north)) + by
+    return [
+        HeadingPrior(int(one), heading, sigma, axis=axis)
+        for one, heading in zip(truth.image_ids, found, strict=True)
+    ]
+
+
+@pytest.mark.parametrize("backend", ["fused", "ceres"])
+@pytest.mark.parametrize(
+    ("turn", "sigma"),
+    [((0, 0, 0.6), HEADING), ((0.6, 0, 0), TILT), ((0, 0.6, 0), TILT)],
+)
+def test_each_axis_of_an_orientation_has_its_own_sigma(turn, sigma, backend):
+    truth, _ = upright_and_turned()
+    result = bundle.solve(
+        truth, priors=oriented(truth, turn), align=False, max_num_iterations=0, backend=backend
+    )
+    expected = 0.5 * (0.6 / sigma) ** 2
+    np.testing.assert_allclose(result.factor_costs_before, expected, rtol=1e-6)
+    (group,) = ProblemAttitudes.make(truth, oriented(truth, turn)).groups
+    np.testing.assert_allclose(group.whitened(truth), 0.6 / sigma, rtol=1e-6)
+
+
+def test_unequal_sigmas_weigh_through_a_solve():
+    """Two halves of the images disagree about both axes; each axis ends at its weighted mean."""
+    truth, _ = upright_and_turned(num_images=8)
+    first = oriented(truth, (0, 0, 0), (0.5, 2.0))[:4]
+    exact = {"function_tolerance": 1e-14, "max_num_iterations": 100, "num_threads": 1}
+    solved = []
+    for by in (0.0, 0.1):
+        second = oriented(truth, (by, 0, by), (1.0, 1.0))[4:]
+        result = bundle.solve(truth, priors=[*first, *second], align=False, **exact)
+        solved.append(rotations(result.problem))
+    turn = (solved[0].inv() * solved[1]).mean().as_rotvec(degrees=True)
+    heading = 0.1 * 1.0**-2 / (1.0**-2 + 0.5**-2)
+    tilt = 0.1 * 1.0**-2 / (1.0**-2 + 2.0**-2)
+    assert turn[2] == pytest.approx(heading, rel=0.05)
+    assert turn[0] == pytest.approx(tilt, rel=0.05)
+
+
+def test_headings_beside_orientations_do_not_turn_the_world():
+    truth, _ = upright_and_turned()
+    exact = oriented(truth, (0, 0, 0))
+    both = ProblemAttitudes.make(truth, [*exact, *headings_of(truth, 20.0)])
+    assert both.placement(truth) is None
+    alone = ProblemAttitudes.make(truth, headings_of(truth, 20.0)).placement(truth)
+    # Headings are clockwise: larger ones ask for a turn by -20 degrees about up.
+    turn = Rotation.from_matrix(alone.rotation).as_rotvec(degrees=True)
+    np.testing.assert_allclose(turn, [0, 0, -20], atol=1e-6)
+    gravity = ProblemAttitudes.make(truth, [*gravity_of(truth, 1e-9), *headings_of(truth, 20.0)])
+    turn = Rotation.from_matrix(gravity.placement(truth).rotation).as_rotvec(degrees=True)
+    np.testing.assert_allclose(turn, [0, 0, -20], atol=1e-5)
+
+
+def test_headings_do_not_turn_a_world_that_positions_place():
+    truth, given = upright_and_turned()
+    places = [
+        PositionPrior(int(one), center, 0.01)
+        for one, center in zip(truth.image_ids, truth.projection_centers, strict=True)
+    ]
+    wrong = headings_of(truth, 90.0, sigma=60.0)
+    priors = [*places, *gravity_of(truth, 1.0), *wrong]
+    result = bundle.solve(given, priors=priors, max_num_iterations=0)
+    np.testing.assert_allclose(
+        result.problem.projection_centers, truth.projection_centers, atol=0.3
+    )
+
+
+@pytest.mark.parametrize(("above", "is_refused"), [(85.2, True), (84.8, False)])
+def test_the_least_angle_of_an_axis_with_a_heading(above, is_refused):
+    truth, _ = upright_and_turned()
+    angle = math.radians(above)
+    axis = rotations(truth)[0].apply([math.cos(angle), 0, math.sin(angle)])
+    priors = [HeadingPrior(int(truth.image_ids[0]), 90.0, 2.0, axis=axis)]
+    if is_refused:
+        with pytest.raises(InputError, match="5 degrees"):
+            bundle.solve(truth, priors=priors, align=False, max_num_iterations=0)
+    else:
+        bundle.solve(truth, priors=priors, align=False, max_num_iterations=0)
+
+
+@pytest.mark.parametrize(
+    ("sigma", "tilt", "is_refused"),
+    [(2.0, 6.2, True), (2.0, 5.8, False), (0.1, 1.1, True), (0.1, 0.9, False)],
+)
+def test_a_world_that_must_stay_may_be_wrong_by_three_sigmas(sigma, tilt, is_refused):
+    truth, _ = upright_and_turned()
+    exact = tuple(GravityPrior(one.image, one.direction, sigma) for one in gravity_of(truth, 1e-9))
+    turn = Rotation.from_rotvec(np.radians([tilt, 0, 0])).as_matrix()
+    model = moved(truth, Similarity(1.0, turn, np.zeros(3)))
+    if is_refused:
+        with pytest.raises(InputError, match=rf"{tilt:.3g} degrees off"):
+            Attitudes(exact).check_upright(model, "because")
+    else:
+        Attitudes(exact).check_upright(model, "because")
+
+
+@pytest.mark.parametrize(("length", "agrees"), [(4.55, True), (4.75, False)])
+def test_the_largest_of_good_residuals(length, agrees):
+    """Chi with 2 degrees of freedom: sqrt(-2 log(0.001 / 30)) = 4.54; the cube root says 4.65."""
+    truth, _ = upright_and_turned(num_images=30)
+    priors = list(gravity_of(truth, 1e-9))
+    priors = [GravityPrior(one.image, one.direction, 1.0) for one in priors]
+    down = np.array(priors[7].direction)
+    across = np.cross(down, [1.0, 0.2, 0.1])
+    turned = Rotation.from_rotvec(np.radians(length) * across / np.linalg.norm(across)).apply(down)
+    priors[7] = GravityPrior(priors[7].image, turned, 1.0)
+    (found,) = Attitudes(tuple(priors)).errors(truth)
+    # The robust mean moves by less than a thirtieth of the length.
+    assert (len(found.suspects) == 0) == agrees
+    assert found.images[7].apart == pytest.approx(length, rel=0.05)

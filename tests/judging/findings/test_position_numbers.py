@@ -1,0 +1,85 @@
+"""Findings about measured positions on planted scenes with exact numbers."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from bundle import PositionPrior
+from bundle.judging.findings.measured import Measured
+from bundle.judging.findings.next_command import NextCommand
+from bundle.judging.findings.positions import is_tense, measured_positions, scale_drift
+from tests.georeference.test_attitude_priors import upright_and_turned
+
+ARM = np.array([0.3, -0.2, 0.5])
+COUNT = 24
+
+
+def model(count=COUNT):
+    return upright_and_turned(num_images=count)[0]
+
+
+def antennas(problem):
+    turns = Rotation.from_quat(np.array(problem.cam_from_world[:, :4]))
+    return problem.projection_centers + turns.inv().apply(ARM)
+
+
+def measured(problem, places, sigma=0.1, **changes):
+    priors = [
+        PositionPrior(int(one), place, sigma, lever_arm=ARM, **changes)
+        for one, place in zip(problem.image_ids, places, strict=True)
+    ]
+    return Measured(whole=problem, command=NextCommand(), priors=priors)
+
+
+def test_positions_of_antennas_are_exact():
+    problem = model()
+    assert not is_tense(measured(problem, antennas(problem), sigma=1e-6))
+    assert measured_positions(measured(problem, antennas(problem), sigma=1e-6)) is None
+    away = antennas(problem)
+    away[5] += [0.0, 0.0, 0.7]
+    finding = measured_positions(measured(problem, away))
+    assert finding.evidence["image_ids"] == [int(problem.image_ids[5])]
+    assert finding.evidence["sigmas"] == pytest.approx([7.0])
+    assert "--prior-loss cauchy" in finding.command
+
+
+@pytest.mark.parametrize(("sigmas", "is_found"), [(5.05, True), (4.95, False)])
+def test_single_positions_beyond_five_sigmas(sigmas, is_found):
+    problem = model()
+    away = antennas(problem)
+    away[5, 0] += 0.1 * sigmas
+    found = measured(problem, away)
+    assert (measured_positions(found) is not None) == is_found
+    assert is_tense(found) == is_found
+
+
+@pytest.mark.parametrize("flat", [False, True])
+@pytest.mark.parametrize("growth", [1.2, 1 / 1.2])
+def test_a_drift_has_its_sign_and_its_size(growth, flat):
+    problem = model()
+    places = antennas(problem)
+    order = np.argsort(problem.image_ids)
+    for part, scale in ((order[: COUNT // 2], growth**-0.5), (order[COUNT // 2 :], growth**0.5)):
+        middle = places[part].mean(axis=0)
+        places[part] = middle + scale * (places[part] - middle)
+    if flat:
+        places[:, 2] = np.nan
+    found = measured(problem, places, sigma=0.01)
+    finding = scale_drift(found, problem)
+    assert finding is not None and finding.kind == "scale_drift"
+    assert finding.evidence["change"] == pytest.approx(growth - 1, abs=0.02)
+    assert f"{100 * (growth - 1):+.0f}"[:2] in finding.sentence
+    straight = scale_drift(measured(problem, antennas(problem), sigma=0.01), problem)
+    assert straight is None
+
+
+def test_a_loss_accuses_no_single_position():
+    problem = model()
+    away = antennas(problem)
+    away[5] += 1.0
+    robust = measured(problem, away, loss="cauchy")
+    assert measured_positions(robust) is None
+    few = dataclasses.replace(robust, priors=robust.priors[:5])
+    assert not is_tense(few) and measured_positions(few) is None
