@@ -198,6 +198,7 @@ def test_a_constant_sensor_at_rest_is_not_called_frozen(tmp_path: Path) -> None:
     flight = synthesize_flight(motion="room", seed=5, duration=5.0, rest=2.0, num_tracks=40)
     gyro = flight.sequence.gyro.copy()
     gyro[100:300] = gyro[100]
+    gyro[301:307] = gyro[301]  # less than the time between two images
     save_sequence(replace(flight.sequence, gyro=gyro), tmp_path / "s")
     assert main(["info", str(tmp_path / "s"), "--json", str(tmp_path / "i.json"), "--quiet"]) == 0
     assert json.loads((tmp_path / "i.json").read_text())["findings"] == []

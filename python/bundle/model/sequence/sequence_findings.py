@@ -193,20 +193,21 @@ def _bad_samples(sequence: Sequence, place: Place, findings: list[SequenceFindin
 
 
 def _image_motion(sequence: Sequence, begin: int, end: int) -> float:
-    """Return the median motion of tracks between two times, in sigmas of an observation."""
-    rows = np.flatnonzero(
-        (sequence.image_timestamps_ns >= begin) & (sequence.image_timestamps_ns <= end)
+    """Return the median motion of tracks between the images around two times, in sigmas."""
+    stamps = np.unique(sequence.image_timestamps_ns)
+    first = max(int(np.searchsorted(stamps, begin, "right")) - 1, 0)
+    last = min(int(np.searchsorted(stamps, end)), len(stamps) - 1)
+    one, other = (
+        np.flatnonzero(sequence.image_timestamps_ns == stamp) for stamp in stamps[[first, last]]
     )
-    if not len(rows):
-        return float("inf")
-    times, ids = sequence.track_timestamps_ns[rows], sequence.track_ids[rows]
-    first, last = rows[times == times[0]], rows[times == times[-1]]
-    _, a, b = np.intersect1d(ids[times == times[0]], ids[times == times[-1]], return_indices=True)
-    if not len(a) or times[0] == times[-1]:
+    _, a, b = np.intersect1d(
+        sequence.track_ids[one], sequence.track_ids[other], return_indices=True
+    )
+    if not len(a):
         return float("inf")
     calibration = sequence.calibration
     unit = calibration.focal if calibration.camera_model is None else 1.0
-    moved = np.linalg.norm(sequence.xy[last[b]] - sequence.xy[first[a]], axis=1)
+    moved = np.linalg.norm(sequence.xy[other[b]] - sequence.xy[one[a]], axis=1)
     return float(np.median(moved)) * unit / calibration.pixel_sigma
 
 
