@@ -48,6 +48,10 @@ def swapped_one_sign(jacobian, x, y, r):
     jacobian[0] = np.array([-y, x]) / r
 
 
+def swapped_other_sign(jacobian, x, y, r):
+    jacobian[0] = np.array([y, -x]) / r
+
+
 def other_formula(jacobian, x, y, r):
     jacobian[1] = np.array([np.sin(x * y), np.cos(x + 2 * y)]) / r
 
@@ -61,6 +65,7 @@ def other_formula(jacobian, x, y, r):
         (swapped_range, "row_swapped", 0, 2),
         (swapped_negative, "row_swapped", 0, 2),
         (swapped_one_sign, "row_swapped", 0, 2),
+        (swapped_other_sign, "row_swapped", 0, 2),
         (other_formula, "one_row", 1, 1),
     ],
 )
@@ -74,6 +79,16 @@ def test_a_mistake_in_one_row_has_its_name(change, kind, row, count):
         assert sorted(names) == ["block 0 [0]", "block 0 [1]", "block 1 [0]", "block 1 [1]"]
         for finding in report.findings:
             assert f"residual {row}" in finding.sentence
+            if kind == "row_swapped":
+                assert ("wrong sign" in finding.sentence) == (change is not swapped_range)
+
+
+def test_exchanged_rows_are_no_mistake_of_one_row():
+    def exchanged(jacobian, _x, _y, _r):
+        jacobian[[0, 1]] = jacobian[[1, 0]]
+
+    report = bundle.check_gradients(bearing_and_range(exchanged), BLOCKS)
+    assert {finding.kind for finding in report.findings} == {"swapped_rows"}
 
 
 def test_two_rows_are_no_mistake_of_one_row():
