@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bundle.analysis.statistics.suspicions import broken_parts
 from bundle.base.words import plural
 from bundle.interface.finding import Finding
-from bundle.judging.findings.find import find
+from bundle.judging.findings.find import find, one_list
 from bundle.judging.findings.next_command import NextCommand
 
 if TYPE_CHECKING:
@@ -48,22 +49,19 @@ def judge(
         return about_imu
     priors: tuple[Any, ...] = () if opened.known is None else opened.known.priors
     limited = not_converged(solved, command)
-    return (
-        about_imu
-        + limited
-        + find(
-            solved.problem,
-            source=asked.source,
-            target=asked.target,
-            given=asked.given,
-            options=solved.options,
-            rounds=len(solved.rounds),
-            priors=priors if inertial is None else (inertial, *priors),
-            survey=solved.survey_checks,
-            constraints=asked.constraints,
-            is_minimum=solved.summary.termination_type == "CONVERGENCE",
-        )
+    found = find(
+        solved.problem,
+        source=asked.source,
+        target=asked.target,
+        given=asked.given,
+        options=solved.options,
+        rounds=len(solved.rounds),
+        priors=priors if inertial is None else (inertial, *priors),
+        survey=solved.survey_checks,
+        constraints=asked.constraints,
+        is_minimum=solved.summary.termination_type == "CONVERGENCE",
     )
+    return one_list(about_imu, limited, broken_parts(solved.problem), found)
 
 
 def not_converged(solved: Result, command: NextCommand) -> tuple[Finding, ...]:

@@ -10,7 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.analysis.statistics.covisibility import Covisibility
-from bundle.analysis.statistics.depths import COLLAPSED, collapsed_observations
+from bundle.analysis.statistics.depths import (
+    COLLAPSED,
+    collapsed_observations,
+    depths_of_observations,
+)
 from bundle.analysis.statistics.lenses import Lens, lenses
 from bundle.base.words import plural
 from bundle.interface.finding import Finding
@@ -18,7 +22,7 @@ from bundle.model.cameras import camera_models
 from bundle.model.problem import Problem
 from bundle.model.unobserved import unobserved
 
-__all__ = ["count_repeated", "suspicions"]
+__all__ = ["broken_parts", "count_repeated", "suspicions"]
 
 FEW_OBSERVATIONS = 10
 """Number of observations below which the pose of an image is poorly determined."""
@@ -64,6 +68,14 @@ def suspicions(
         *_points(problem),
         *_positions(problem),
         *_unused_cameras(problem),
+    )
+
+
+def broken_parts(problem: Problem) -> tuple[Finding, ...]:
+    """Return cameras and points with which a refined model is unusable, whatever its residuals."""
+    return (
+        *_lenses(problem, lenses(problem)),
+        *_collapsed(problem, depths_of_observations(problem)),
     )
 
 

@@ -22,7 +22,7 @@ from bundle.judging.findings.images import ImageFits, image_fits, image_residual
 from bundle.judging.findings.larger_lens import absorbed_lens
 from bundle.judging.findings.lens_terms import LensField, fields_of_lenses, lens_model
 from bundle.judging.findings.measured import Measured
-from bundle.judging.findings.minimum import not_refined
+from bundle.judging.findings.minimum import not_refined, shifted_pixels
 from bundle.judging.findings.next_command import NextCommand
 from bundle.judging.findings.outliers import outliers
 from bundle.judging.findings.positions import (
@@ -44,7 +44,8 @@ if TYPE_CHECKING:
 __all__ = ["find", "one_list"]
 
 IMPORTANCE = (
-    *("not_refined", "outliers", "lens_model", "weak_joint", "undetermined_intrinsics", "motion"),
+    *("shifted_pixels", "not_refined", "outliers", "lens_model", "weak_joint"),
+    *("undetermined_intrinsics", "motion"),
     *("gps_offset", "positions", "attitudes", "scale_drift", "focal_drift", "shared_lens"),
     *("image_residuals", "duplicate_points"),
 )
@@ -160,7 +161,7 @@ def _findings(measured: Measured) -> Iterator[Finding | None]:
     yield wrong_attitudes(measured)
     offset = position_offset(measured)
     yield offset
-    start = not_refined(measured)
+    start = shifted_pixels(measured) or not_refined(measured)
     if start is not None:
         yield start
         return  # other tests need a minimum

@@ -25,9 +25,10 @@ from bundle.judging.findings.measured import SMALLEST_SCALE, Measured
 from bundle.model.losses import evaluate_loss
 from bundle.model.reprojection import linearize
 
-__all__ = ["not_refined"]
+__all__ = ["not_refined", "shifted_pixels"]
 
 LEFT = 0.8
+SMALLEST_SHIFT, ALIKE = 10.0, 0.9
 MOST_OBSERVATIONS = 20_000
 
 Floats = NDArray[np.float64]
@@ -47,6 +48,35 @@ def not_refined(measured: Measured) -> Finding | None:
         f"{100 * decrease:.0f} %. Judge it after a refinement.",
         command=measured.command.refine(),
         evidence={"decrease": decrease, "by": what},
+    )
+
+
+def shifted_pixels(measured: Measured) -> Finding | None:
+    """Return the finding about a model whose pixels are all shifted alike, or None.
+
+    A file with pixels from the corner, read as if from the centre of the image, has one residual
+    everywhere: its mean m explains the mean square, |m|^2 >= 0.9 mean e^2 (RMSE equals median), and
+    is 10 px or longer. A refinement would bend the model to absorb it.
+    """
+    residual = measured.residuals[measured.counted]
+    if not len(residual):
+        return None
+    shift = residual.mean(axis=0)
+    length, square = float(np.hypot(*shift)), float((residual**2).sum(axis=1).mean())
+    if not (length >= SMALLEST_SHIFT and length**2 >= ALIKE * square):
+        return None
+    command = measured.command
+    is_nvm = command.source.lower().endswith(".nvm")
+    from_corner = command.value("--pixel-origin", "center") == "corner"
+    flags = ("--pixel-origin", "center" if from_corner else "corner")
+    return Finding(
+        kind="shifted_pixels",
+        sentence=f"All pixels are shifted alike: projections are {shift[0]:+.1f} and "
+        f"{shift[1]:+.1f} px (x, y) from the observations, RMSE {np.sqrt(square):.1f} px. The "
+        "pixels have another origin than the principal point: correct it instead of refining.",
+        command=command.refine(*flags) if is_nvm else "",
+        evidence={"shift": shift.tolist(), "rmse": float(np.sqrt(square))},
+        is_problem=True,
     )
 
 

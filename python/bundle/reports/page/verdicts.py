@@ -317,6 +317,7 @@ QUESTIONS: tuple[tuple[Callable[[Judged], Verdict | None], Collection[str]], ...
         (
             "not_refined",
             "not_converged",
+            "shifted_pixels",
             "no_observations",
             "unsupported_camera_models",
             "observations_outside_image",
