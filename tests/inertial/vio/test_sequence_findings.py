@@ -95,3 +95,18 @@ def test_figures_are_those_that_the_sequence_was_made_with() -> None:
     assert statistics.track_length["max"] == 21
     shaken = sequence(accel=given.accel[:401] * (1 + 0.2 * np.sin(np.arange(401))[:, None]))
     assert sequence_statistics(shaken).verdict == "healthy"
+
+
+def test_excitation_counts_while_there_are_images() -> None:
+    given = sequence()
+    accel = np.array(given.accel)
+    accel[201:] *= 1 + 0.3 * np.sin(np.arange(200))[:, None]  # after the last image
+    kept = given.track_timestamps_ns <= START + 1_000_000_000
+    short = sequence(
+        accel=accel,
+        track_timestamps_ns=given.track_timestamps_ns[kept],
+        track_ids=given.track_ids[kept],
+        xy=given.xy[kept],
+    )
+    assert sequence_statistics(short).verdict == "unobservable"
+    assert sequence_statistics(sequence(accel=accel)).verdict == "healthy"

@@ -75,7 +75,14 @@ def track_recording(
     check_recording(recording)
     calibration = recording.calibration
     first, last = recording.covered()
-    times = recording.image_times_ns
+    times, samples = recording.image_times_ns, recording.imu_timestamps_ns
+    if last - first < 2:
+        covered, filmed = (1e-9 * float(each[-1] - each[0]) for each in (samples, times))
+        raise InputError(
+            f"{recording.name}: expected images between the first and the last IMU sample, found "
+            f"{last - first} of {len(times)}: the samples cover {covered:.3g} s, the images "
+            f"{filmed:.3g} s"
+        )
     slices = ImuSlices(
         recording.imu_timestamps_ns, recording.gyro, recording.accel, "zero_order_hold"
     )

@@ -32,7 +32,8 @@ class SequenceStatistics:
         static_start: seconds of rest at the start; 0 if it starts in motion.
         gyro_noise_density, accel_noise_density: measured over the rest at the start; nan without
             rest.
-        excitation: standard deviation of the magnitude of the specific force [m/s^2].
+        excitation: standard deviation of the magnitude of the specific force while there are
+            images [m/s^2].
         verdict: observability of the scale: "healthy", "marginal" or "unobservable".
         tracks_per_image, track_length: min, median, mean, max.
     """
@@ -60,7 +61,8 @@ def sequence_statistics(sequence: Sequence) -> SequenceStatistics:
     _, rest = rest_at_start(SequenceImages(sequence))
     still = slice(0, rest)
     duration = 1e-9 * float(stamps[rest - 1] - stamps[0]) if rest else 0.0
-    excited = excitation(sequence.accel)
+    seen = (stamps >= images[0]) & (stamps <= images[-1])
+    excited = excitation(sequence.accel[seen] if np.count_nonzero(seen) > 1 else sequence.accel)
     return SequenceStatistics(
         imu_rate=1 / period,
         camera_rate=1e9 / float(np.median(image_steps)) if len(image_steps) else float("nan"),
