@@ -49,7 +49,7 @@ def test_the_map_is_found_and_one_wild_rotation_does_not_move_it():
 def test_errors_have_their_sigmas():
     errors = []
     for seed in range(40):
-        found = RotationMap.between(*draw(np.eye(3), noise=0.01, seed=seed))
+        found = RotationMap.between(*draw(np.eye(3), noise=0.01, seed=seed, count=800))
         errors.append((found.matrix - np.eye(3)) / found.sigma)
         assert found.rms == pytest.approx(0.01, rel=0.3)
     assert 0.8 < np.std(errors) < 1.3
