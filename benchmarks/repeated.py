@@ -6,8 +6,8 @@ with and without the checks at the end, beside what ``bundle.solve`` needs. The 
 every solve starts from the same values, given as arrays of their own.
 
 The time inside steps is the sum of ``result.iterations["iteration_time_in_seconds"]``. A step that
-meets a tolerance is not taken and leaves no record there, as in Ceres; so that all are counted,
-each solve has the number of steps that the default tolerances allow, and no tolerance.
+meets a tolerance may leave no record there; so that all are counted, each solve has the number of
+steps that the default tolerances allow, and no tolerance.
 
 Run: python -m benchmarks.repeated [--threads N]
 """

@@ -51,7 +51,7 @@ def jobs(
     else:
         script = [sys.executable, str(ROOT / "benchmarks" / "runners" / "pycolmap_model.py")]
     return {
-        OURS: Job([*refine, "--threads", str(threads), *rule], ours),
+        OURS: Job([*refine, "--threads", str(threads), "--convergence", "ceres", *rule], ours),
         THEIRS: Job([*script, str(problem.path), str(theirs), str(threads), *values], theirs),
     }
 

@@ -134,7 +134,7 @@ OPTIONS = {
     ),
     "use_nonmonotonic_steps": OF_A_FLAG,
     **dict.fromkeys(("gradient_tolerance", "parameter_tolerance"), ("nan", "word", "-1")),
-    **dict.fromkeys(("backend", "loss", "gauge"), OF_A_WORD),
+    **dict.fromkeys(("backend", "loss", "gauge", "convergence"), OF_A_WORD),
     **dict.fromkeys(
         (
             "linear_solver_type", "linear_solver_ordering", "preconditioner_type",

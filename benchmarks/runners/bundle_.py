@@ -84,6 +84,7 @@ def run(request: protocol.Request) -> protocol.Outcome:
         backend=request.backend,
         linear_solver_type=request.solver,
         num_threads=request.threads,
+        convergence="ceres",  # the rule of all solvers
         max_num_iterations=request.max_num_iterations,
         function_tolerance=request.function_tolerance,
         gradient_tolerance=request.gradient_tolerance,

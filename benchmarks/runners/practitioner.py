@@ -57,7 +57,7 @@ def ours(request: dict[str, Any], folder: Path) -> dict[str, Any]:
     import bundle
 
     options: dict[str, Any] = {name: request[name] for name in STOPPING}
-    options |= {"num_threads": request["threads"], "cheirality": "zero"}
+    options |= {"num_threads": request["threads"], "cheirality": "zero", "convergence": "ceres"}
     what = request["what"]
     problem = bundle.load(folder / "model" if what == "priors" else request["path"])
     if what == "priors":

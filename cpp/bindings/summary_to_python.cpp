@@ -3,6 +3,7 @@
 #include <pybind11/numpy.h>
 #include <pybind11/stl.h>
 
+#include <cmath>
 #include <string>
 #include <type_traits>
 #include <vector>
@@ -83,6 +84,11 @@ py::dict ToDict(const bundle::SolveSummary& s) {
   BUNDLE_FIELD(linear_solver_choice);
   BUNDLE_FIELD(interrupted);
 #undef BUNDLE_FIELD
+  const auto known = [](double value) {
+    return std::isnan(value) ? py::object(py::none()) : py::float_(value);
+  };
+  d["distance_in_sigmas"] = known(s.distance_in_sigmas);
+  d["largest_camera_step_in_sigmas"] = known(s.largest_camera_step_in_sigmas);
   d["linear_solver_ordering_given"] = py::tuple(py::cast(s.linear_solver_ordering_given));
   d["linear_solver_ordering_used"] = py::tuple(py::cast(s.linear_solver_ordering_used));
   d["num_information_nonzeros"] = s.num_information_nonzeros < 0

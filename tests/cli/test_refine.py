@@ -58,8 +58,8 @@ def test_json_against_the_contract(run, model, tmp_path, backend):
     assert list(report) == [
         "schema", "command", "version", "input", "headline", "findings", "options", "summary",
         "iterations", "reprojection_error",
-        "held_cost", "deleted", "edits", "movement", "cameras", "worst_images", "wall_time",
-        "environment", "output",
+        "held_cost", "convergence", "deleted", "edits", "movement", "cameras", "worst_images",
+        "wall_time", "environment", "output",
     ]  # fmt: skip
     assert (report["schema"], report["command"]) == (1, "refine")
     assert report["version"] == bundle.__version__

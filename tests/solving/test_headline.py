@@ -31,3 +31,12 @@ def test_a_start_above_the_minimum_is_not_at_it(minimum, factor, is_minimum):
     decrease = 1 - result.summary.final_cost / result.summary.initial_cost
     assert decrease == pytest.approx(factor * SMALLEST_DECREASE, rel=0.3, abs=1e-7)
     assert headline(result)[0].startswith("Already at its minimum") == is_minimum
+
+
+@pytest.mark.parametrize(("left", "is_far"), [(None, False), (0.299, False), (0.301, True)])
+def test_a_distance_from_the_minimum_is_said(minimum, left, is_far):
+    result = bundle.solve(minimum)
+    vars(result.summary)["largest_camera_step_in_sigmas"] = left
+    sentences = headline(result)
+    assert sentences[0].startswith("Already at its minimum") != is_far
+    assert any("0.3 standard deviations" in sentence for sentence in sentences) == is_far

@@ -3,6 +3,7 @@
 /// Included only by solve_with_ceres.cpp and build_ceres_problem.cpp.
 
 #include <cstdint>
+#include <limits>
 #include <memory>
 #include <optional>
 #include <string>
@@ -11,9 +12,11 @@
 #include "core/ceres/active_bounds.h"
 #include "core/ceres/ceres_graph.h"
 #include "core/ceres/ceres_version.h"
+#include "core/ceres/end_in_sigmas.h"
 #include "core/ceres/reprojection_cost.h"
 #include "core/ceres/settle_factors.h"
 #include "core/ceres/solve_callbacks.h"
+#include "core/ceres/solve_with_ceres.h"
 #include "core/ceres/step_lengths.h"
 #include "core/ceres/summarize.h"
 #include "core/factors/factor.h"
@@ -23,6 +26,7 @@
 #include "core/model/camera_states.h"
 #include "core/model/parameter_layout.h"
 #include "core/prepare/prepare.h"
+#include "core/scratch/large_vector.h"
 
 namespace bundle {
 
@@ -39,7 +43,8 @@ struct Continuation {
 /// One solve by Ceres.
 class CeresSolve {
  public:
-  CeresSolve(const AdjustmentProblem& problem, const SolveOptions& options, PreparedSolve prepared);
+  CeresSolve(const AdjustmentProblem& problem, const SolveOptions& options, PreparedSolve prepared,
+             const MeasureDecrement& measure);
 
   SolveOutput Run(const ProgressCallback& progress);
 
@@ -56,8 +61,17 @@ class CeresSolve {
   ceres::Solver::Options OptionsToGoOn(ceres::Solver::Options result,
                                        const ceres::Solver::Summary& summary,
                                        const Continuation& next);
-  void Settle(ceres::Solver::Options options, ReportProgress* report,
-              ceres::Solver::Summary* summary);
+  void Settle(ceres::Solver::Options options, ReportProgress* report, RememberBest* best,
+              EndInSigmas* end, ceres::Solver::Summary* summary);
+  /// The problem at the current state.
+  struct Refined;
+  /// True if observations are in front of their cameras and hold a residual.
+  bool LeavesOut(const AdjustmentProblem& refined) const;
+  NewtonDecrement Decrement() const;
+  /// Returns to the best state, if the solve ends at another one without convergence.
+  void ReturnToBest(const RememberBest& best, const ceres::Solver::Summary& summary);
+  /// Residuals minus free parameters; 0 with a robust loss.
+  double DegreesOfFreedom() const;
   /// True if a factor is not thread-safe: Ceres then uses one thread. Adds a warning.
   bool UseOneThread();
   ceres::Solver::Options ChooseSolver();
@@ -78,16 +92,21 @@ class CeresSolve {
   static std::vector<double> StartNumbers(const AdjustmentProblem& problem,
                                           const ParameterLayout& layout);
 
+  const MeasureDecrement& measure_;
   const AdjustmentProblem& problem_;
   const SolveOptions& options_;
   std::vector<Warning> warnings_;
   std::string linear_solver_choice_;
   ParameterLayout layout_;
+  LargeVector<int64_t> track_lengths_;
   CameraStates states_;
   HoldingWatch watch_;
   RecordHolding record_holding_{&watch_};
-  double share_ = 1;               ///< Continuation::share of the last solve
-  const int64_t num_coordinates_;  ///< coordinates of all points
+  double distance_ = std::numeric_limits<double>::quiet_NaN();  ///< to the minimum, in sigmas
+  double camera_distance_ = std::numeric_limits<double>::quiet_NaN();
+  std::optional<double> best_cost_;  ///< of the state of ReturnToBest
+  double share_ = 1;                 ///< Continuation::share of the last solve
+  const int64_t num_coordinates_;    ///< coordinates of all points
   /// Coordinates of the points, then the state. Both are in one array because Ceres orders
   /// parameter blocks by address. With two arrays, their order and the last digits of results would
   /// vary.

@@ -106,16 +106,20 @@ class ReprojectionCost final : public ceres::CostFunction {
     if (counts) {
       for (int i = 0; i < 2; ++i) held_[i] = kHeldFactor * residual[i];
     } else {
+      AddHeld(in_front ? residual : held_, &context_.watch->cost_if_all_count);
       Hold(residual, jacobian);
       AddHeld(&context_.watch->state_cost);
     }
   }
 
-  void AddHeld(std::atomic<double>* cost) const {
+  void AddHeld(std::atomic<double>* cost) const { AddHeld(held_, cost); }
+
+  void AddHeld(const double* residual, std::atomic<double>* cost) const {
     const double* const sigmas = context_.problem.observation_sigma;
     const double sigma =
         sigmas == nullptr ? 1 : sigmas[(measurement_ - context_.problem.observation_xy) / 2];
-    context_.watch->AddHeld((held_[0] * held_[0] + held_[1] * held_[1]) / (sigma * sigma), cost);
+    context_.watch->AddHeld(
+        (residual[0] * residual[0] + residual[1] * residual[1]) / (sigma * sigma), cost);
   }
 
   void Hold(double* residual, ReprojectionJacobian<kParams>* jacobian) const {

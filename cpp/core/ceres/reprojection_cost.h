@@ -29,6 +29,9 @@ struct HoldingWatch {
   std::atomic<bool> is_at_start{false};
   /// The held cost, as far as it has been evaluated: at the last state, and at the last candidate.
   std::atomic<double> state_cost{0}, candidate_cost{0};
+  /// At the last state, the cost of these observations if all counted that can
+  /// (LeastSquares::CostOfAll).
+  std::atomic<double> cost_if_all_count{0};
 
   /// Adds an observation that holds a residual, with its squared norm in sigmas.
   void AddHeld(double squared_norm, std::atomic<double>* cost) const {

@@ -15,9 +15,13 @@ namespace {
 class WatchFactors final : public ceres::IterationCallback {
  public:
   WatchFactors(const KindCosts& factors, double tolerance,
-               const std::vector<ceres::IterationCallback*>& callbacks,
+               const std::vector<ceres::IterationCallback*>& callbacks, const MayEnd& may_end,
                const ceres::IterationSummary& last)
-      : factors_(factors), tolerance_(tolerance), callbacks_(callbacks), last_(last) {}
+      : factors_(factors),
+        tolerance_(tolerance),
+        callbacks_(callbacks),
+        may_end_(may_end),
+        last_(last) {}
 
   ceres::CallbackReturnType operator()(const ceres::IterationSummary& iteration) override {
     if (iteration.iteration == 0) {
@@ -32,8 +36,9 @@ class WatchFactors final : public ceres::IterationCallback {
     if (!iteration.step_is_successful) return ceres::SOLVER_CONTINUE;
     const std::vector<double> before = std::exchange(costs_, factors_.ByKind());
     const double total = iteration.cost + iteration.cost_change;
-    settled_ = std::abs(iteration.cost_change) <= tolerance_ * total &&
-               LargestRelativeChange(before, costs_, factors_.Expected()) <= tolerance_;
+    settled_ = may_end_(
+        iteration, std::abs(iteration.cost_change) <= tolerance_ * total &&
+                       LargestRelativeChange(before, costs_, factors_.Expected()) <= tolerance_);
     return settled_ ? ceres::SOLVER_TERMINATE_SUCCESSFULLY : ceres::SOLVER_CONTINUE;
   }
 
@@ -50,6 +55,7 @@ class WatchFactors final : public ceres::IterationCallback {
   const KindCosts& factors_;
   const double tolerance_;
   const std::vector<ceres::IterationCallback*>& callbacks_;
+  const MayEnd& may_end_;
   const ceres::IterationSummary last_;
   std::vector<double> costs_;
   bool settled_ = false;
@@ -113,8 +119,8 @@ bool EndedByTolerance(const ceres::Solver::Summary& summary) {
 }
 
 bool SettleFactors(const KindCosts& factors, ceres::Solver::Options options,
-                   const std::vector<ceres::IterationCallback*>& callbacks, ceres::Problem* problem,
-                   ceres::Solver::Summary* summary) {
+                   const std::vector<ceres::IterationCallback*>& callbacks, const MayEnd& may_end,
+                   ceres::Problem* problem, ceres::Solver::Summary* summary) {
   const ceres::IterationSummary& last = summary->iterations.back();
   const double tolerance = options.function_tolerance;
   if (!(tolerance > kTightTolerance)) return false;
@@ -124,7 +130,7 @@ bool SettleFactors(const KindCosts& factors, ceres::Solver::Options options,
   if (options.trust_region_strategy_type == ceres::LEVENBERG_MARQUARDT) {
     options.initial_trust_region_radius = std::max(last.trust_region_radius, kWideRadius);
   }
-  WatchFactors watch(factors, tolerance, callbacks, last);
+  WatchFactors watch(factors, tolerance, callbacks, may_end, last);
   options.callbacks = {&watch};
   ceres::Solver::Summary more;
   ceres::Solve(options, problem, &more);

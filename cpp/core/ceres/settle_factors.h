@@ -5,6 +5,7 @@
 /// Both solves are combined in one summary.
 
 #include <cstdint>
+#include <functional>
 #include <map>
 #include <vector>
 
@@ -39,9 +40,11 @@ bool EndedByTolerance(const ceres::Solver::Summary& summary);
 
 /// Solves again from the end of `summary`, with its options, and adds the new iterations to it. If
 /// the new solve fails, returns false and changes nothing. `callbacks` get the iterations with
-/// continued numbers.
+/// continued numbers. `may_end` is asked at each accepted step, if it meets the function tolerance
+/// for the total cost and for each kind.
+using MayEnd = std::function<bool(const ceres::IterationSummary&, bool meets_tolerance)>;
 bool SettleFactors(const KindCosts& factors, ceres::Solver::Options options,
-                   const std::vector<ceres::IterationCallback*>& callbacks, ceres::Problem* problem,
-                   ceres::Solver::Summary* summary);
+                   const std::vector<ceres::IterationCallback*>& callbacks, const MayEnd& may_end,
+                   ceres::Problem* problem, ceres::Solver::Summary* summary);
 
 }  // namespace bundle

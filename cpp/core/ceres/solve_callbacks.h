@@ -47,6 +47,7 @@ class UpdateCameraStates final : public ceres::EvaluationCallback {
     }
     watch_->is_at_candidate.store(!is_at_state);
     (is_at_state ? watch_->state_cost : watch_->candidate_cost).store(0);
+    if (is_at_state) watch_->cost_if_all_count.store(0);
   }
 
   /// Call before a solve. `all_count`: at its start, all observations count that can.
@@ -91,6 +92,9 @@ class RecordHolding final : public ceres::IterationCallback {
     records_.push_back({changed || (changes_ && iteration.iteration == 0), held});
     return ceres::SOLVER_CONTINUE;
   }
+
+  /// True if other observations count since the last iteration.
+  bool HasChanged() const { return records_.back().changed; }
 
   /// Completes the record of an iteration of the current solve, and numbers it among the iterations
   /// of all solves.

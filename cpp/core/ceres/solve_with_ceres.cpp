@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <array>
 #include <cstdio>
+#include <limits>
 #include <memory>
 #include <optional>
 #include <utility>
@@ -21,13 +22,42 @@
 #include "core/prepare/memory.h"
 
 namespace bundle {
+namespace {
+
+constexpr double kNotKnown = std::numeric_limits<double>::quiet_NaN();
+
+}  // namespace
+
+struct CeresSolve::Refined : AdjustmentProblem {
+  Refined(const AdjustmentProblem& problem, const CameraStates& states, const double* all_points)
+      : AdjustmentProblem(problem),
+        poses(states.CamFromWorld()),
+        frames(states.RigFromWorld()),
+        sensors(states.SensorFromRig()),
+        motions(states.Twists()) {
+    cam_from_world = poses.data();
+    if (!frames.empty()) rig_from_world = frames.data();
+    if (!sensors.empty()) sensor_from_rig = sensors.data();
+    camera_params = states.camera_params().data();
+    points = all_points;
+    if (motions.empty()) return;
+    twists = motions.data();
+    readouts = states.readouts().data();
+  }
+  Refined(const Refined&) = delete;
+  Refined& operator=(const Refined&) = delete;
+
+  const std::vector<double> poses, frames, sensors, motions;
+};
 
 CeresSolve::CeresSolve(const AdjustmentProblem& problem, const SolveOptions& options,
-                       PreparedSolve prepared)
-    : problem_(problem),
+                       PreparedSolve prepared, const MeasureDecrement& measure)
+    : measure_(measure),
+      problem_(problem),
       options_(options),
       warnings_(std::move(prepared.warnings)),
       layout_(std::move(prepared.layout)),
+      track_lengths_(std::move(prepared.track_lengths)),
       states_(problem, layout_),
       num_coordinates_(3 * static_cast<int64_t>(problem.num_points)),
       numbers_(StartNumbers(problem, layout_)),
@@ -62,6 +92,8 @@ SolveOutput CeresSolve::Run(const ProgressCallback& progress) {
   output.summary = Summarize(summary, fixed_cost_);
   output.summary.interrupted = interrupted;
   output.summary.untaken_decrease = UntakenDecrease(summary, ceres_problem_.get());
+  output.summary.distance_in_sigmas = distance_;
+  output.summary.largest_camera_step_in_sigmas = camera_distance_;
   Collect(summary, &output);
   return output;
 }
@@ -79,15 +111,28 @@ ceres::Solver::Summary CeresSolve::SolveOnce(const ProgressCallback& progress,
   };
   ReportProgress report(complete, fixed_cost_, lengths_, abandonment_.happened);
   RememberAnchors remember_anchors(states_);
-  ceres_options.callbacks = {&remember_anchors, &record_holding_, &lengths_, &report};
+  RememberBest best(numbers_, states_, watch_);
+  const bool in_sigmas = options_.convergence == ConvergenceRule::kSigmas;
+  const bool settles = !factor_costs_.empty() && ceres_options.function_tolerance > kTightTolerance;
+  EndInSigmas end(in_sigmas ? DegreesOfFreedom() : 0, in_sigmas && !settles,
+                  ceres_options.function_tolerance, watch_, record_holding_,
+                  [this] { return Decrement(); });
+  ceres_options.callbacks = {&remember_anchors, &record_holding_, &lengths_, &best, &report, &end};
+  if (end.takes_last_step()) {
+    ceres_options.function_tolerance = std::min(ceres_options.function_tolerance, kLostChange);
+  }
   update_states_.BeginSolve(/*all_count=*/!repeats);
   record_holding_.BeginSolve(repeats);
   lengths_.BeginSolve();
   ceres::Solver::Summary summary;
   ceres::Solve(ceres_options, ceres_problem_.get(), &summary);
+  if (!end.message().empty() && summary.termination_type == ceres::USER_SUCCESS) {
+    summary.termination_type = ceres::CONVERGENCE;
+    summary.message = end.message();
+  }
   states_.SetAnchors(remember_anchors.AtEnd(summary));
   if (!factor_costs_.empty() && EndedByTolerance(summary)) {
-    Settle(std::move(ceres_options), &report, &summary);
+    Settle(std::move(ceres_options), &report, &best, &end, &summary);
   }
   abandonment_.exception.Rethrow();
   if (abandonment_.happened) ForgetAbandonedStep(&summary);
@@ -99,13 +144,21 @@ ceres::Solver::Summary CeresSolve::SolveOnce(const ProgressCallback& progress,
   record_holding_.EndSolve(summary.iterations.size());
   share_ = continuation.share;
   TellOfCostWithoutHeld(&summary);
+  if (summary.termination_type == ceres::CONVERGENCE) {
+    end.MeasureEnd(summary.final_cost - watch_.state_cost);
+  }
+  const bool has_converged = summary.termination_type == ceres::CONVERGENCE;
+  distance_ = has_converged ? end.distance() : kNotKnown;
+  camera_distance_ = has_converged ? end.camera_distance() : kNotKnown;
+  ReturnToBest(best, summary);
   return summary;
 }
 
 void CeresSolve::TellOfCostWithoutHeld(ceres::Solver::Summary* summary) const {
   constexpr char kFormat[] = "Function tolerance reached. |cost_change|/cost: %le <= %le";
   double share = 0, tolerance = 0;
-  if (share_ == 1 || std::sscanf(summary->message.c_str(), kFormat, &share, &tolerance) != 2) {
+  const bool is_ours = share_ == 1 && options_.convergence == ConvergenceRule::kCeres;
+  if (is_ours || std::sscanf(summary->message.c_str(), kFormat, &share, &tolerance) != 2) {
     return;
   }
   std::array<char, 128> text;
@@ -124,19 +177,45 @@ std::optional<Continuation> CeresSolve::FindContinuation(
       summary.iterations.rbegin(), summary.iterations.rend(),
       [](const ceres::IterationSummary& iteration) { return iteration.step_is_successful; });
   const double share = std::max(0.0, 1 - watch_.state_cost.load() / last->cost);
-  const bool by_function = summary.message.rfind("Function tolerance", 0) == 0;
+  const bool by_function = options_.convergence == ConvergenceRule::kCeres &&
+                           summary.message.rfind("Function tolerance", 0) == 0;
   // A change in the last digits of the held cost is no reason to repeat.
   constexpr double kSameShare = 1e-3;
   if (by_function && share < (1 - kSameShare) * share_) return Continuation{true, share};
-  AdjustmentProblem refined = problem_;
-  const std::vector<double> poses = states_.CamFromWorld();
-  refined.cam_from_world = poses.data();
-  refined.camera_params = states_.camera_params().data();
-  refined.points = numbers_.data();
-  const std::vector<double> twists = states_.Twists();
-  if (!twists.empty()) refined.twists = twists.data();
-  if (CountLeftOut(refined, layout_, options_, num_held) == 0) return std::nullopt;
+  if (!LeavesOut(Refined(problem_, states_, numbers_.data()))) return std::nullopt;
   return Continuation{};
+}
+
+bool CeresSolve::LeavesOut(const AdjustmentProblem& refined) const {
+  const int64_t num_held = watch_.num_held.load();
+  return num_held > 0 && CountLeftOut(refined, layout_, options_, num_held) > 0;
+}
+
+NewtonDecrement CeresSolve::Decrement() const {
+  if (!measure_ || IsIterative(options_.linear_solver_type)) return {};
+  const Refined refined(problem_, states_, numbers_.data());
+  return LeavesOut(refined) ? NewtonDecrement() : measure_(refined);
+}
+
+void CeresSolve::ReturnToBest(const RememberBest& best, const ceres::Solver::Summary& summary) {
+  const bool ended_early = summary.termination_type == ceres::NO_CONVERGENCE ||
+                           summary.termination_type == ceres::USER_SUCCESS;
+  if (!ended_early || !best.IsEarlier()) return;
+  std::copy(best.numbers().begin(), best.numbers().end(), numbers_.begin());
+  states_.SetAnchors(best.anchors());
+  states_.Update(State());
+  watch_.state_cost = best.held_cost();
+  watch_.num_held = best.num_held();
+  best_cost_ = best.cost();
+}
+
+double CeresSolve::DegreesOfFreedom() const {
+  if (options_.loss != LossType::kTrivial) return 0;
+  int64_t degrees = num_residuals_ - layout_.state_size();
+  for (int i = 0; i < problem_.num_points; ++i) {
+    if (layout_.point_is_free(i)) degrees -= std::min<int64_t>(3, 2 * track_lengths_[i]);
+  }
+  return static_cast<double>(degrees);
 }
 
 ceres::Solver::Options CeresSolve::OptionsToGoOn(ceres::Solver::Options result,
@@ -151,17 +230,21 @@ ceres::Solver::Options CeresSolve::OptionsToGoOn(ceres::Solver::Options result,
   return result;
 }
 
-void CeresSolve::Settle(ceres::Solver::Options options, ReportProgress* report,
-                        ceres::Solver::Summary* summary) {
+void CeresSolve::Settle(ceres::Solver::Options options, ReportProgress* report, RememberBest* best,
+                        EndInSigmas* end, ceres::Solver::Summary* summary) {
   update_states_.BeginSolve(/*all_count=*/false);
   lengths_.Restart();
   RememberAnchors remember_anchors(states_);
   options.linear_solver_ordering =
       MakeOrdering(options_.linear_solver_ordering, problem_, layout_, numbers_.data(), State());
   const auto anchors = states_.anchors();
+  const MayEnd may_end = [&](const ceres::IterationSummary& iteration, bool meets_tolerance) {
+    const bool in_sigmas = options_.convergence == ConvergenceRule::kSigmas;
+    return in_sigmas ? end->MayEnd(iteration, meets_tolerance) : meets_tolerance;
+  };
   const bool went_on = SettleFactors(factor_costs_, std::move(options),
-                                     {&remember_anchors, &record_holding_, &lengths_, report},
-                                     ceres_problem_.get(), summary);
+                                     {&remember_anchors, &record_holding_, &lengths_, best, report},
+                                     may_end, ceres_problem_.get(), summary);
   states_.SetAnchors(went_on ? remember_anchors.AtEnd(*summary) : anchors);
 }
 
@@ -225,6 +308,7 @@ void CeresSolve::Collect(const ceres::Solver::Summary& summary, SolveOutput* out
   }
   output->summary.final_cost =
       CostOfWhatCounts(output->iterations).value_or(output->summary.final_cost);
+  if (best_cost_) output->summary.final_cost = *best_cost_ + fixed_cost_;
   output->summary.held_cost = watch_.state_cost.load();
   output->cam_from_world = states_.CamFromWorld();
   output->rig_from_world = states_.RigFromWorld();
@@ -241,8 +325,9 @@ void CeresSolve::Collect(const ceres::Solver::Summary& summary, SolveOutput* out
 }
 
 SolveOutput SolveWithCeres(const AdjustmentProblem& problem, const SolveOptions& options,
-                           PreparedSolve prepared, const ProgressCallback& progress) {
-  return CeresSolve(problem, options, std::move(prepared)).Run(progress);
+                           PreparedSolve prepared, const ProgressCallback& progress,
+                           const MeasureDecrement& measure) {
+  return CeresSolve(problem, options, std::move(prepared), measure).Run(progress);
 }
 
 const char* CeresVersion() { return CERES_VERSION_STRING; }

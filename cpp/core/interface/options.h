@@ -99,6 +99,13 @@ enum class Twists { kFree, kTied, kHard };
 inline constexpr NamedValue<Twists> kTwists[] = {
     {"free", Twists::kFree}, {"tied", Twists::kTied}, {"hard", Twists::kHard}};
 
+/// Rule by which a solve without a loss ends (minimize/sigma_rule.h): a distance to the minimum, or
+/// Ceres' function tolerance alone.
+enum class ConvergenceRule { kSigmas, kCeres };
+
+inline constexpr NamedValue<ConvergenceRule> kConvergenceRules[] = {
+    {"sigmas", ConvergenceRule::kSigmas}, {"ceres", ConvergenceRule::kCeres}};
+
 /// Ids of the rig and of the camera.
 using SensorId = std::pair<int64_t, int64_t>;
 
@@ -121,6 +128,7 @@ struct SolveOptions {
   LossType loss = LossType::kTrivial;
   double loss_scale = 1.0;  ///< pixels
   int max_num_iterations = 100;
+  ConvergenceRule convergence = ConvergenceRule::kSigmas;
   double function_tolerance = 1e-6;
   double gradient_tolerance = 1e-10;
   double parameter_tolerance = 1e-8;
@@ -174,6 +182,7 @@ void VisitOptions(const Visitor& visit) {
   visit(kBetweenSolves, "loss", &Options::loss, kLossTypes);
   visit(kBetweenSolves, "loss_scale", &Options::loss_scale);
   visit(kBetweenSolves, "max_num_iterations", &Options::max_num_iterations);
+  visit(kBetweenSolves, "convergence", &Options::convergence, kConvergenceRules);
   visit(kBetweenSolves, "function_tolerance", &Options::function_tolerance);
   visit(kBetweenSolves, "gradient_tolerance", &Options::gradient_tolerance);
   visit(kBetweenSolves, "parameter_tolerance", &Options::parameter_tolerance);

@@ -7,6 +7,7 @@
 #include <chrono>
 #include <cstdint>
 #include <functional>
+#include <limits>
 #include <optional>
 #include <string>
 #include <utility>
@@ -198,6 +199,11 @@ struct SolveSummary {
   /// Predicted decrease of the step that met the parameter tolerance. This step is not taken and
   /// has no record. 0: unknown. Not reported.
   double untaken_decrease = 0;
+  /// Distance to the minimum in standard deviations of the solution, of any function of the
+  /// parameters and of any function of the camera parameters (minimize/sigma_rule.h). NaN: not
+  /// computed.
+  double distance_in_sigmas = std::numeric_limits<double>::quiet_NaN();
+  double largest_camera_step_in_sigmas = std::numeric_limits<double>::quiet_NaN();
   std::vector<double>
       origin;  ///< centre about which the scene was solved; empty: the problem's origin
   std::vector<Warning> warnings;

@@ -23,9 +23,11 @@
 /// each coordinate to the nearest value within its bounds. Both directions ignore the bounds. x
 /// itself satisfies them.
 
+#include <optional>
 #include <string>
 
 #include "core/interface/linear_status.h"
+#include "core/minimize/sigma_rule.h"
 
 namespace bundle {
 
@@ -97,6 +99,27 @@ class LeastSquares {
 
   /// ||x|| over all refined parameters.
   virtual double StateNorm() const = 0;
+
+  /// Degrees of freedom of the residuals, at most 0 if their standard deviation cannot be
+  /// estimated. nullopt: the solve ends by Ceres' rules, without its last step.
+  virtual std::optional<double> DegreesOfFreedom() const { return std::nullopt; }
+
+  /// Damping that asks Linearize for the normal equations of Decrement. Directions with less
+  /// information relative to that of their columns do not count. Undetermined directions have none,
+  /// and no gradient. A problem may damp parts of x more that can move far at no cost.
+  static constexpr double kDecrementDamping = 1e-12;
+  virtual bool HasDecrement() const { return false; }
+  /// The Newton decrements at x; call after Linearize(kDecrementDamping).
+  virtual NewtonDecrement Decrement() { return {}; }
+
+  /// The cost at x if all observations counted that can, after Linearize or Accept: the cost, and
+  /// for each observation that holds a residual the cost of its residual or, behind its camera, of
+  /// the one that it holds. The trust region method keeps the best of these states.
+  virtual double CostOfAll() { return std::numeric_limits<double>::quiet_NaN(); }
+  /// Keeps a copy of the state before the last Accept.
+  virtual void KeepPrevious() {}
+  /// Makes the kept state x again.
+  virtual void ReturnToKept() {}
 
   /// True if a coordinate has a bound. The three passes below are for such problems, along the d of
   /// the last EvaluateNewtonStep or EvaluateDoglegStep.

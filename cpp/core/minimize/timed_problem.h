@@ -40,6 +40,15 @@ class TimedProblem final : public LeastSquares {
     return problem_->EvaluateDoglegStep(p, q);
   }
   void Accept() override { problem_->Accept(); }
+  std::optional<double> DegreesOfFreedom() const override { return problem_->DegreesOfFreedom(); }
+  bool HasDecrement() const override { return problem_->HasDecrement(); }
+  NewtonDecrement Decrement() override {
+    const Timer timer(&minimum_->solve_time_in_seconds);
+    return problem_->Decrement();
+  }
+  double CostOfAll() override { return problem_->CostOfAll(); }
+  void KeepPrevious() override { problem_->KeepPrevious(); }
+  void ReturnToKept() override { problem_->ReturnToKept(); }
   double StateNorm() const override { return problem_->StateNorm(); }
   bool HasBounds() const override { return problem_->HasBounds(); }
   StepLine LineAlongStep() override {

@@ -14,7 +14,14 @@
 ///   candidate whose cost is not finite costs DBL_MAX. The record of an invalid step has the cost
 ///   at x, and zeros. The radius in a record is that of the next step.
 ///
-/// One difference from Ceres: factors other than observations settle (interface/settling.h).
+/// Three differences from Ceres:
+///
+/// * Factors other than observations settle (interface/settling.h).
+/// * The end of a problem with degrees of freedom (LeastSquares::DegreesOfFreedom): a step that
+///   meets the function tolerance is taken, if it lowers the cost, and ends the solve if it is also
+///   near the minimum in standard deviations (minimize/sigma_rule.h).
+/// * A solve that ends by its iteration limit or by the user returns the state of the least
+///   LeastSquares::CostOfAll, for which observations that were left out count again.
 
 #include <algorithm>
 #include <array>
@@ -82,11 +89,19 @@ class TrustRegion {
         progress_(progress),
         minimum_(std::move(before)),
         problem_(problem, &minimum_),
-        strategy_(MakeStrategy(options)) {}
+        strategy_(MakeStrategy(options)),
+        takes_last_step_(problem->DegreesOfFreedom().has_value()),
+        rule_(problem->DegreesOfFreedom().value_or(0)) {}
 
   MinimizerSummary Run() {
     bool has_iteration = IterationZero();
     while (has_iteration && FinishIteration()) has_iteration = Iterate();
+    if (minimum_.HasConverged()) {
+      if (CanMeasure() && !has_decrement_) MeasureEnd();
+    } else {
+      SetDistance({});
+      if (minimum_.termination_type != "FAILURE") ReturnToBest();
+    }
     return std::move(minimum_);
   }
 
@@ -114,6 +129,7 @@ class TrustRegion {
     }
     current_ = x_;
     record_.step_is_successful = true;
+    JudgeState();
     return true;
   }
 
@@ -125,7 +141,7 @@ class TrustRegion {
     record_.iteration_time_in_seconds = SecondsSince(iteration_start_);
     record_.cumulative_time_in_seconds = seconds_before_ + SecondsSince(start_);
     minimum_.iterations.push_back(record_);
-    return !StoppedByUser() && !FactorsHaveSettled() && !MaxNumIterationsReached() &&
+    return !StoppedByUser() && !LastStepIsTaken() && !MaxNumIterationsReached() &&
            !GradientToleranceReached() && !MinRadiusReached();
   }
 
@@ -178,9 +194,16 @@ class TrustRegion {
 
     record_.relative_decrease = RelativeDecrease(candidate);
     if (record_.relative_decrease > options_.min_relative_decrease) {
-      factors_are_settled_ = is_settling_ && FunctionToleranceIsMet() &&
-                             candidate.factors_change <= options_.function_tolerance;
+      const bool settles = !is_settling_ || candidate.factors_change <= options_.function_tolerance;
+      const double decrease = candidate.changes_what_counts
+                                  ? std::numeric_limits<double>::quiet_NaN()
+                                  : record_.cost_change;
+      may_end_ = rule_.MayEnd(decrease, candidate.cost, FunctionToleranceIsMet() && settles) &&
+                 (is_settling_ || takes_last_step_);
       return HandleSuccessfulStep(candidate);
+    }
+    if (takes_last_step_ && !rule_.IsKnown() && FunctionToleranceIsMet()) {
+      return !ConvergeByFunctionTolerance();
     }
     record_.cost = candidate.cost;
     strategy_->StepRejected();
@@ -204,10 +227,21 @@ class TrustRegion {
     strategy_->StepAccepted(CertainQuality(candidate));
     record_.cost = candidate.cost;
     record_.step_is_successful = true;
+    JudgeState();
+    const bool measures = may_end_ && CanMeasure();
+    has_decrement_ = false;
     try {
-      if (!LinearizeAtX()) {
+      if (!LinearizeAtX(measures)) {
         problem_.Accept();
         return Terminate("FAILURE", "Residual and Jacobian evaluation failed.");
+      }
+      if (may_end_) {
+        NewtonDecrement decrement;
+        if (measures) decrement = Measure();
+        may_end_ = rule_.Ends(decrement, x_.cost);
+        if (measures && !may_end_ && !LinearizeAtX()) {
+          return Terminate("FAILURE", "Residual and Jacobian evaluation failed.");
+        }
       }
     } catch (const Interrupted&) {  // the step was taken; its record has the previous gradient
       minimum_.interrupted = true;
@@ -218,13 +252,60 @@ class TrustRegion {
     return true;
   }
 
-  bool LinearizeAtX() {
-    const Linearization linearization = problem_.Linearize(strategy_->Damping());
+  bool LinearizeAtX(bool for_decrement = false) {
+    const Linearization linearization =
+        problem_.Linearize(for_decrement ? LeastSquares::kDecrementDamping : strategy_->Damping());
     if (!linearization.is_finite) return false;
     x_ = {linearization.cost, linearization.held_cost};
     record_.cost = x_.cost;
     record_.gradient_max_norm = linearization.gradient_max_norm;
     return true;
+  }
+
+  bool CanMeasure() const { return rule_.IsKnown() && problem_.HasDecrement(); }
+
+  /// The decrement at x, linearised for it.
+  NewtonDecrement Measure() {
+    const NewtonDecrement decrement = problem_.Decrement();
+    SetDistance(decrement);
+    has_decrement_ = true;
+    return decrement;
+  }
+
+  void SetDistance(const NewtonDecrement& decrement) {
+    const double sigma = rule_.Sigma(x_.cost);
+    minimum_.distance_in_sigmas = decrement.all / sigma;
+    minimum_.largest_camera_step_in_sigmas = decrement.cameras / sigma;
+  }
+
+  /// Measures the distance from an end by another tolerance.
+  void MeasureEnd() {
+    try {
+      problem_.Linearize(LeastSquares::kDecrementDamping);
+      Measure();
+    } catch (const Interrupted&) {  // it is not needed
+    }
+  }
+
+  /// Compares the state with the best one. Call after each change of the state.
+  void JudgeState() {
+    constexpr double kRounding = 1e-12;
+    const double cost = problem_.CostOfAll();
+    const bool is_start = record_.iteration == 0 || (minimum_.is_best && !has_state_);
+    has_state_ = true;
+    if (!is_start && cost > (1 + kRounding) * minimum_.best_cost_of_all) {
+      if (std::exchange(minimum_.is_best, false)) problem_.KeepPrevious();
+      return;
+    }
+    minimum_.is_best = true;
+    minimum_.best_cost_of_all = cost;
+    minimum_.best_cost = record_.cost;
+  }
+
+  void ReturnToBest() {
+    if (minimum_.is_best) return;
+    problem_.ReturnToKept();
+    minimum_.returned_to_best = true;
   }
 
   /// Both parts are differences of numbers of similar size; the held cost hardly changes.
@@ -295,11 +376,12 @@ class TrustRegion {
 
   bool FunctionToleranceReached() {
     const double change = std::abs(record_.cost_change);
-    if (!FunctionToleranceIsMet() || (is_settling_ && change > kLostChange * x_.cost)) return false;
+    const bool is_taken = is_settling_ || takes_last_step_;
+    if (!FunctionToleranceIsMet() || (is_taken && change > kLostChange * x_.cost)) return false;
     return ConvergeByFunctionTolerance();
   }
 
-  bool FactorsHaveSettled() { return factors_are_settled_ && ConvergeByFunctionTolerance(); }
+  bool LastStepIsTaken() { return may_end_ && ConvergeByFunctionTolerance(); }
 
   bool ConvergeByFunctionTolerance() {
     return Converge("Function tolerance reached. |cost_change|/cost: " +
@@ -328,8 +410,12 @@ class TrustRegion {
   Costs x_;        ///< costs of the linearisation at x
   Costs current_;  ///< also at x, by the candidate's evaluation; the reference for decreases
   bool has_succeeded_ = false;
-  bool is_settling_ = false;          ///< met a tolerance, with factors other than observations
-  bool factors_are_settled_ = false;  ///< by the last step taken
+  bool is_settling_ = false;    ///< met a tolerance, with factors other than observations
+  const bool takes_last_step_;  ///< the step that meets the function tolerance
+  SigmaRule rule_;
+  bool may_end_ = false;        ///< the solve ends with the last step, which was taken
+  bool has_decrement_ = false;  ///< minimum_ has the distance at x
+  bool has_state_ = false;      ///< a state was judged
   int num_consecutive_invalid_steps_ = 0;
 };
 

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <limits>
 #include <string>
 #include <vector>
 
@@ -16,6 +17,14 @@ struct MinimizerSummary {
   std::string message;
   bool interrupted = false;
   double untaken_decrease = 0;  ///< SolveSummary::untaken_decrease
+  /// SolveSummary::distance_in_sigmas, largest_camera_step_in_sigmas
+  double distance_in_sigmas = std::numeric_limits<double>::quiet_NaN();
+  double largest_camera_step_in_sigmas = std::numeric_limits<double>::quiet_NaN();
+  /// LeastSquares::CostOfAll of the best state, and the cost in its record.
+  double best_cost_of_all = std::numeric_limits<double>::infinity();
+  double best_cost = 0;
+  bool is_best = true;            ///< the last state is the best one
+  bool returned_to_best = false;  ///< the final state is that of best_cost, not the last one
   int num_successful_steps = 0;
   int num_unsuccessful_steps = 0;
   int num_linear_solves = 0;

@@ -2,6 +2,13 @@
 ///
 /// Linearisation: a pass over the points, sums over ranks, damping.
 ///
+/// Newton decrements (minimize/sigma_rule.h) are nearly without damping. But a point whose depth is
+/// less certain than the depth itself slides to infinity and back at no cost, and its linear model
+/// says nothing about that. With angular noise a, its depth column has the squared norm 1 / (a
+/// depth)^2, so that the damping a^2 is a prior that it stays within its own depth. a is 1e-3 to
+/// 1e-4; the damping is a tenth of that, squared, because many points with uncertain depths
+/// together can still determine what the cameras share.
+///
 /// Conjugate gradients amplify rounding errors. For them, sums are made on a grid
 /// (schur/assembly/sum_grid.h). All other sums over points are double-doubles
 /// (sums/double_double.h). Sums over factors other than observations are plain doubles and are
@@ -19,6 +26,8 @@
 
 namespace bundle {
 namespace {
+
+constexpr double kPointDecrementDamping = 1e-9;
 
 /// Holds all points of a plan constant during its lifetime. A pass then costs half, because no pair
 /// of images contributes, and still returns the squared norms.
@@ -39,14 +48,16 @@ class HeldPoints {
 }  // namespace
 
 Linearization SchurProblem::Linearize(double damping) {
-  damping_ = damping;
+  const bool for_decrement = damping == kDecrementDamping;
+  damping_ = for_decrement ? kPointDecrementDamping : damping;
   setup_.assembler.SetMaps(x_->cameras());
   const bool first = !scaled_;
   const double factors_cost = factors_.Linearize(x_->cameras(), x_->points.data());
-  PointSums sums = SumUp(damping, first, factors_cost);
+  PointSums sums = SumUp(damping_, first, factors_cost);
   Linearization result;
   result.cost = x_cost_ = sums.cost;
   result.held_cost = x_held_cost_;
+  point_decrement_ = sums.decrement;
   double gradient_squared = sums.gradient_squared, gradient_max = sums.gradient_max;
   HoldActive();
   DampCameras(damping, first);
@@ -120,20 +131,22 @@ SchurProblem::PointSums SchurProblem::SumChunks(double damping, bool first, doub
       [&](int thread) { sums_.Flush(thread); });
   ThrowIfInterrupted();  // only this thread sees the interrupt; the others may have taken all
                          // chunks
-  DoubleDouble cost, gradient_squared;
+  DoubleDouble cost, gradient_squared, decrement;
   cost.Add(factors_cost);
   PointSums total;
   for (const ChunkSum& part : parts) {
     cost.Add(part.cost);
     gradient_squared.Add(part.gradient_squared);
+    decrement.Add(part.decrement);
     if (!(part.gradient_max <= total.gradient_max)) total.gradient_max = part.gradient_max;
   }
   if (first) x_->held.Merge();
   DoubleDouble held_cost = x_->held.Cost(input_.loss, input_.loss_scale);
-  RoundOverRanks(communicator_, {&cost, &gradient_squared, &held_cost});
+  RoundOverRanks(communicator_, {&cost, &gradient_squared, &decrement, &held_cost});
   total.cost = cost.sum;
   x_held_cost_ = held_cost.sum;
   total.gradient_squared = gradient_squared.sum;
+  total.decrement = decrement.sum;
   total.gradient_max = MaxOverRanks(communicator_, total.gradient_max);
   return total;
 }

@@ -74,6 +74,9 @@ void SchurProblem::Reset(const SolveOptions& options) {
   setup_.Reset(options);
   if (grid_ != nullptr) grid_->Forget();
   input_ = WithPriors(setup_.input);
+  x_ = &states_[0];
+  candidate_ = &states_[1];
+  kept_.reset();
   for (State& state : states_) state.Reset(layout_, plan_);
   solver_->ForgetValues();
   scaled_ = false;
@@ -170,23 +173,63 @@ void SchurProblem::Accept() {
   x_->MoveAnchors();
 }
 
+NewtonDecrement SchurProblem::Decrement() {
+  constexpr double kExactly = 0;
+  if (SolveNewton(kExactly).status != LinearStatus::kSuccess) return {};
+  // The solver may have overwritten the values of S, not the right-hand side.
+  const double cameras = BroadcastFirst(
+      communicator_, IsFirst(communicator_) ? Dot(camera_sums().system.rhs, newton_) : 0);
+  return {std::sqrt(point_decrement_ + cameras), std::sqrt(cameras)};
+}
+
+double SchurProblem::CostOfAll() {
+  DoubleDouble cost;
+  for (const HeldResidual& held : x_->held.all()) {
+    double residual[2], rho[3];
+    const bool counts = ResidualOf(held, residual);
+    const double* const r = counts ? residual : held.residual;
+    const double* const sigmas = input_.inverse_sigma;
+    const double weight = counts && sigmas != nullptr ? sigmas[held.observation] : 1;
+    ValueOfLoss(input_.loss, input_.loss_scale, weight * weight * (r[0] * r[0] + r[1] * r[1]), rho);
+    cost.Add(0.5 * rho[0]);
+  }
+  return x_cost_ + RoundOverRanks(communicator_, cost);
+}
+
+void SchurProblem::KeepPrevious() {
+  kept_ = std::make_unique<Kept>(Kept{*candidate_, candidate_cost_, candidate_held_cost_,
+                                      candidate_norm_, candidate_kind_costs_});
+}
+
+void SchurProblem::ReturnToKept() {
+  x_ = &kept_->state;
+  x_cost_ = kept_->cost;
+  x_held_cost_ = kept_->held_cost;
+  state_norm_ = kept_->norm;
+  kind_costs_ = kept_->kind_costs;
+}
+
+bool SchurProblem::ResidualOf(const HeldResidual& held, double* residual) const {
+  const auto next = std::upper_bound(plan_.first.begin(), plan_.first.end(), held.observation);
+  const int64_t point = next - plan_.first.begin() - 1;
+  const int image = plan_.image[held.observation];
+  const int camera = problem_.image_camera[image];
+  const CameraStates& cameras = x_->cameras();
+  bool counts = false;
+  VisitCameraModel(*problem_.camera_models[camera], [&](auto model) {
+    using Model = decltype(model);
+    counts = EvaluateReprojection<Model, kNumParams<Model>>(
+        cameras.pose(image), cameras.params(camera), &x_->points[3 * point],
+        &plan_.xy[2 * held.observation], input_.cheirality, residual, nullptr,
+        cameras.shutter(image));
+  });
+  return counts;
+}
+
 bool SchurProblem::ReleaseHeld() {
   const auto counts = [this](const HeldResidual& held) {
-    const auto next = std::upper_bound(plan_.first.begin(), plan_.first.end(), held.observation);
-    const int64_t point = next - plan_.first.begin() - 1;
-    const int image = plan_.image[held.observation];
-    const int camera = problem_.image_camera[image];
-    const CameraStates& cameras = x_->cameras();
     double residual[2];
-    bool counts_now = false;
-    VisitCameraModel(*problem_.camera_models[camera], [&](auto model) {
-      using Model = decltype(model);
-      counts_now = EvaluateReprojection<Model, kNumParams<Model>>(
-          cameras.pose(image), cameras.params(camera), &x_->points[3 * point],
-          &plan_.xy[2 * held.observation], input_.cheirality, residual, nullptr,
-          cameras.shutter(image));
-    });
-    return counts_now;
+    return ResidualOf(held, residual);
   };
   if (SumOverRanks(communicator_, x_->held.Release(counts)) == 0) return false;
   solver_->ForgetValues();
@@ -209,6 +252,17 @@ void SchurProblem::MeasureStart(const SolveOptions& options) {
   std::vector<DoubleDouble> kinds;
   factors_.Cost(x_->cameras(), x_->points.data(), &kinds);
   kind_costs_ = RoundOverRanks(communicator_, "scalars", kinds);
+  degrees_of_freedom_ = CountDegreesOfFreedom(options);
+}
+
+std::optional<double> SchurProblem::CountDegreesOfFreedom(const SolveOptions& options) const {
+  if (options.convergence == ConvergenceRule::kCeres) return std::nullopt;
+  int64_t degrees = 2 * num_active_observations() + factors_.num_residuals();
+  for (int i = 0; i < plan_.num_free_points; ++i) {
+    degrees -= std::min<int64_t>(3, 2 * (plan_.first[i + 1] - plan_.first[i]));
+  }
+  const int64_t all = SumOverRanks(communicator_, degrees) - layout_.state_size();
+  return options.loss == LossType::kTrivial ? static_cast<double>(all) : 0;
 }
 
 void SchurProblem::MoveCameras(const std::vector<double>& step) {

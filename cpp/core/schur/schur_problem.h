@@ -3,6 +3,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <vector>
 
 #include "core/interface/adjustment_problem.h"
@@ -52,6 +53,13 @@ class SchurProblem final : public LeastSquares {
   Candidate EvaluateDoglegStep(double a, double b) override;
   void Accept() override;
   double StateNorm() const override { return state_norm_; }
+  std::optional<double> DegreesOfFreedom() const override { return degrees_of_freedom_; }
+  /// Conjugate gradients would have to be exact for it.
+  bool HasDecrement() const override { return !solver_->IsIterative(); }
+  NewtonDecrement Decrement() override;
+  double CostOfAll() override;
+  void KeepPrevious() override;
+  void ReturnToKept() override;
   bool HasBounds() const override { return !bounds_.empty(); }
   StepLine LineAlongStep() override;
   Candidate EvaluateAlongStep(double a) override;
@@ -99,6 +107,11 @@ class SchurProblem final : public LeastSquares {
  private:
   EliminationInput WithPriors(EliminationInput input) const;
   void MeasureStart(const SolveOptions& options);
+  /// Residuals minus free parameters, of all ranks; a point with one observation has as many of
+  /// both. 0 with a robust loss.
+  std::optional<double> CountDegreesOfFreedom(const SolveOptions& options) const;
+  /// The residual of an observation at x; false if it cannot count.
+  bool ResidualOf(const HeldResidual& held, double* residual) const;
   /// Calls visit(chunk index, thread) for all chunks on all threads, lower indices first, and
   /// done(thread) on each thread after its last chunk. If a call throws, the other threads end at
   /// their next chunk.
@@ -119,7 +132,7 @@ class SchurProblem final : public LeastSquares {
   static CandidateTotal Total(const std::vector<CandidateSum>& parts);
   /// The cost, and the norms of the points' gradient.
   struct PointSums {
-    double cost = 0, gradient_squared = 0, gradient_max = 0;
+    double cost = 0, gradient_squared = 0, gradient_max = 0, decrement = 0;
   };
   /// All sums at x, including those of factors: gradient and squared norms on all ranks, S on rank
   /// 0.
@@ -192,6 +205,15 @@ class SchurProblem final : public LeastSquares {
   DoglegProducts products_;
   const StateBounds bounds_;
   std::vector<uint8_t> active_;
+  std::optional<double> degrees_of_freedom_;
+  double point_decrement_ = 0;  ///< sum of g^T V'^-1 g over the points, at the last linearisation
+  /// The state of KeepPrevious.
+  struct Kept {
+    State state;
+    double cost, held_cost, norm;
+    std::vector<double> kind_costs;
+  };
+  std::unique_ptr<Kept> kept_;
   double damping_ = 0;
   double state_norm_ = 0;
   double candidate_norm_ = 0;

@@ -43,6 +43,9 @@ class FusedSolver {
 
   const ParameterLayout& layout() const { return layout_; }
 
+  /// The Newton decrements at the problem's values; NaN with an iterative linear solver.
+  NewtonDecrement Decrement();
+
  private:
   void ChooseSolver();
   double BufferBytes() const;
@@ -82,5 +85,10 @@ class FusedSolver {
   double build_time_ = 0;     ///< time of the constructor, if the next solve reports it
   int64_t num_information_nonzeros_ = -1;  ///< -1: not counted yet
 };
+
+/// The Newton decrements at the values of a valid problem, whatever backend solves it; NaN if the
+/// fused backend does not support the problem or has no direct solver for it.
+NewtonDecrement MeasureNewtonDecrement(const AdjustmentProblem& problem,
+                                       const SolveOptions& options);
 
 }  // namespace bundle

@@ -73,7 +73,10 @@ SolveOutput SolveWithCeresAsAsked(const AdjustmentProblem& problem, SolveOptions
     Warn(WarningKind::kSingleThread, "Ceres is deterministic on one thread only, so it used one.",
          &prepared.warnings);
   }
-  return SolveWithCeres(problem, options, std::move(prepared), progress);
+  const MeasureDecrement measure = [&options](const AdjustmentProblem& at) {
+    return MeasureNewtonDecrement(at, options);
+  };
+  return SolveWithCeres(problem, options, std::move(prepared), progress, measure);
 }
 
 constexpr int64_t kNobody = 0;

@@ -60,6 +60,7 @@ void SummarizeMinimum(const MinimizerSummary& minimum, double fixed_cost, Counte
       least = std::min(least, record.cost);
     }
     least = CostOfWhatCounts(minimum.iterations).value_or(least);
+    if (minimum.returned_to_best) least = minimum.best_cost;
     result->initial_cost = minimum.iterations.front().cost + fixed_cost;
     result->final_cost = least + fixed_cost;
   }
@@ -74,6 +75,8 @@ void SummarizeMinimum(const MinimizerSummary& minimum, double fixed_cost, Counte
   result->is_solution_usable = minimum.termination_type != "FAILURE";
   result->interrupted = minimum.interrupted;
   result->untaken_decrease = minimum.untaken_decrease;
+  result->distance_in_sigmas = minimum.distance_in_sigmas;
+  result->largest_camera_step_in_sigmas = minimum.largest_camera_step_in_sigmas;
   result->num_successful_steps = minimum.num_successful_steps;
   result->num_unsuccessful_steps = minimum.num_unsuccessful_steps;
 }

@@ -39,6 +39,7 @@ class SolveKeywords(TypedDict, total=False):
     loss: str  # 'trivial'
     loss_scale: float  # 1.0
     max_num_iterations: int  # 100
+    convergence: str  # 'sigmas'
     function_tolerance: float  # 1e-06
     gradient_tolerance: float  # 1e-10
     parameter_tolerance: float  # 1e-08

@@ -58,6 +58,7 @@ TRUST_REGION_STRATEGIES = ("levenberg_marquardt", "dogleg", "subspace_dogleg")
 LOSSES = ("trivial", "huber", "soft_l1", "cauchy", "arctan", "tukey")
 GAUGES = ("auto", "none", "two_cameras", "three_points")
 CHEIRALITIES = ("auto", "algebraic", "zero")
+CONVERGENCE_RULES = ("sigmas", "ceres")
 
 TWISTS = ("free", "tied", "hard")
 
@@ -160,6 +161,14 @@ class SolveOptions(Options):
     )
     max_num_iterations: int = option(
         100, "--max-iterations", "maximum number of steps to try", minimum=0, metavar="N"
+    )
+    convergence: str = option(
+        "sigmas",
+        "--convergence",
+        "end of a solve without a loss. sigmas: at the function tolerance, and less than about 0.1 "
+        "standard deviations of the solution from the minimum. ceres: at the function tolerance, "
+        "as Ceres ends",
+        choices=CONVERGENCE_RULES,
     )
     function_tolerance: float = option(
         1e-6,

@@ -43,6 +43,10 @@ class Summary(Displayed):
     - ``held_cost``: cost of the observations that have no projection at the solution. Each keeps
       the residual that it had when it lost its projection, times 4. No other cost, including those
       of iterations, contains it.
+    - ``distance_in_sigmas`` and ``largest_camera_step_in_sigmas``: predicted distance to the
+      minimum, as the largest change of any function of all parameters and of any function of the
+      poses and cameras, in standard deviations of this function (the Newton decrement). None with
+      a loss, with an iterative linear solver, or if the solve did not converge.
     - ``num_factors``: number of factors in addition to the observations.
     - ``num_processes``: number of processes that mpirun started.
     - ``processes``: with several processes, their parts of the problem, times and messages
@@ -146,6 +150,8 @@ class Summary(Displayed):
     origin: tuple[float, float, float] | None = None
     num_factors: int = 0
     held_cost: float = 0.0
+    distance_in_sigmas: float | None = None
+    largest_camera_step_in_sigmas: float | None = None
     num_processes: int = 1
     processes: ProcessRecord | None = None
 

@@ -162,7 +162,8 @@ def _entries() -> dict[str, dict[str, Schema]]:
             "options": _options("SolveOptions", "PoseGraphOptions"),
             **solved,
             "reprojection_error": _errors(),
-            **{"held_cost": _NUMBER, "edits": _LIST, "rounds": _LIST, "cameras": _LIST},
+            **{"held_cost": _NUMBER, "convergence": _OBJECT, "edits": _LIST, "rounds": _LIST},
+            "cameras": _LIST,
             **{"worst_images": _LIST, "movement": _MAYBE, "held_out": _MAYBE, "part": _MAYBE},
             "deleted": {"type": "object", "additionalProperties": _COUNT},
             **dict.fromkeys(

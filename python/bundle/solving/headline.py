@@ -30,6 +30,9 @@ __all__ = ["edit_facts", "headline", "is_at_minimum"]
 SMALLEST_DECREASE = 1e-4
 """Relative decrease of the cost at a minimum; the RMSE then changes by at most 0.005 %."""
 
+FARTHEST = 0.3
+"""Distance of the cameras from a minimum, in standard deviations (minimize/sigma_rule.h)."""
+
 SMALLEST_MOVEMENT = 1e-3
 """Relative movement at a minimum."""
 
@@ -52,6 +55,7 @@ def headline(result: Result) -> list[str]:
         return [result.outcome, f"There is no usable solution{'; ' * bool(rmse)}{rmse}."]
     return [
         _verdict(result),
+        *_distance(result),
         *_deletions(result),
         *_held_out(result),
         *_outliers(result),
@@ -76,6 +80,8 @@ def is_at_minimum(result: Result) -> bool:
     summary = result.summary
     changed = any(name.edit != "alignment" for name in result.edits)
     if summary.termination_type != "CONVERGENCE" or changed or result.deleted.num_observations:
+        return False
+    if _is_far(result):
         return False
     if len(result.rounds) > 1 or "No non-constant" in summary.message:
         return False
@@ -102,6 +108,18 @@ def _verdict(result: Result) -> str:
     rmse = _change(kept.before.rmse, kept.after.rmse)
     median = _change(kept.before.median, kept.after.median)
     return f"{outcome}: RMSE {rmse} px (median {median}) on {_observations(result, kept)}."
+
+
+def _is_far(result: Result) -> bool:
+    return (result.summary.largest_camera_step_in_sigmas or 0.0) > FARTHEST
+
+
+def _distance(result: Result) -> list[str]:
+    """Return the distance that is left to the minimum, if it is not small."""
+    if not _is_far(result):
+        return []
+    left = rounded(result.summary.largest_camera_step_in_sigmas or 0.0)
+    return [f"The minimum is about {left} standard deviations of the cameras away."]
 
 
 def _work(result: Result) -> str:

@@ -175,11 +175,13 @@ TEST(SolveWithCeres, ProgressCanStopIt) {
   int calls = 0;
   const AdjustmentProblem problem = scene.View();
   const SolveOptions options = Converge();
-  const SolveOutput output = SolveWithCeres(problem, options, PrepareSolve(problem, options),
-                                            [&](const IterationRecord& record) {
-                                              EXPECT_EQ(record.iteration, calls);
-                                              return ++calls < 3;
-                                            });
+  const SolveOutput output = SolveWithCeres(
+      problem, options, PrepareSolve(problem, options),
+      [&](const IterationRecord& record) {
+        EXPECT_EQ(record.iteration, calls);
+        return ++calls < 3;
+      },
+      nullptr);
   EXPECT_EQ(calls, 3);
   EXPECT_TRUE(output.summary.interrupted);
   EXPECT_EQ(output.iterations.size(), 3u);

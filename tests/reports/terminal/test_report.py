@@ -240,6 +240,7 @@ def test_json_has_what_the_contract_lists(problem):
         "iterations",
         "reprojection_error",
         "held_cost",
+        "convergence",
         "deleted",
         "edits",
         "movement",

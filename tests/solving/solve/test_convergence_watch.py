@@ -36,11 +36,10 @@ def test_the_replica_with_true_jacobians_does_what_a_solve_does(
     changes, columns = SCENES[scene]
     problem = scenes.make_problem(**changes)
     options = {"loss": loss, "loss_scale": loss_scale, "max_num_iterations": 15}
+    rules = {"gauge": "none", "cheirality": "algebraic", "convergence": "ceres"}
     trace = levenberg_marquardt.solve(problem, columns=columns, **options).iterations
     exact = {"ceres": "dense_qr", "fused": "dense_schur"}[backend]
-    iterations = solve(
-        problem, linear_solver_type=exact, gauge="none", cheirality="algebraic", **options
-    ).iterations
+    iterations = solve(problem, linear_solver_type=exact, **rules, **options).iterations
     assert len(trace) == len(iterations["cost"]) >= 3
     # Ceres 2.2 measures steps only from the first that succeeds on.
     measured = 2 + int(np.argmax(iterations["step_is_successful"][1:]))

@@ -129,7 +129,7 @@ def test_the_centre_is_where_colmap_puts_the_origin(bundle_data, name):
 
 def test_a_real_model_in_utm_coordinates(solve, bundle_data):
     problem = bundle.load(bundle_data / "colmap" / "video48")
-    near, far = (solve(p).summary for p in (problem, moved(problem, UTM)))
+    near, far = (solve(p, convergence="ceres").summary for p in (problem, moved(problem, UTM)))
     assert near.origin is None
     assert far.termination_type == "CONVERGENCE"
     np.testing.assert_allclose(far.final_cost, near.final_cost, rtol=1e-6)

@@ -141,6 +141,7 @@ void EliminateChunk(const EliminationInput& input, const StateRecords& x, const 
                     sum->gradient_squared += g * g;
                     if (!(size <= sum->gradient_max)) sum->gradient_max = size;
                   }
+                  if (counts) sum->decrement += block.Decrement();
                   FormFactors<kOwn, kCamera, true>(input, chunk, records, begin[p], num_refined,
                                                    block, memory);
                 });

@@ -122,6 +122,7 @@ struct ChunkSum {
   double cost = 0;
   double gradient_squared = 0;  ///< squared norm over the points
   double gradient_max = 0;      ///< maximum norm over the points
+  double decrement = 0;         ///< sum of g^T V'^-1 g over the points
 };
 
 /// A step of the camera parameters in the form that the passes read. A record per image: J_l dw

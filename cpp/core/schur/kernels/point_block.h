@@ -30,6 +30,12 @@ struct PointBlock {
   }
 
   double Gradient(int j) const { return sum[j][3]; }
+
+  /// g^T V'^-1 g
+  double Decrement() const {
+    const Quad squares = h * h;
+    return squares[0] + squares[1] + squares[2];
+  }
 };
 
 /// L^-T y

@@ -114,6 +114,10 @@ def refinement(
         **({"part": solved.part} if solved.part else {}),
         **({"constraints": solved.constraints} if solved.constraints else {}),
         "held_cost": summary.held_cost,
+        "convergence": {
+            "distance_in_sigmas": summary.distance_in_sigmas,
+            "largest_camera_step_in_sigmas": summary.largest_camera_step_in_sigmas,
+        },
         "deleted": solved.deleted,
         "edits": _edits(solved),
         "movement": solved.movement,
