@@ -104,7 +104,7 @@ class CeresSolve {
   RecordHolding record_holding_{&watch_};
   double distance_ = std::numeric_limits<double>::quiet_NaN();  ///< to the minimum, in sigmas
   double camera_distance_ = std::numeric_limits<double>::quiet_NaN();
-  std::optional<double> best_cost_;  ///< of the state of ReturnToBest
+  std::optional<double> best_cost_;  ///< cost of the state of ReturnToBest
   double share_ = 1;                 ///< Continuation::share of the last solve
   const int64_t num_coordinates_;    ///< coordinates of all points
   /// Coordinates of the points, then the state. Both are in one array because Ceres orders
