@@ -20,6 +20,9 @@ def test_a_suffix_of_letters_names_a_format_or_is_refused(tmp_path, source):
         assert output_format(source, tmp_path / name) == own
     assert output_format(source, f"{tmp_path}/x.foo/") == "colmap"
     assert output_format(source, tmp_path / "x.foo", "colmap-text") == "colmap-text"
+    assert output_format("opensfm", tmp_path / "opensfm.refined") == "opensfm"
+    with pytest.raises(bundle.InputError, match="expected a name without a suffix"):
+        output_format("nvm", tmp_path / "x.foo")
     (tmp_path / "old.foo").mkdir()
     (tmp_path / "file.foo").touch()  # perhaps INPUT itself
     assert output_format(source, tmp_path / "old.foo") == "colmap"

@@ -234,12 +234,14 @@ def output_format(
     if known is not None:
         return known.name
     check_name(path, "a folder or of a BAL file (.txt, .txt.gz, .txt.bz2)", compressed=".txt")
+    own = find_format(source_format)
+    if own is not None and own.writes and own.is_folder:
+        return own.name  # the name of a project is free
     if _WORD.fullmatch(folder.suffix) and not folder.exists():
         raise InputError(
             f"{shown(path)}: expected a name without a suffix, or with that of a format, found "
             f"{shown(folder.suffix)}; a slash at the end makes it a folder, or give --format"
         )
-    own = find_format(source_format)
     if own is not None and own.writes:
         return own.name
     return "bal" if source_format == "bal" else default
