@@ -200,3 +200,14 @@ def test_the_free_model_is_that_of_a_solve_without_attitudes():
 )
 def test_a_bound_is_never_rounded_down(value, text):
     assert _rounded_up(value) == text
+
+
+def test_a_free_model_in_another_world_changes_nothing():
+    truth, _ = upright_and_turned(num_images=8)
+    priors = measured(truth, GravityPrior, 1.0, np.random.default_rng(3))
+    (group,) = ProblemAttitudes.make(truth, priors).groups
+    turn = Rotation.from_rotvec([0.7, -0.4, 1.1]).as_matrix()
+    free = moved(truth, Similarity(1.0, turn, np.zeros(3)))
+    alone, beside = AttitudeErrors.of(group, truth), AttitudeErrors.of(group, truth, free)
+    assert beside.off == pytest.approx(alone.off, abs=1e-6)
+    assert beside.within == pytest.approx(alone.within, abs=1e-6)
