@@ -94,3 +94,9 @@ def test_vibration_is_no_spike() -> None:
     accel += np.random.default_rng(2).normal(0, 5.0, (SIZE, 3))
     accel[700:1300] += np.random.default_rng(3).normal(0, 30.0, (600, 3))
     assert found(gyro, accel) == []
+
+
+def test_a_short_impact_that_its_neighbours_share_is_no_spike() -> None:
+    gyro, accel = samples()
+    accel[900:915] += np.random.default_rng(4).normal(0, 30.0, (15, 3))
+    assert found(gyro, accel) == []
