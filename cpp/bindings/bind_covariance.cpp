@@ -2,6 +2,7 @@
 #include <pybind11/pybind11.h>
 #include <pybind11/stl.h>
 
+#include <optional>
 #include <utility>
 #include <vector>
 
@@ -20,7 +21,8 @@ py::dict Covariance(
     const py::object& problem, const py::dict& options, const py::object& restrictions,
     const py::object& given_factors, bool inner, bool sandwich, bool of_points,
     const std::vector<std::pair<int, int>>& relative, bool long_sums, bool of_images,
-    const py::array_t<double, py::array::c_style | py::array::forcecast>& functions) {
+    const std::optional<py::array_t<double, py::array::c_style | py::array::forcecast>>&
+        functions) {
   bundle::AdjustmentProblem view(ViewProblem(problem));
   view.restrictions = ViewRestrictions(restrictions, view);
   GivenFactors factors(given_factors);
@@ -30,7 +32,7 @@ py::dict Covariance(
   wanted.sandwich = sandwich;
   wanted.of_points = of_points;
   wanted.of_images = of_images;
-  wanted.functions.assign(functions.data(), functions.data() + functions.size());
+  if (functions) wanted.functions.assign(functions->data(), functions->data() + functions->size());
   wanted.long_sums = long_sums;
   wanted.relative = relative;
   PythonProgress watch{py::none()};
@@ -46,7 +48,7 @@ py::dict Covariance(
   const auto count = [](const auto& v) { return static_cast<py::ssize_t>(v.size()); };
   py::dict d;
   d["steps"] = ToImmutableNumpy(std::move(output.steps), {images, 6});
-  const py::ssize_t num_functions = functions.size() == 0 ? 0 : functions.shape(0);
+  const py::ssize_t num_functions = functions ? functions->shape(0) : 0;
   d["functions"] = ToImmutableNumpy(std::move(output.functions), {num_functions, num_functions});
   d["weighted_squares"] = output.weighted_squares;
   d["num_residuals"] = output.num_residuals;
@@ -78,5 +80,5 @@ void BindCovariance(py::module_& m) {
   m.def("covariance", &Covariance, py::arg("problem"), py::arg("options"), py::arg("restrictions"),
         py::arg("factors"), py::arg("inner"), py::arg("sandwich"), py::arg("of_points"),
         py::arg("relative"), py::arg("long_sums"), py::arg("of_images") = true,
-        py::arg("functions") = py::array_t<double>(0));
+        py::arg("functions") = py::none());
 }

@@ -297,7 +297,7 @@ def covariance(
     relative: list[tuple[int, int]],
     long_sums: bool,
     of_images: bool = ...,
-    functions: NDArray[np.float64] = ...,
+    functions: NDArray[np.float64] | None = ...,
 ) -> dict[str, Any]: ...
 
 # bind_rest.cpp
