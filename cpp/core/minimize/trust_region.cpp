@@ -14,17 +14,10 @@
 ///   candidate whose cost is not finite costs DBL_MAX. The record of an invalid step has the cost
 ///   at x, and zeros. The radius in a record is that of the next step.
 ///
-/// Three differences from Ceres:
-///
-/// * Factors other than observations settle (interface/settling.h).
-/// * The end of a problem with degrees of freedom (LeastSquares::DegreesOfFreedom): a step that
-///   meets the function tolerance is taken, if it lowers the cost, and ends the solve if it is also
-///   near the minimum in standard deviations (minimize/sigma_rule.h).
-/// * A solve that ends by its iteration limit or by the user returns the state of the least
-///   LeastSquares::CostOfAll, for which observations that were left out count again.
+/// Differences from Ceres: factors other than observations settle (interface/settling.h), and those
+/// of minimize/solve_end.h.
 
 #include <algorithm>
-#include <array>
 #include <chrono>
 #include <cmath>
 #include <cstdio>
@@ -34,9 +27,9 @@
 
 #include "core/error.h"
 #include "core/interface/settling.h"
-#include "core/minimize/dogleg.h"
-#include "core/minimize/levenberg_marquardt.h"
+#include "core/minimize/make_strategy.h"
 #include "core/minimize/projected_line_search.h"
+#include "core/minimize/solve_end.h"
 #include "core/minimize/strategy.h"
 #include "core/minimize/timed_problem.h"
 #include "core/parallel/thread_pool.h"
@@ -63,22 +56,9 @@ double RoundTo(double spacing, double value) {
 
 /// "VALUE <= BOUND", as in Ceres' messages.
 std::string AtMost(double value, double bound) {
-  std::array<char, 64> text;
-  std::snprintf(text.data(), text.size(), "%e <= %e", value, bound);
-  return text.data();
-}
-
-std::unique_ptr<Strategy> MakeStrategy(const SolveOptions& options) {
-  const double initial_radius = options.initial_trust_region_radius;
-  switch (options.trust_region_strategy_type) {
-    case TrustRegionStrategy::kLevenbergMarquardt:
-      return std::make_unique<LevenbergMarquardt>(initial_radius, options.max_trust_region_radius);
-    case TrustRegionStrategy::kDogleg:
-      return std::make_unique<Dogleg>(TraditionalDogleg, initial_radius);
-    case TrustRegionStrategy::kSubspaceDogleg:
-      return std::make_unique<Dogleg>(SubspaceDogleg, initial_radius);
-  }
-  throw InputError("trust_region_strategy_type: expected a strategy");
+  char text[64];
+  std::snprintf(text, sizeof(text), "%e <= %e", value, bound);
+  return text;
 }
 
 class TrustRegion {
@@ -90,18 +70,12 @@ class TrustRegion {
         minimum_(std::move(before)),
         problem_(problem, &minimum_),
         strategy_(MakeStrategy(options)),
-        takes_last_step_(problem->DegreesOfFreedom().has_value()),
-        rule_(problem->DegreesOfFreedom().value_or(0)) {}
+        end_(problem->DegreesOfFreedom(), &problem_, &minimum_) {}
 
   MinimizerSummary Run() {
     bool has_iteration = IterationZero();
     while (has_iteration && FinishIteration()) has_iteration = Iterate();
-    if (minimum_.HasConverged()) {
-      if (CanMeasure() && !has_decrement_) MeasureEnd();
-    } else {
-      SetDistance({});
-      if (minimum_.termination_type != "FAILURE") ReturnToBest();
-    }
+    end_.Finish(x_.cost);
     return std::move(minimum_);
   }
 
@@ -129,7 +103,7 @@ class TrustRegion {
     }
     current_ = x_;
     record_.step_is_successful = true;
-    JudgeState();
+    end_.JudgeState(record_);
     return true;
   }
 
@@ -141,8 +115,8 @@ class TrustRegion {
     record_.iteration_time_in_seconds = SecondsSince(iteration_start_);
     record_.cumulative_time_in_seconds = seconds_before_ + SecondsSince(start_);
     minimum_.iterations.push_back(record_);
-    return !StoppedByUser() && !LastStepIsTaken() && !MaxNumIterationsReached() &&
-           !GradientToleranceReached() && !MinRadiusReached();
+    return !StoppedByUser() && !(may_end_ && ConvergeByFunctionTolerance()) &&
+           !MaxNumIterationsReached() && !GradientToleranceReached() && !MinRadiusReached();
   }
 
   /// Tests a step; true if there is an iteration to record.
@@ -198,11 +172,12 @@ class TrustRegion {
       const double decrease = candidate.changes_what_counts
                                   ? std::numeric_limits<double>::quiet_NaN()
                                   : record_.cost_change;
-      may_end_ = rule_.MayEnd(decrease, candidate.cost, FunctionToleranceIsMet() && settles) &&
-                 (is_settling_ || takes_last_step_);
+      const bool meets_tolerance = FunctionToleranceIsMet() && settles;
+      may_end_ = end_.MayEnd(decrease, candidate.cost, meets_tolerance) &&
+                 (is_settling_ || end_.takes_last_step());
       return HandleSuccessfulStep(candidate);
     }
-    if (takes_last_step_ && !rule_.IsKnown() && FunctionToleranceIsMet()) {
+    if (end_.takes_last_step() && !end_.IsKnown() && FunctionToleranceIsMet()) {
       return !ConvergeByFunctionTolerance();
     }
     record_.cost = candidate.cost;
@@ -227,18 +202,15 @@ class TrustRegion {
     strategy_->StepAccepted(CertainQuality(candidate));
     record_.cost = candidate.cost;
     record_.step_is_successful = true;
-    JudgeState();
-    const bool measures = may_end_ && CanMeasure();
-    has_decrement_ = false;
+    end_.JudgeState(record_);
+    const bool measures = may_end_ && end_.CanMeasure();
     try {
       if (!LinearizeAtX(measures)) {
         problem_.Accept();
         return Terminate("FAILURE", "Residual and Jacobian evaluation failed.");
       }
       if (may_end_) {
-        NewtonDecrement decrement;
-        if (measures) decrement = Measure();
-        may_end_ = rule_.Ends(decrement, x_.cost);
+        may_end_ = end_.Ends(x_.cost);
         if (measures && !may_end_ && !LinearizeAtX()) {
           return Terminate("FAILURE", "Residual and Jacobian evaluation failed.");
         }
@@ -260,52 +232,6 @@ class TrustRegion {
     record_.cost = x_.cost;
     record_.gradient_max_norm = linearization.gradient_max_norm;
     return true;
-  }
-
-  bool CanMeasure() const { return rule_.IsKnown() && problem_.HasDecrement(); }
-
-  /// The decrement at x, linearised for it.
-  NewtonDecrement Measure() {
-    const NewtonDecrement decrement = problem_.Decrement();
-    SetDistance(decrement);
-    has_decrement_ = true;
-    return decrement;
-  }
-
-  void SetDistance(const NewtonDecrement& decrement) {
-    const double sigma = rule_.Sigma(x_.cost);
-    minimum_.distance_in_sigmas = decrement.all / sigma;
-    minimum_.largest_camera_step_in_sigmas = decrement.cameras / sigma;
-  }
-
-  /// Measures the distance from an end by another tolerance.
-  void MeasureEnd() {
-    try {
-      problem_.Linearize(LeastSquares::kDecrementDamping);
-      Measure();
-    } catch (const Interrupted&) {  // it is not needed
-    }
-  }
-
-  /// Compares the state with the best one. Call after each change of the state.
-  void JudgeState() {
-    constexpr double kRounding = 1e-12;
-    const double cost = problem_.CostOfAll();
-    const bool is_start = record_.iteration == 0 || (minimum_.is_best && !has_state_);
-    has_state_ = true;
-    if (!is_start && cost > (1 + kRounding) * minimum_.best_cost_of_all) {
-      if (std::exchange(minimum_.is_best, false)) problem_.KeepPrevious();
-      return;
-    }
-    minimum_.is_best = true;
-    minimum_.best_cost_of_all = cost;
-    minimum_.best_cost = record_.cost;
-  }
-
-  void ReturnToBest() {
-    if (minimum_.is_best) return;
-    problem_.ReturnToKept();
-    minimum_.returned_to_best = true;
   }
 
   /// Both parts are differences of numbers of similar size; the held cost hardly changes.
@@ -376,12 +302,10 @@ class TrustRegion {
 
   bool FunctionToleranceReached() {
     const double change = std::abs(record_.cost_change);
-    const bool is_taken = is_settling_ || takes_last_step_;
+    const bool is_taken = is_settling_ || end_.takes_last_step();
     if (!FunctionToleranceIsMet() || (is_taken && change > kLostChange * x_.cost)) return false;
     return ConvergeByFunctionTolerance();
   }
-
-  bool LastStepIsTaken() { return may_end_ && ConvergeByFunctionTolerance(); }
 
   bool ConvergeByFunctionTolerance() {
     return Converge("Function tolerance reached. |cost_change|/cost: " +
@@ -410,12 +334,9 @@ class TrustRegion {
   Costs x_;        ///< costs of the linearisation at x
   Costs current_;  ///< also at x, by the candidate's evaluation; the reference for decreases
   bool has_succeeded_ = false;
-  bool is_settling_ = false;    ///< met a tolerance, with factors other than observations
-  const bool takes_last_step_;  ///< the step that meets the function tolerance
-  SigmaRule rule_;
-  bool may_end_ = false;        ///< the solve ends with the last step, which was taken
-  bool has_decrement_ = false;  ///< minimum_ has the distance at x
-  bool has_state_ = false;      ///< a state was judged
+  bool is_settling_ = false;  ///< met a tolerance, with factors other than observations
+  SolveEnd end_;
+  bool may_end_ = false;  ///< the solve ends with the last step, which was taken
   int num_consecutive_invalid_steps_ = 0;
 };
 

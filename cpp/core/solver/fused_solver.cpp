@@ -9,7 +9,6 @@
 #include <vector>
 
 #include "core/checking/check_solution.h"
-#include "core/error.h"
 #include "core/linear/block_structure.h"
 #include "core/linear/conjugate_gradients.h"
 #include "core/linear/direct_solvers.h"
@@ -25,7 +24,6 @@
 #include "core/schur/elimination_plan.h"
 #include "core/schur/schur_problem.h"
 #include "core/schur/schur_setup.h"
-#include "core/solver/fused_support.h"
 #include "core/sums/communicator.h"
 
 namespace bundle {
@@ -84,33 +82,6 @@ NewtonDecrement FusedSolver::Decrement() {
   if (!schur_->HasDecrement()) return {};
   schur_->Linearize(LeastSquares::kDecrementDamping);
   return schur_->Decrement();
-}
-
-NewtonDecrement MeasureNewtonDecrement(const AdjustmentProblem& problem,
-                                       const SolveOptions& options) {
-  SolveOptions own;
-  own.loss = options.loss;
-  own.loss_scale = options.loss_scale;
-  VisitRefine([&](const char* /*name*/, auto member) { own.*member = options.*member; });
-  own.refine_sensor_from_rig = options.refine_sensor_from_rig;
-  own.refine_readout = options.refine_readout;
-  own.twists = options.twists;
-  own.fixed_camera_ids = options.fixed_camera_ids;
-  own.fixed_image_ids = options.fixed_image_ids;
-  own.fixed_point_ids = options.fixed_point_ids;
-  own.fixed_sensors = options.fixed_sensors;
-  own.gauge = options.gauge;
-  own.cheirality = options.cheirality;
-  own.num_threads = options.num_threads;
-  own.deterministic = options.deterministic;
-  try {
-    PreparedSolve prepared = PrepareSolve(problem, own);
-    if (FindUnsupported(own, prepared)) return {};
-    return FusedSolver(problem, own, std::move(prepared), /*is_reused=*/false).Decrement();
-  } catch (const InputError&) {  // too little memory
-  } catch (const Interrupted&) {
-  }
-  return {};
 }
 
 bool FusedSolver::MayGoOn(const MinimizerSummary& minimum) const {

@@ -86,9 +86,4 @@ class FusedSolver {
   int64_t num_information_nonzeros_ = -1;  ///< -1: not counted yet
 };
 
-/// The Newton decrements at the values of a valid problem, whatever backend solves it; NaN if the
-/// fused backend does not support the problem or has no direct solver for it.
-NewtonDecrement MeasureNewtonDecrement(const AdjustmentProblem& problem,
-                                       const SolveOptions& options);
-
 }  // namespace bundle

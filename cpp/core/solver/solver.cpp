@@ -28,6 +28,7 @@
 #include "core/solver/fov_jump.h"
 #include "core/solver/fused_solver.h"
 #include "core/solver/fused_support.h"
+#include "core/solver/newton_decrement.h"
 
 namespace bundle {
 
