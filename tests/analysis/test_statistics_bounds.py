@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+import bundle
 from bundle.analysis.statistics.covisibility import covisibility
 from bundle.analysis.statistics.depths import (
     collapsed_observations,
@@ -12,7 +13,7 @@ from bundle.analysis.statistics.depths import (
     summarize,
 )
 from bundle.analysis.statistics.description import describe
-from bundle.analysis.statistics.suspicions import suspicions
+from bundle.analysis.statistics.suspicions import broken_parts, suspicions
 from tests.scenes import scene
 
 
@@ -83,3 +84,14 @@ def test_a_point_far_off_at_a_depth_of_zero_has_not_collapsed():
     depths = depths_of_observations(problem)
     depths[5] = 0.0  # as a wide lens sees it, at 90 degrees from its axis
     assert not collapsed_observations(problem, depths).any()
+
+
+def test_one_collapsed_point_of_a_result_is_no_broken_model():
+    problem = bundle.synthesize(scene="orbit", num_images=6, num_points=100, seed=1).ground_truth
+    most = problem.num_observations // 100
+    seen, first = np.unique(problem.observation_point, return_index=True)
+    for count, expected in ((most, []), (most + 1, ["collapsed_points"])):
+        points = problem.points.copy()
+        points[seen[:count]] = problem.projection_centers[problem.observation_image[first[:count]]]
+        found = broken_parts(problem.replace(points=points))
+        assert [one.kind for one in found] == expected

@@ -21,7 +21,7 @@ NOT_FOR_REFINE = (
     HEAVY
     | COMMANDS
     | {
-        *{"bundle.analysis.statistics", "bundle.editing", "bundle.planning", "bundle.inertial"},
+        *{"bundle.editing", "bundle.planning", "bundle.inertial"},
         *{"bundle.graphs", "bundle.solving.constraints", "bundle.solving.ranks.mpi_crew"},
         *{"bundle.solving.rounds.checkpoint", "bundle.solving.held_out", "bundle.io.g2o_files"},
         *{"rich", "numpy.ma", "hashlib", "zipfile", "gzip", "subprocess", "shutil"},

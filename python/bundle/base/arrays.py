@@ -19,7 +19,7 @@ import bundle._core as _core
 from bundle.base.arguments import real_numbers
 from bundle.errors import InputError, brief
 
-__all__ = ["FrozenArrays", "distinct", "filled", "freeze", "immutable", "refrozen"]
+__all__ = ["FrozenArrays", "distinct", "filled", "freeze", "immutable", "median", "refrozen"]
 
 
 def freeze(array: NDArray[Any]) -> NDArray[Any]:
@@ -33,6 +33,12 @@ def distinct(values: NDArray[Any]) -> NDArray[Any]:
     NumPy's unique imports masked arrays for 10 ms, unless it also returns counts.
     """
     return np.unique(values, return_counts=True)[0]
+
+
+def median(values: NDArray[np.float64]) -> float:
+    """Return the lower median; 0 without values. NumPy's median imports masked arrays for 6 ms."""
+    middle = (len(values) - 1) // 2
+    return float(np.partition(values, middle)[middle]) if len(values) else 0.0
 
 
 def filled(shape: tuple[int, ...], value: float, dtype: type) -> NDArray[Any]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.arrays import median
 from bundle.base.records import dataclass
 from bundle.model.problem import Problem
 
@@ -79,8 +80,8 @@ def collapsed_observations(problem: Problem, depths: NDArray[np.float64]) -> NDA
     near: NDArray[np.bool_] = np.zeros(len(depths), bool)
     if not len(depths):
         return near
-    chosen = np.flatnonzero(np.abs(depths) < COLLAPSED * np.median(depths))
+    chosen = np.flatnonzero(np.abs(depths) < COLLAPSED * median(depths))
     centers = problem.projection_centers[problem.observation_image]
     distance = np.linalg.norm(problem.points[problem.observation_point] - centers, axis=1)
-    near[chosen] = distance[chosen] < COLLAPSED * np.median(distance)
+    near[chosen] = distance[chosen] < COLLAPSED * median(distance)
     return near

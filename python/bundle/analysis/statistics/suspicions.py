@@ -37,6 +37,8 @@ FOCAL_RATIO = 0.1, 10.0
 QUATERNION_TOLERANCE = 1e-6
 PROBLEMS = ("collapsed_points", "unsupported_camera_models")
 """Kinds with which a model is no reconstruction."""
+UNUSABLE = 0.01
+"""Share of observations with collapsed points above which a refined model is unusable."""
 NAMED = 5
 """Number of ids in a sentence."""
 
@@ -75,7 +77,7 @@ def broken_parts(problem: Problem) -> tuple[Finding, ...]:
     """Return cameras and points with which a refined model is unusable, whatever its residuals."""
     return (
         *_lenses(problem, lenses(problem)),
-        *_collapsed(problem, depths_of_observations(problem)),
+        *_collapsed(problem, depths_of_observations(problem), UNUSABLE),
     )
 
 
@@ -219,9 +221,11 @@ def count_repeated(problem: Problem) -> int:
     return len(code) - len(np.unique(code))
 
 
-def _collapsed(problem: Problem, depths: NDArray[np.float64]) -> Iterator[Finding]:
+def _collapsed(
+    problem: Problem, depths: NDArray[np.float64], share: float = 0.0
+) -> Iterator[Finding]:
     mask = collapsed_observations(problem, depths)
-    if mask.any():
+    if mask.any() and mask.mean() > share:
         points = problem.point_ids[np.unique(problem.observation_point[mask])]
         images = len(np.unique(problem.observation_image[mask]))
         yield _suspicion(

@@ -34,13 +34,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.analysis.uncertainty.newton_step import newton_step
-from bundle.base.arrays import distinct
+from bundle.base.arrays import distinct, median
 from bundle.base.records import dataclass
 from bundle.base.words import named, number, plural
 from bundle.errors import InputError
 from bundle.interface.finding import Finding
 from bundle.judging.findings.larger_lens import chi2_tail
-from bundle.judging.findings.measured import Measured, median
+from bundle.judging.findings.measured import Measured
 from bundle.model.cameras import camera_models, param_kinds
 from bundle.model.problem import Problem
 

@@ -37,13 +37,13 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.base.arrays import distinct
+from bundle.base.arrays import distinct, median
 from bundle.base.records import dataclass
 from bundle.base.words import noun, number
 from bundle.errors import shown
 from bundle.interface.finding import Finding
 from bundle.judging.findings.lens_terms import LensField
-from bundle.judging.findings.measured import Measured, median, median_by_group
+from bundle.judging.findings.measured import Measured, median_by_group
 from bundle.judging.findings.systematic import SystematicResiduals
 from bundle.model.problem import Problem
 from bundle.model.shutter_changes import can_roll

@@ -29,11 +29,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.arrays import median
 from bundle.base.words import number, plural
 from bundle.errors import shown
 from bundle.interface.finding import Finding
 from bundle.interface.georeference_options import GPS_SIGMA
-from bundle.judging.findings.measured import Measured, median
+from bundle.judging.findings.measured import Measured
 from bundle.judging.findings.position_sigmas import sigma_factors
 from bundle.judging.findings.repaired import is_affordable
 from bundle.model.problem import Problem
