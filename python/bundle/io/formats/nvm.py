@@ -61,6 +61,8 @@ STEPS = tuple(10.0**power for power in range(4, -5, -1))
 """Steps of coordinates that count as rounded, in units of the file."""
 LARGEST_ROUNDING = 1.0
 """Largest movement of pixels by rounded coordinates without a note, in pixels."""
+LARGEST_SAMPLE = 10_000
+"""Number of observations that suffice for a median."""
 _MARGIN = 1.05  # of the radius of the farthest observation
 
 
@@ -246,7 +248,9 @@ def _rounding(cameras: NDArray[np.float64], tracks: dict[str, Any]) -> str:
         return ""
     every = np.concatenate([points, centers])
     step = max(map(_step, every.T))
-    distance = np.linalg.norm(points[tracks["point"]] - centers[image], axis=1)
+    sample = slice(None, None, 1 + len(image) // LARGEST_SAMPLE)
+    image = image[sample]
+    distance = np.linalg.norm(points[tracks["point"][sample]] - centers[image], axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
         moved = step * float(np.median(cameras[image, 0] / distance))
     if not moved > LARGEST_ROUNDING:
