@@ -91,7 +91,7 @@ class PathSanity:
 START_KEYFRAMES = 4
 MOST_FAR, FAR_IMAGES, RECENT = 0.5, 6, 10  # share of observations; of so many recent images
 MOST_CONTRADICTED = 0.1  # share of the keyframes; 0 in healthy runs
-MOST_DISAGREEING = 0.2  # share of the keyframes at which camera and IMU contradict each other
+MOST_DISAGREEING = 0.2  # share of the keyframes with contradicting sensors or an indefinite prior
 LONGEST_DISAGREEMENT = 3.0  # s
 
 
@@ -223,7 +223,7 @@ def _lost_reason(records: list[KeyframeRecord]) -> str:
             f"for up to {longest:.1f} s"
         )
     indefinite = sum((record.prior_definiteness or 0.0) < INDEFINITE for record in records)
-    if indefinite > MOST_CONTRADICTED * count:
+    if indefinite > MOST_DISAGREEING * count:
         return f"the prior was not positive at {indefinite} of {count} keyframes"
     contradicted = len(by_kind.get("prior contradicted", []))
     if contradicted > MOST_CONTRADICTED * count:
