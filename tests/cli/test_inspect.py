@@ -182,7 +182,6 @@ def test_the_orderings_of_graphs_are_the_library_s():
         (["MODEL", "--refine", "nothing"], ["--refine", "nothing"]),
         (["MODEL", "--fix-images", "77"], ["--fix-images", "found 77"]),
         (["MODEL", "--html", "MODEL"], ["problem.txt"]),
-        (["MODEL", "--json", "x/y/z.json"], ["x/y"]),
     ],
 )
 def test_bad_input_is_one_line(run, model, cycle, tmp_path, arguments, parts):

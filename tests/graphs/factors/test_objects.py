@@ -108,7 +108,7 @@ def test_no_array_of_a_graph_can_be_written(how):
     arrays = list(graph.values.values())
     for factor in graph.factors:
         arrays += [value for value in arrays_of(factor) if isinstance(value, np.ndarray)]
-    assert len(arrays) == 12 + 2 * 8 + 4 + 3 + 3 + 1
+    assert len(arrays) == 12 + 2 * 8 + 4 + 3 + 3 + 2
     for array in arrays:
         with pytest.raises(ValueError, match=r"read-only|WRITEABLE"):
             array[...] = 0
