@@ -51,6 +51,7 @@ def not_refined(measured: Measured) -> Finding | None:
     )
 
 
+@np.errstate(over="ignore", invalid="ignore")
 def shifted_pixels(measured: Measured) -> Finding | None:
     """Return the finding about a model whose pixels are all shifted alike, or None.
 
@@ -63,7 +64,7 @@ def shifted_pixels(measured: Measured) -> Finding | None:
         return None
     shift = residual.mean(axis=0)
     length, square = float(np.hypot(*shift)), float((residual**2).sum(axis=1).mean())
-    if not (length >= SMALLEST_SHIFT and length**2 >= ALIKE * square):
+    if not (length >= SMALLEST_SHIFT and length >= np.sqrt(ALIKE * square) and square < np.inf):
         return None
     command = measured.command
     is_nvm = command.source.lower().endswith(".nvm")
