@@ -11,6 +11,8 @@ from bundle.analysis.statistics.suspicions import broken_parts
 from bundle.base.words import plural
 from bundle.interface.finding import Finding
 from bundle.judging.findings.find import find, one_list
+from bundle.judging.findings.measured import Measured
+from bundle.judging.findings.minimum import SMALLEST_SHIFT, shifted_pixels
 from bundle.judging.findings.next_command import NextCommand
 
 if TYPE_CHECKING:
@@ -32,7 +34,8 @@ def judge(
 ) -> tuple[Finding, ...]:
     """Return the findings about the result, those of an IMU first.
 
-    A result that is not usable has only these, one in slices has none.
+    A result that is not usable has only these, one in slices has none. If the pixels of the input
+    are shifted alike, the solve has bent the model, and only that is said.
     """
     command = NextCommand(asked.source, asked.target, asked.given)
     about_imu = tuple(
@@ -45,6 +48,9 @@ def judge(
         )
         for one in (() if inertial is None else inertial.findings)
     )
+    shift = () if opened.sliced is not None else _shifted_input(opened, solved, command)
+    if shift:
+        return one_list(shift, about_imu, broken_parts(solved.problem))
     if not solved.summary.is_solution_usable or opened.sliced is not None:
         return about_imu
     priors: tuple[Any, ...] = () if opened.known is None else opened.known.priors
@@ -62,6 +68,20 @@ def judge(
         is_minimum=solved.summary.termination_type == "CONVERGENCE",
     )
     return one_list(about_imu, limited, broken_parts(solved.problem), found)
+
+
+def _shifted_input(opened: Opened, solved: Result, command: NextCommand) -> tuple[Finding, ...]:
+    """Return the finding about pixels of the input that are all shifted alike, if they are.
+
+    A refined principal point absorbs a shift without a bend. The RMSE, which is at least as long as
+    the shift, clears most models at no cost.
+    """
+    problem, options = opened.problem, opened.options
+    is_far = solved.reprojection_error_before.rmse >= SMALLEST_SHIFT
+    if not is_far or "principal_point" in options.refine:
+        return ()
+    found = shifted_pixels(Measured(whole=problem, command=command, options=options))
+    return () if found is None else (found,)
 
 
 def not_converged(solved: Result, command: NextCommand) -> tuple[Finding, ...]:
