@@ -282,6 +282,20 @@ def test_folding_distortion():
     assert found["folding_distortion"].evidence["ids"] == [0]
 
 
+@pytest.mark.parametrize(("gain", "is_absurd"), [(0.99, False), (1.01, True)])
+def test_absurd_distortion(gain, is_absurd):
+    problem = scene()
+    params = problem.camera_params.copy()
+    camera = problem.image_camera[problem.observation_image]
+    radius = np.hypot(*(problem.observation_xy[camera == 2] - params[2, 1:3]).T).max()
+    params[2, 3] = gain * (2.0 * params[2, 0] / radius) ** 2  # half the radius is doubled at 1
+    found = kinds(problem.replace(camera_params=params))
+    assert ("absurd_distortion" in found) == is_absurd
+    assert "folding_distortion" not in found
+    if is_absurd:
+        assert found["absurd_distortion"].evidence["ids"] == [2]
+
+
 @pytest.mark.parametrize("k1", [-0.4, -0.05, 0.0, 0.3])
 @pytest.mark.parametrize("k2", [-0.2, -0.01, 0.0, 0.01, 0.2])
 def test_fold_radius_against_sampling(k1, k2):

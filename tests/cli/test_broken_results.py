@@ -23,6 +23,7 @@ def kinds(run, problem, folder):
         (lambda params: np.array([5.0, *params[1:3], 0.0]), "absurd_focal_lengths"),
         (lambda params: np.concatenate([[90_000.0], params[1:]]), "absurd_focal_lengths"),
         (lambda params: np.concatenate([params[:3], [-40.0]]), "folding_distortion"),
+        (lambda params: np.concatenate([params[:3], [1757.0]]), "absurd_distortion"),
         (lambda params: params, ""),
     ],
 )
@@ -30,7 +31,7 @@ def test_absurd_cameras_are_named_after_a_solve(run, tmp_path, change, kind):
     problem = make_problem(num_images=6, num_points=100, model="SIMPLE_RADIAL", shared=True)
     params = np.array([change(row) for row in problem.camera_params])
     found = kinds(run, problem.replace(camera_params=params), tmp_path)
-    broken = {"absurd_focal_lengths", "folding_distortion", "collapsed_points"}
+    broken = {"absurd_focal_lengths", "folding_distortion", "absurd_distortion", "collapsed_points"}
     assert found & broken == ({kind} if kind else set())
 
 

@@ -1,9 +1,12 @@
-"""Lens statistics: extent of the observations, and the fold of radial distortion.
+"""Lens statistics: extent of the observations, fold and stretch of radial distortion.
 
 The radial part of SIMPLE_RADIAL, RADIAL and OPENCV maps the undistorted radius r to ``r (1 + k1 r^2
 + k2 r^4)``. It folds at the first zero of its derivative ``1 + 3 k1 s + 5 k2 s^2``, s = r^2: ``s =
 2 / (-3 k1 + sqrt(9 k1^2 - 20 k2))`` if that is a positive number. No image point lies beyond the
 distorted radius reached there. Folds of other models are not computed.
+
+A lens that does not fold stretches the farthest observation, at the distorted radius R, by more
+than t if the radius R / t is already distorted beyond R: ``k1 s + k2 s^2 > t - 1``, s = (R / t)^2.
 """
 
 from __future__ import annotations
@@ -20,6 +23,9 @@ __all__ = ["Lens", "fold_radius", "lenses"]
 # Columns of k1 and of k2, if any, for models with this radial part.
 _COEFFICIENTS = {"SIMPLE_RADIAL": (3, None), "RADIAL": (3, 4), "OPENCV": (4, 5)}
 
+STRETCH = 2.0
+"""Factor on the radius of the farthest observation, beyond which a distortion is absurd."""
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Lens:
@@ -33,17 +39,21 @@ class Lens:
             farthest observation from the principal point along an axis.
         farthest: distorted radius of the farthest observation, in focal lengths.
         fold: distorted radius at which the distortion folds, in focal lengths; infinite if never.
+        stretched: True if the distortion does not fold and more than doubles the radius of the
+            farthest observation.
     """
 
     focal: NDArray[np.float64]
     size: NDArray[np.float64]
     farthest: NDArray[np.float64]
     fold: NDArray[np.float64]
+    stretched: NDArray[np.bool_]
 
 
 def lenses(problem: Problem) -> Lens:
     """Return the values of every camera of a problem."""
     focal, fold = np.full((2, problem.num_cameras), np.nan)
+    radial = np.zeros((2, problem.num_cameras))
     centre = np.full((problem.num_cameras, 2), np.nan)
     models = np.array(problem.camera_models, dtype=str)
     for model in set(problem.camera_models) & set(camera_models()):
@@ -58,18 +68,22 @@ def lenses(problem: Problem) -> Lens:
             first, second = _COEFFICIENTS[model]
             k2 = np.zeros(len(params)) if second is None else params[:, second]
             fold[members] = fold_radius(params[:, first], k2)
+            radial[:, members] = params[:, first], k2
 
     camera = problem.image_camera[problem.observation_image]
     offset = np.abs(problem.observation_xy - centre[camera])
     reach = _largest(camera, offset.max(axis=1, initial=0.0), problem.num_cameras)
     radius = _largest(camera, np.hypot(offset[:, 0], offset[:, 1]), problem.num_cameras)
     recorded = problem.camera_sizes.max(axis=1, initial=0).astype(np.float64)
-    with np.errstate(invalid="ignore", divide="ignore"):
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        square = (radius / focal / STRETCH) ** 2
+        gain = (radial[0] + radial[1] * square) * square
         return Lens(
             focal=focal,
             size=np.where(recorded > 0, recorded, 2.0 * reach),
             farthest=radius / focal,
             fold=fold,
+            stretched=np.isinf(fold) & (gain > STRETCH - 1.0),
         )
 
 

@@ -166,6 +166,14 @@ def _lenses(problem: Problem, lens: Lens) -> Iterator[Finding]:
             "a radial distortion that folds back inside the image: no point projects to its outer "
             "observations",
         )
+    if lens.stretched.any():
+        yield _suspicion(
+            "absurd_distortion",
+            "camera",
+            problem.camera_ids[lens.stretched],
+            ("camera has", "cameras have"),
+            "a radial distortion that moves its outer observations by more than half their radius",
+        )
 
 
 def _quaternions(problem: Problem) -> Iterator[Finding]:

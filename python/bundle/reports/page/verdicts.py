@@ -326,7 +326,7 @@ QUESTIONS: tuple[tuple[Callable[[Judged], Verdict | None], Collection[str]], ...
     (_held_out, ()),
     (_outliers, ("outliers", "gross_errors", "observations_behind_camera")),
     (_worst, ("motion", "image_residuals")),
-    (_lens, ("lens_model", "folding_distortion")),
+    (_lens, ("lens_model", "folding_distortion", "absurd_distortion")),
     (_focal, ("undetermined_intrinsics", "shared_lens", "focal_drift", "absurd_focal_lengths")),
     (_positions, ("scale_drift", "no_covariance", "images_with_few_observations")),
     (
