@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -169,7 +170,9 @@ def _findings(measured: Measured) -> Iterator[Finding | None]:
     yield far
     is_bent = offset is None and is_tense(measured)  # an offset bends the model
     can_repair = is_affordable(measured)
-    free = repaired(measured) if can_repair and (far is not None or is_bent) else None
+    free = None
+    if can_repair and (far is not None or is_bent):
+        free = repaired(measured, is_bent=is_bent)
     drift = places = None
     if is_bent:
         larger_model = _lens_of(free or measured)
@@ -177,8 +180,10 @@ def _findings(measured: Measured) -> Iterator[Finding | None]:
         if larger_model and can_repair:
             straight = repaired(straight, larger_model) or straight
         placed = _without_bends(measured, far is not None, larger_model)
+        is_open = can_repair and free is None
         drift = scale_drift(placed, straight.whole)
-        places = None if drift is not None else measured_positions(placed)
+        if drift is None:
+            places = measured_positions(placed, is_open=is_open)
     yield from (drift, places)
     if free is not None:
         measured = free if far is not None else free.of_command(measured.command)
@@ -198,4 +203,10 @@ def _findings(measured: Measured) -> Iterator[Finding | None]:
     groups = list(focal_lengths(measured))
     yield undetermined_intrinsics(measured, groups)
     yield focal_drift(measured, groups, is_jointed=joint is not None)
-    yield shared_lens(measured, groups, is_jointed=joint is not None)
+    shared = shared_lens(measured, groups, is_jointed=joint is not None)
+    if shared is not None and drift is not None:
+        # Lenses of their own hide the drift: shared, they pull the images from the positions.
+        shared = dataclasses.replace(
+            shared, sentence=f"{shared.sentence} First decide about the drift.", command=""
+        )
+    yield shared

@@ -60,8 +60,13 @@ LEFT = DRIFT / 3
 Floats = NDArray[np.float64]
 
 
-def measured_positions(measured: Measured) -> Finding | None:
-    """Return the finding about positions that contradict the model, or None."""
+def measured_positions(measured: Measured, *, is_open: bool = False) -> Finding | None:
+    """Return the finding about positions that contradict the model, or None.
+
+    Args:
+        measured: the model with its measured positions.
+        is_open: True if the solve without them failed: a drift would look like wrong positions.
+    """
     rows, priors = _used(measured)
     if len(rows) < FEWEST:
         return None
@@ -74,6 +79,8 @@ def measured_positions(measured: Measured) -> Finding | None:
         "image_ids": [int(problem.image_ids[rows[k]]) for k in wrong.tolist()],
         "sigmas": distance[wrong].tolist(),
     }
+    if is_open:
+        return _unexplained(ratio, evidence) if ratio > limit or len(wrong) else None
     is_robust = all(prior.loss != "trivial" for prior in priors)
     if len(wrong) and 3 * len(wrong) <= len(rows) and not is_robust:
         worst = int(wrong[np.argmax(own[wrong])])
@@ -108,6 +115,17 @@ def measured_positions(measured: Measured) -> Finding | None:
             evidence=evidence | {"sigmas_found": better, "factors": list(factors)},
         )
     return None
+
+
+def _unexplained(ratio: float, evidence: dict[str, Any]) -> Finding:
+    """Return the finding about a contradiction whose cause is not known."""
+    return Finding(
+        kind="positions",
+        sentence=f"Measured positions and model differ by {number(ratio)} times the sigmas. A "
+        "solve without positions does not converge, so that the cause is open: wrong positions, or "
+        "a drift of the scale.",
+        evidence=evidence,
+    )
 
 
 def position_offset(measured: Measured) -> Finding | None:

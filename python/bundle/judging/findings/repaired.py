@@ -8,6 +8,8 @@ reports faults of the original only. If the robust solve does not converge, the 
 the model, and no later stage can be trusted. That of a larger lens begins at a minimum; a few steps
 are enough. Later stages look for large changes, so both solves may end at a cost that is 1e-4 too
 high: a third of the steps reach it, and slow steps near the minimum are no sign of destruction.
+Positions that bend a model take it far from the minimum without them, and the way back is flat: the
+cost of a drift is small. So that solve has more steps and a smaller tolerance.
 
 The second solve takes about as long as the first. It is made for models of at most 50,000
 observations and 100 images; of larger ones, later stages look at the model itself, without the
@@ -26,6 +28,8 @@ __all__ = ["is_affordable", "repaired"]
 MOST_OBSERVATIONS, MOST_IMAGES = 50_000, 100
 MOST_STEPS = 50
 TOLERANCE = 1e-4
+MOST_FREE_STEPS, FREE_TOLERANCE = 200, 1e-6
+"""Limits of a solve without the positions that bend the model."""
 
 
 def is_affordable(measured: Measured) -> bool:
@@ -35,7 +39,7 @@ def is_affordable(measured: Measured) -> bool:
 
 
 def repaired(
-    measured: Measured, lens_model: str = "", *, with_priors: bool = False
+    measured: Measured, lens_model: str = "", *, with_priors: bool = False, is_bent: bool = False
 ) -> Measured | None:
     """Return the model solved again with a robust loss; None if it fails.
 
@@ -45,6 +49,7 @@ def repaired(
         measured: the model.
         lens_model: larger lens model for all cameras; "": the present one.
         with_priors: keep the measured positions and attitudes.
+        is_bent: True if positions, which are left out, bend the model.
     """
     from bundle.solving.executors import solve_prepared
     from bundle.solving.prepare import prepare
@@ -55,8 +60,8 @@ def repaired(
         loss="cauchy",
         loss_scale=max(2.0 * measured.scale, 1e-3),
         gauge="auto",
-        max_num_iterations=MOST_STEPS,
-        function_tolerance=TOLERANCE,
+        max_num_iterations=MOST_FREE_STEPS if is_bent else MOST_STEPS,
+        function_tolerance=FREE_TOLERANCE if is_bent else TOLERANCE,
         check_solution=False,
     )
     priors = measured.priors if with_priors else ()
