@@ -70,12 +70,14 @@ def shifted_pixels(measured: Measured) -> Finding | None:
     is_nvm = command.source.lower().endswith(".nvm")
     from_corner = command.value("--pixel-origin", "center") == "corner"
     flags = ("--pixel-origin", "center" if from_corner else "corner")
+    # Pixels from the corner are not negative: then another centre is missing, such as the size.
+    can_help = not from_corner or bool((measured.problem.observation_xy.min(axis=0) < 0).all())
     return Finding(
         kind="shifted_pixels",
         sentence=f"All pixels are shifted alike: projections are {shift[0]:+.1f} and "
         f"{shift[1]:+.1f} px (x, y) from the observations, RMSE {np.sqrt(square):.1f} px. The "
         "pixels have another origin than the principal point: correct it instead of refining.",
-        command=command.refine(*flags) if is_nvm else "",
+        command=command.refine(*flags) if is_nvm and can_help else "",
         evidence={"shift": shift.tolist(), "rmse": float(np.sqrt(square))},
         is_problem=True,
     )
