@@ -223,7 +223,7 @@ def test_pixels_become_coordinates_of_rays() -> None:
 
 def test_other_folders_are_not_written_into(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("mine")
-    for path in (tmp_path, tmp_path / "notes.txt", tmp_path / "a" / "b"):
+    for path in (tmp_path, tmp_path / "notes.txt"):
         with pytest.raises(bundle.InputError):
             save_sequence(sequence(), path)
     assert [file.name for file in tmp_path.iterdir()] == ["notes.txt"]

@@ -56,8 +56,8 @@ def test_a_burst_of_contradictions_counts(result: OdometryResult) -> None:
         assert expected in found and bool(found) == bool(expected)
 
 
-def test_an_indefinite_prior_counts_at_a_tenth(result: OdometryResult) -> None:
-    for count, expected in ((10, False), (11, True)):
+def test_an_indefinite_prior_counts_at_a_fifth(result: OdometryResult) -> None:
+    for count, expected in ((20, False), (21, True)):
         changed = {k: {"prior_definiteness": -1e-8} for k in range(count)}
         assert bool(_lost_reason(records(result, changed))) == expected
 
