@@ -39,5 +39,5 @@ def test_collapsed_points_are_named_after_a_solve(run, tmp_path):
     problem = make_problem(num_images=6, num_points=100, model="SIMPLE_RADIAL", shared=True)
     points = problem.points.copy()
     center = problem.projection_centers[0]
-    points[:3] = center + 1e-6 * (points[:3] - center)
+    points[:9] = center + 1e-6 * (points[:9] - center)
     assert "collapsed_points" in kinds(run, problem.replace(points=points), tmp_path)
