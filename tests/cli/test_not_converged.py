@@ -43,3 +43,11 @@ def test_more_steps_are_advised_and_suffice(model, tmp_path):
 @pytest.mark.parametrize("steps", [0, 100])
 def test_others_say_nothing(model, tmp_path, steps):
     assert "not_converged" not in {one["kind"] for one in findings(model, tmp_path, steps)}
+
+
+def test_a_loss_comes_before_more_steps(tmp_path):
+    made = bundle.synthesize(scene="orbit", num_images=6, num_points=200, seed=1, outlier_share=0.1)
+    bundle.save(made.problem, tmp_path / "model")
+    kinds = [one["kind"] for one in findings(tmp_path / "model", tmp_path, 10)]
+    assert "outliers" in kinds
+    assert "not_converged" not in kinds

@@ -53,7 +53,11 @@ IMPORTANCE = (
 """Kinds of findings, the most important first."""
 
 
-SUPERSEDED = {"gross_errors": "outliers", "images_without_observations": "unobserved_pose"}
+SUPERSEDED = {
+    "gross_errors": "outliers",
+    "images_without_observations": "unobserved_pose",
+    "not_converged": "outliers",  # more steps of least squares would follow them
+}
 """Kinds that another kind, if it was found, states better."""
 
 
