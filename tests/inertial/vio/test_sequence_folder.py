@@ -185,18 +185,19 @@ def test_bad_arrays_are_refused(changes: dict[str, Any], found: str) -> None:
         sequence(**changes)
 
 
-def test_a_gap_of_the_imu_under_images_is_fatal_and_others_are_told(tmp_path: Path) -> None:
-    save_sequence(sequence(), tmp_path)
-    lines = (tmp_path / "imu.csv").read_text().splitlines()
-    (tmp_path / "imu.csv").write_text("\n".join(lines[:11] + lines[50:]))
-    with pytest.raises(bundle.InputError, match=r"imu\.csv: line 12: .* 0\.2 s"):
-        load_sequence(tmp_path)
-    (finding,) = read_sequence(tmp_path)[1]
-    assert (finding.kind, finding.count, finding.is_fatal) == ("imu gap", 1, True)
-    (tmp_path / "imu.csv").write_text("\n".join(lines[:11] + lines[15:]))
-    load_sequence(tmp_path)
-    (finding,) = read_sequence(tmp_path)[1]
-    assert (finding.kind, finding.is_fatal) == ("imu gap", False)
+def test_a_gap_is_fatal_where_a_bad_stretch_of_its_length_is_not_bridged(tmp_path: Path) -> None:
+    for milliseconds, is_fatal in ((15, False), (2000, False), (2001, True)):
+        stamps = sequence().imu_timestamps_ns.copy()
+        stamps[11:] += 1_000_000 * (milliseconds - 5)
+        save_sequence(sequence(imu_timestamps_ns=stamps), tmp_path)
+        finding = read_sequence(tmp_path)[1][0]
+        assert (finding.kind, finding.count, finding.is_fatal) == ("imu gap", 1, is_fatal)
+        if is_fatal:
+            with pytest.raises(bundle.InputError, match=r"imu\.csv: line 13: .* 2 s: too long"):
+                load_sequence(tmp_path)
+        else:
+            load_sequence(tmp_path)
+            assert finding.sentence.endswith("bridged with more uncertainty")
 
 
 def test_frames_and_stamps_on_the_clock_of_the_imu() -> None:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from bundle.base.records import dataclass
 from bundle.base.words import plural
-from bundle.model.sequence.bad_samples import bad_stretches, is_bridged
+from bundle.model.sequence.bad_samples import LONGEST_BRIDGE, bad_stretches, is_bridged
 from bundle.model.sequence.sequence import Place, Sequence
 
 __all__ = ["SequenceFinding", "sequence_findings"]
@@ -17,7 +17,6 @@ __all__ = ["SequenceFinding", "sequence_findings"]
 Array = NDArray[np.float64]
 
 GAP = 2.5  # a longer interval between samples, in sampling periods, counts as a gap
-LONGEST_GAP = 0.1  # s; integration across longer gaps is unreliable
 QUIET = 100  # samples of a span
 OVERSTATED, UNDERSTATED = 50.0, 10.0  # ratios; noise models of other programs have up to 40
 NOISELESS = 1e-3  # ratio
@@ -130,18 +129,22 @@ def _imu_gaps(sequence: Sequence, place: Place, findings: list[SequenceFinding])
         return
     images = sequence.image_timestamps_ns
     inside = (stamps[gaps] < images[-1]) & (stamps[gaps + 1] > images[0])
-    long = gaps[(step[gaps] > 1e9 * LONGEST_GAP) & inside]
+    long = gaps[(step[gaps] > 1e9 * LONGEST_BRIDGE) & inside]
     longest = int(gaps[np.argmax(step[gaps])])
     worst = int(long[0]) if len(long) else longest
     findings.append(
         SequenceFinding(
             "imu gap",
             f"{place(worst + 1)}: expected an IMU sample every {1e-6 * np.median(step):.3g} ms, "
-            f"found a gap of {1e-9 * step[worst]:.3g} s",
+            f"found a gap of {1e-9 * step[worst]:.3g} s: {_remedy(not len(long))}",
             len(gaps),
             is_fatal=len(long) > 0,
         )
     )
+
+
+def _remedy(is_short: bool) -> str:
+    return "bridged with more uncertainty" if is_short else "too long to be bridged"
 
 
 _NAMES = {"gyro": "gyroscope", "accel": "accelerometer"}
@@ -171,22 +174,18 @@ def _bad_samples(sequence: Sequence, place: Place, findings: list[SequenceFindin
         sensors = dict.fromkeys(each.sensor for each in these)
         count = len({row for each in these for row in range(each.first, each.last + 1)})
         said = text.format(
-            sensors=" and ".join(
-                {"gyro": "gyroscope", "accel": "accelerometer"}[s] for s in sensors
-            ),
+            sensors=" and ".join(_NAMES[sensor] for sensor in sensors),
             seconds=1e-9 * float(stamps[worst.last] - stamps[worst.first]),
             samples=plural(count, "IMU sample"),
             size=worst.size,
         )
         after = 1e-9 * float(stamps[worst.first] - stamps[0])
         others = f" ({plural(len(these), 'time')} in all)" if len(these) > len(sensors) else ""
-        is_short = is_bridged(worst, stamps)
-        remedy = "bridged with more uncertainty" if is_short else "too long to be bridged"
         findings.append(
             SequenceFinding(
                 kind,
                 f"{place(worst.first)}: {said}, {after:.2f} s after the first sample{others}: "
-                f"{remedy}",
+                f"{_remedy(is_bridged(worst, stamps))}",
                 count,
             )
         )
