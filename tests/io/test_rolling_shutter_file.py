@@ -33,7 +33,7 @@ def mixed(scene):
     readout = shutter.readout.copy()
     readout[1:3] = np.nan
     neighbours = shutter.neighbours.copy()
-    neighbours[[2, 3]] = -1
+    neighbours[3] = -1
     frames = shutter.frames.copy()
     frames[4] = np.nan
     direction = ("rows", "columns", "global", "rows", "rows", "columns")
@@ -56,11 +56,6 @@ def assert_same(found, expected):
 @pytest.mark.parametrize("change", [lambda scene: scene, mixed])
 def test_all_fields_come_back_bit_for_bit(scene, tmp_path, format, change):
     expected = change(scene)
-    if expected.rolling_shutter.row_time == "observed":  # entries of a global camera are not kept
-        shutter = expected.rolling_shutter
-        frames = shutter.frames.copy()
-        frames[2] = np.nan
-        expected = expected.replace(rolling_shutter=shutter.replace(frames=frames))
     assert not bundle.save(expected, tmp_path / "model", format)
     found = bundle.load(tmp_path / "model")
     assert_same(found.rolling_shutter, expected.rolling_shutter)
@@ -75,6 +70,29 @@ def test_the_file_has_the_members_of_the_contract(model, scene):
     assert record["cameras"][0] == {"camera_id": 1, "direction": "rows", "readout": 0.8}
     assert record["images"][2]["image_id"] == 3
     assert record["images"][2]["twist"] == scene.rolling_shutter.twist[2].tolist()
+
+
+def test_a_neighbour_with_a_global_shutter_keeps_its_time(tmp_path, scene):
+    """Twists that are tied to it need its time; a twist of its own is refused."""
+    expected = mixed(scene)
+    bundle.save(expected, tmp_path / "model")
+    path = tmp_path / "model" / "rolling_shutter.json"
+    record = json.loads(path.read_text())
+    before, after = expected.rolling_shutter.neighbours[2] + 1
+    still = {"image_id": 3, "frame": expected.rolling_shutter.frames[2]}
+    assert record["images"][2] == still | {"neighbours": [before, after]}
+    assert 2 in bundle.load(path.parent).rolling_shutter.neighbours[1]
+    record["images"][2]["twist"] = [0.0] * 6
+    path.write_text(json.dumps(record))
+    with pytest.raises(bundle.InputError, match=r"images\[2\]: image_id: .* in cameras, found 3"):
+        bundle.load(path.parent)
+
+
+def test_an_image_with_a_global_shutter_and_no_time_has_no_entry(tmp_path, scene):
+    shutter = mixed(scene).rolling_shutter.replace(frames=None, neighbours=None)
+    bundle.save(scene.replace(rolling_shutter=shutter), tmp_path / "model")
+    record = json.loads((tmp_path / "model" / "rolling_shutter.json").read_text())
+    assert [one["image_id"] for one in record["images"]] == [1, 2, 4, 5, 6]
 
 
 def test_a_model_without_rolling_shutter_removes_the_file(model, scene):

@@ -9,8 +9,8 @@
 share of the time between two frames, or null if it is unknown. Cameras that are not listed have a
 global shutter. ``twist`` is the motion per height of the image in the camera's frame, in radians
 and the model's length unit (:mod:`bundle.model.rolling_shutter`); every image of a listed camera
-has one, or "images" is left out, and all twists are zero. An image may also have its time ``frame``
-and ``neighbours``, the ids of the images before and after it.
+has one, or "images" is left out, and all twists are zero. Any image may have its time ``frame`` and
+``neighbours``, the ids of the images before and after it: a neighbour may have a global shutter.
 
 COLMAP does not know the file. It is replaced and removed with its model.
 """
@@ -98,10 +98,11 @@ def read_rolling_shutter(path: Path, problem: Problem) -> RollingShutter:
         listed = np.zeros(problem.num_images, bool)
         index = {image_id: k for k, image_id in enumerate(problem.image_ids.tolist())}
         for entry, image in _entries(images, "image", _IMAGE, problem.image_ids):
-            if not rolls[image]:
+            if rolls[image]:
+                listed[image] = True
+                twist[image] = entry.get("twist").numbers(6)
+            elif entry.find("twist") is not None:
                 entry.get("image_id").fail("an image of a camera in cameras")
-            listed[image] = True
-            twist[image] = entry.get("twist").numbers(6)
             if (frame := entry.find("frame")) is not None:
                 frames[image] = frame.number()
             if (pair := entry.find("neighbours")) is not None:
@@ -147,13 +148,16 @@ def rolling_shutter_record(problem: Problem) -> dict[str, Any] | None:
     rolls = shutter.is_rolling[problem.image_camera]
     images = []
     ids = problem.image_ids.tolist()
-    for image in np.flatnonzero(rolls).tolist():
-        record: dict[str, Any] = {"image_id": ids[image], "twist": shutter.twist[image].tolist()}
+    for image, is_rolling in enumerate(rolls.tolist()):
+        record: dict[str, Any] = {"image_id": ids[image]}
+        if is_rolling:
+            record["twist"] = shutter.twist[image].tolist()
         if shutter.frames is not None and math.isfinite(shutter.frames[image]):
             record["frame"] = float(shutter.frames[image])
         if shutter.neighbours is not None and shutter.neighbours[image].min() >= 0:
             record["neighbours"] = [ids[k] for k in shutter.neighbours[image].tolist()]
-        images.append(record)
+        if len(record) > 1:
+            images.append(record)
     cameras = [
         {
             "camera_id": int(problem.camera_ids[camera]),
