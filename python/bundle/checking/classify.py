@@ -16,7 +16,7 @@ from bundle.checking import block_signatures as block
 from bundle.checking import column_signatures as column
 from bundle.checking import rotation_signatures as rotation
 from bundle.checking import row_signatures as row
-from bundle.checking.evidence import Evidence, Finding
+from bundle.checking.evidence import KNOWN, Evidence, Finding
 from bundle.checking.jacobian_deviation import Array, JacobianDeviation, norm
 
 __all__ = ["MISTAKES", "classify", "float_precision", "is_single", "rounds_to_single", "stale"]
@@ -57,6 +57,9 @@ MISTAKES = (
     "large_part",
 )
 """Kinds of findings, from the most specific ("a stale cache") to the most general."""
+
+FINE = 1e-4
+"""Largest error of columns that are wrong in their last digits."""
 
 SIGNATURES: tuple[Callable[[Evidence], None], ...] = (
     rotation.conventions,
@@ -207,12 +210,24 @@ def _not_finite(evidence: Evidence) -> None:
 
 
 def _by_size(evidence: Evidence) -> None:
-    """Add findings for the remaining columns by the size of their typical error."""
+    """Add findings for the remaining columns by the size of their typical error.
+
+    Rounding and differences spread over the entries of a column. Where most entries are exact, the
+    others have an error of their own.
+    """
     sizes = {j: float(np.median(_largest(evidence, j))) for j in evidence.wrong}
-    fine = [j for j in evidence.wrong if evidence.deviations.error[..., j].max() < 1e-4]
-    small = [j for j, size in sizes.items() if size < 0.3 and j not in fine]
-    large = [j for j in sizes if j not in fine and j not in small]
+    fine = [j for j in evidence.wrong if evidence.deviations.error[..., j].max() <= FINE]
+    alone = [j for j in fine if not _is_spread(evidence, j)]
+    fine = [j for j in fine if j not in alone]
+    small = [j for j, size in sizes.items() if size < 0.3 and j not in (*fine, *alone)]
+    large = [j for j in sizes if j not in (*fine, *alone, *small)]
     for kind, columns, words in (
+        (
+            "small_part",
+            alone,
+            f"wrong in the last digits of {_rows_of(evidence, alone)} only: a small term, or a "
+            "constant with few digits",
+        ),
         (
             "float_precision",
             fine,
@@ -232,6 +247,22 @@ def _by_size(evidence: Evidence) -> None:
     ):
         if columns:
             evidence.found(kind, columns, f"{evidence.names(columns)}: {words}")
+
+
+def _is_spread(evidence: Evidence, column: int) -> bool:
+    """Return True if most entries of a column, or of all columns if it has one, are off."""
+    points = evidence.points_wrong_in(column)
+    reference = evidence.reference[points]
+    counts = (reference != 0) & (evidence.doubt[points] <= KNOWN)
+    off = counts & (evidence.deviations.error[points] > 0)
+    if counts[..., column].any(axis=0).sum() > 1:
+        counts, off = counts[..., column], off[..., column]
+    return bool(2 * off.sum() > counts.sum())
+
+
+def _rows_of(evidence: Evidence, columns: Sequence[int]) -> str:
+    wrong = (evidence.deviations.error[..., columns] > evidence.tolerance).any(axis=(0, 2))
+    return f"residual {', '.join(map(str, np.flatnonzero(wrong)))}"
 
 
 def _largest(evidence: Evidence, column: int) -> np.ndarray:

@@ -6,6 +6,8 @@ in a wrong order, transposed, or miss a product.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -31,9 +33,6 @@ __all__ = [
 DEGREE = np.pi / 180
 
 NEGLIGIBLE = 1e-12
-
-LEAST_FACTOR = 1e-4
-"""Smallest difference of a factor from 1; smaller differences may be rounding errors."""
 
 
 def zeros(evidence: Evidence) -> None:
@@ -61,9 +60,9 @@ def factors(evidence: Evidence) -> None:
         rows = _ratios(analytic, reference, axis=0)
         whole = np.full_like(rows, _ratios(analytic, reference, axis=None))
         for guess in (whole, rows):
-            off = np.flatnonzero(np.abs(guess - 1) > LEAST_FACTOR)
+            off = np.flatnonzero(np.abs(guess - 1) > evidence.tolerance)
             if len(off) and evidence.explains((guess * reference)[..., None], [j], points):
-                key = tuple(float(f"{ratio:.6g}") for ratio in guess)
+                key = tuple(_rounded(ratio) for ratio in guess.tolist())
                 by_factor.setdefault(key, ([], off))[0].append(j)
                 break
     for ratios, (columns, off) in by_factor.items():
@@ -184,6 +183,11 @@ def _ratios(analytic: Array, reference: Array, axis: int | None) -> Array:
     return np.where(counts, ratio, 1.0)
 
 
+def _rounded(ratio: float) -> float:
+    """Return a ratio with six digits, near 1 with three of its difference from 1."""
+    return float(f"{ratio:.6g}") if abs(ratio - 1) > 1e-2 else 1 + float(f"{ratio - 1:.3g}")
+
+
 def _factor_in_words(factor: float) -> tuple[str, str]:
     if abs(factor + 1) < 1e-4:
         return "sign", "the sign is flipped"
@@ -197,7 +201,7 @@ def _factor_in_words(factor: float) -> tuple[str, str]:
         return "zero", "zero"
     large = size >= 1
     times = size if large else 1 / size
-    digits = 3 if times > 1.01 else 6
+    digits = 3 if times > 1.01 else max(6, 2 - round(math.log10(times - 1)))
     return "factor", f"{times:.{digits}f} times too {'large' if large else 'small'}{sign}"
 
 

@@ -9,6 +9,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
+#include <numeric>
 #include <ostream>
 #include <sstream>
 #include <string>
@@ -257,7 +258,11 @@ class GradientCheck {
     }
     const double factor = Factor(column);
     if (std::isfinite(factor)) return DescribeFactor(factor);
-    if (largest < 1e-4) {
+    if (largest <= 1e-4 && !IsSpread(column)) {
+      return {"small_part", "wrong in the last digits of residual " + WrongRows(column) +
+                                " only: a small term, or a constant with few digits"};
+    }
+    if (largest <= 1e-4) {
       return {"float_precision",
               "the last digits are wrong without a pattern: computed in float precision, or by "
               "differences"};
@@ -268,6 +273,42 @@ class GradientCheck {
     }
     return {"large_part",
             "wrong as a whole: the order of variables, a transpose, or another formula"};
+  }
+
+  /// True if most entries of a column, or of all columns if it has one, are off at its wrong
+  /// points.
+  bool IsSpread(int column) const {
+    std::vector<int> known(columns_, 0), off(columns_, 0);
+    int num_rows = 0;
+    for (int i = 0; i < rows_; ++i) {
+      bool has_any = false;
+      for (size_t k = 0; k < points_.size(); ++k) {
+        double worst = 0;
+        for (int r = 0; r < rows_; ++r) worst = std::max(worst, Error(k, r, column));
+        if (!(worst > tolerance_)) continue;
+        for (int j = 0; j < columns_; ++j) {
+          const double doubt = points_[k].uncertainty[At(i, j)] / scale(k, i, j);
+          if (points_[k].reference[At(i, j)] == 0 || !(doubt <= 0.1)) continue;
+          ++known[j];
+          off[j] += Error(k, i, j) > 0 ? 1 : 0;
+          has_any |= j == column;
+        }
+      }
+      num_rows += has_any ? 1 : 0;
+    }
+    if (num_rows > 1) return 2 * off[column] > known[column];
+    return 2 * std::accumulate(off.begin(), off.end(), 0) >
+           std::accumulate(known.begin(), known.end(), 0);
+  }
+
+  std::string WrongRows(int column) const {
+    std::string rows;
+    for (int i = 0; i < rows_; ++i) {
+      bool is_wrong = false;
+      for (size_t k = 0; k < points_.size(); ++k) is_wrong |= Error(k, i, column) > tolerance_;
+      if (is_wrong) rows += (rows.empty() ? "" : ", ") + std::to_string(i);
+    }
+    return rows;
   }
 
   static std::pair<std::string, std::string> DescribeFactor(double factor) {
@@ -282,8 +323,11 @@ class GradientCheck {
               Short("%.3f", 1 / kDegree) + " times too " + words + ": degrees for radians" + sign};
     }
     const double times = size >= 1 ? size : 1 / size;
-    return {"factor", Short(times > 1.01 ? "%.3f" : "%.6f", times) + " times too " +
-                          (size >= 1 ? "large" : "small") + sign};
+    const int digits =
+        times > 1.01 ? 3 : std::max(6, 2 - static_cast<int>(std::lround(std::log10(times - 1))));
+    const std::string format = "%." + std::to_string(digits) + "f";
+    return {"factor",
+            Short(format.c_str(), times) + " times too " + (size >= 1 ? "large" : "small") + sign};
   }
 
   std::vector<CheckedBlock> blocks_;
