@@ -8,7 +8,12 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from bundle.graphs.pose_graphs.chi2_quantiles import chi2_bound
-from bundle.inertial.offline.imu_agreement import Agreement, ClockErrors, noise_ratios
+from bundle.inertial.offline.imu_agreement import (
+    Agreement,
+    ClockErrors,
+    noise_ratios,
+    quietest_ratio,
+)
 from bundle.model.sequence.imu_noise import ImuNoise
 
 
@@ -125,5 +130,9 @@ def test_noise_of_samples():
     noise = ImuNoise(3 * density[0], density[1] / 2, 1e-5, 1e-3)
     ratios = noise_ratios(stamps, gyro, accel, noise)
     assert ratios == pytest.approx((3, 0.5), rel=0.05)
+    quiet = gyro.copy(), accel.copy()
+    for values in quiet:  # a fifth is quiet
+        values[800:] += 9 * (values[800:] - slow[800:])
+    assert quietest_ratio(stamps, *quiet, noise) == pytest.approx(2, rel=0.1)
     still = np.zeros((4000, 3))
     assert noise_ratios(stamps, still, still, noise) == (0.0, 0.0)

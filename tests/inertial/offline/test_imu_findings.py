@@ -7,6 +7,7 @@ from scipy.spatial.transform import Rotation
 from bundle.inertial.offline.clock_offset import ClockOffset
 from bundle.inertial.offline.imu_agreement import Agreement, ClockErrors
 from bundle.inertial.offline.imu_findings import Evidence, imu_findings
+from bundle.inertial.offline.lever_arm import ArmError
 from bundle.inertial.offline.rotation_map import RotationMap
 from bundle.model.sequence.bad_samples import BadStretch
 
@@ -25,9 +26,11 @@ def known(intervals=QUIET, chi2=100.0, **changes):
             "is_quadratic": False,
             "rotations": MAP,
             "axes": "",
+            "arm": ArmError(),
             "clocks": ClockErrors(),
             "offset": ClockOffset(),
             "noise": (0.3, 0.3),
+            "quietest": 1.0,
             "noise_scale": 5.0,
             "camera_from_imu": ARM,
             "bad": (),
@@ -105,13 +108,16 @@ def test_outliers_under_a_quadratic_loss_are_the_cause():
         assert (first.flags == ("--loss", "cauchy")) == (cause == "outliers")
 
 
-def test_a_cost_without_room_for_vibration():
-    for chi2, scale, count in ((226.0, 2.0, 1), (224.0, 2.0, 0), (226.0, 1.9, 0)):
-        assert kinds(chi2=chi2, noise_scale=scale) == count * ["imu_cost"]
-    assert kinds(chi2=226.0, offset=ClockOffset(0.02, 1e-3)) == ["imu_clocks"]
-    (found,) = imu_findings(known(chi2=270.0))
-    assert (found.is_problem, found.evidence["seconds"]) == (False, pytest.approx(0.01))
-    assert "0.9 times" in found.sentence
+def test_a_wrong_arm_with_the_right_one_if_nothing_else_is_wrong():
+    arm = ArmError(np.array([0.0, -0.1, 0.0]), 1e-4 * np.eye(3))
+    (found,) = imu_findings(known(arm=arm))
+    assert (found.kind, found.is_problem, found.flags) == ("arm", False, ())
+    assert found.evidence["translation"] == pytest.approx([0.1, -0.1, 0])
+    assert (found.evidence["metres"], found.evidence["metres_sigma"]) == pytest.approx((0.1, 0.01))
+    assert "10 +- 1 cm" in found.sentence and "0.100, -0.100, 0.000" in found.sentence
+    assert kinds(arm=arm, offset=ClockOffset(0.02, 1e-3)) == ["imu_clocks"]
+    first = imu_findings(known(chi2=2400.0, arm=arm))[0]
+    assert (first.kind, first.evidence["cause"]) == ("imu_contradiction", "arm")
 
 
 def test_the_next_command_of_a_contradiction():
@@ -178,6 +184,16 @@ def test_calibrated_noise_above_that_of_the_samples():
     assert kinds(noise=(4.9, 4.9)) == []
     (found,) = imu_findings(known(noise=(5.1, 7.0)))
     assert (found.kind, found.evidence) == ("imu_noise", {"sensor": "accelerometer", "ratio": 7.0})
+
+
+def test_calibrated_noise_far_below_that_of_the_quietest_samples():
+    for scale in (1.0, 5.0):  # a factor for vibration is part of the assumed noise
+        assert kinds(quietest=9.9 * scale, noise_scale=scale) == []
+        (found,) = imu_findings(known(quietest=10.1 * scale, noise_scale=scale))
+        assert found.kind == "imu_noise"
+        assert found.evidence["ratio"] == pytest.approx(1 / (10.1 * scale))
+    assert found.flags == ("--imu-noise-scale", "50")
+    assert kinds(quietest=float("nan")) == []
 
 
 def test_wrong_intervals_by_row_and_time():

@@ -16,9 +16,9 @@ from bundle.inertial.offline.inertial_result import ImuSamples
 from bundle.inertial.offline.inertial_start import (
     ACCEL_BIAS_SIGMA,
     POSITION_SIGMA,
-    _segments,
     gyro_bias,
     preintegrated,
+    segments,
     solve_inertial_start,
 )
 from bundle.inertial.vio.window_frame import ImuInterval
@@ -121,7 +121,7 @@ def test_a_wild_rotation_does_not_move_the_bias():
     ],
 )
 def test_segments_have_four_seconds_and_five_images(times, ends):
-    assert [(part[0], part[-1] + 1) for part in _segments(np.asarray(times, float))] == ends
+    assert [(part[0], part[-1] + 1) for part in segments(np.asarray(times, float))] == ends
 
 
 def turning(offset=0.0, count=60, noise=0.0, wild=False, step=0.2):

@@ -37,11 +37,12 @@ from bundle.graphs.factors.factors import Factor, RelativePoseFactor
 from bundle.inertial.offline.accel_axes import accel_axes
 from bundle.inertial.offline.clock_offset import ClockOffset
 from bundle.inertial.offline.image_intervals import RULES, ImageIntervals, likely_kinds
-from bundle.inertial.offline.imu_agreement import Agreement, noise_ratios
+from bundle.inertial.offline.imu_agreement import Agreement, noise_ratios, quietest_ratio
 from bundle.inertial.offline.imu_bodies import ImuBodies
 from bundle.inertial.offline.imu_findings import LONG_ARM, Evidence, imu_findings
 from bundle.inertial.offline.inertial_result import ImuSamples, InertialAdjustment
 from bundle.inertial.offline.inertial_start import InertialStart, preintegrated
+from bundle.inertial.offline.lever_arm import ArmError, arm_error
 from bundle.inertial.offline.motion_solve import GRAVITY, MotionState, solved_with_motions
 from bundle.inertial.offline.rotation_map import RotationMap, axes_sentence
 from bundle.inertial.offline.upright_start import to_priors, upright_start
@@ -332,6 +333,15 @@ def _accel_axes(case: _Case, intervals: list[ImuInterval], rule: str) -> str:
     )
 
 
+def _arm_error(case: _Case, found: _Adjusted, noise: ImuNoise) -> ArmError:
+    problem, bodies = case.images.problem, case.bodies
+    intervals = found.video.at(found.clock.seconds if found.clock.is_clear else 0.0)
+    return arm_error(
+        bodies.imu_rotations(problem), bodies.centers(problem), bodies.arms(problem),
+        bodies.axes(problem), intervals, noise, found.video.rule, found.start.gyro_bias,
+    )  # fmt: skip
+
+
 def _evidence(
     case: _Case,
     found: _Adjusted,
@@ -363,9 +373,11 @@ def _evidence(
         is_quadratic=case.options.loss == "trivial",
         rotations=rotations,
         axes=axes,
+        arm=_arm_error(case, found, density),
         clocks=video.clock_errors(case.rotations, case.noise, clock),
         offset=clock,
         noise=noise_ratios(*samples, density),
+        quietest=quietest_ratio(*samples, density),
         noise_scale=noise_scale,
         camera_from_imu=case.bodies.body_from_imu,
         bad=bad_stretches(samples.gyro, samples.accel),

@@ -29,8 +29,9 @@ from numpy.typing import NDArray
 
 from bundle.graphs.pose_graphs.chi2_quantiles import chi2_bound, chi2_median
 from bundle.model.sequence.imu_noise import ImuNoise
+from bundle.model.sequence.sequence_findings import quietest_noise
 
-__all__ = ["Agreement", "ClockErrors", "noise_ratios"]
+__all__ = ["Agreement", "ClockErrors", "noise_ratios", "quietest_ratio"]
 
 Array = NDArray[np.float64]
 
@@ -174,3 +175,12 @@ def noise_ratios(
         shown = 1.4826 * float(np.median(second)) * math.sqrt(period / 6)
         found.append(density / shown if shown > 0 else 0.0)
     return found[0], found[1]
+
+
+def quietest_ratio(stamps: NDArray[np.int64], gyro: Array, accel: Array, noise: ImuNoise) -> float:
+    """Return the larger ratio, of both sensors, of noise where it is least over the calibrated."""
+    period = 1e-9 * float(np.median(np.diff(stamps)))
+    return max(
+        quietest_noise(values, period) / density
+        for values, density in zip((gyro, accel), noise.astuple()[:2], strict=True)
+    )

@@ -67,25 +67,26 @@ class ImuBodies:
     def imu_rotations(self, problem: Problem) -> Array:
         """Return the (n, 3, 3) rotations world_from_imu."""
         body_from_imu = rotation_matrices(self.body_from_imu[None, :4])[0]
-        turned: Array = self._world_from_body(problem) @ body_from_imu
+        turned: Array = self.axes(problem) @ body_from_imu
         return turned
 
     def centers(self, problem: Problem) -> Array:
         """Return the (n, 3) origins of the bodies in the world."""
         shifts = self._poses(problem)[:, 4:]
-        found: Array = -np.einsum("nij,nj->ni", self._world_from_body(problem), shifts)
+        found: Array = -np.einsum("nij,nj->ni", self.axes(problem), shifts)
         return found
 
     def arms(self, problem: Problem) -> Array:
         """Return the (n, 3) vectors from body to IMU along the axes of the world, in metres."""
-        along: Array = self._world_from_body(problem) @ self.body_from_imu[4:]
+        along: Array = self.axes(problem) @ self.body_from_imu[4:]
         return along
 
     def _poses(self, problem: Problem) -> Array:
         poses = problem.cam_from_world if self.kind == "image" else problem.rig_from_world
         return np.asarray(poses[self.rows])
 
-    def _world_from_body(self, problem: Problem) -> Array:
+    def axes(self, problem: Problem) -> Array:
+        """Return the (n, 3, 3) rotations world_from_body."""
         rotations: Array = rotation_matrices(self._poses(problem)[:, :4])
         return np.swapaxes(rotations, 1, 2)
 

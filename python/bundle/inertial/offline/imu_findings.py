@@ -19,12 +19,14 @@ from bundle.inertial.offline.imu_agreement import (
     Agreement,
     ClockErrors,
 )
+from bundle.inertial.offline.lever_arm import ArmError
 from bundle.inertial.offline.rotation_map import RotationMap
 from bundle.model.rotations import (
     quaternion_from_matrix,
     rotation_matrices,
 )
 from bundle.model.sequence.bad_samples import LONGEST_BRIDGE, BadStretch
+from bundle.model.sequence.sequence_findings import UNDERSTATED
 
 __all__ = ["LONG_ARM", "Evidence", "ImuFinding", "imu_findings"]
 
@@ -32,9 +34,6 @@ Array = NDArray[np.float64]
 
 OUTLIERS = 4.0
 """Variance factor of the images under a quadratic loss from which outliers rule the cost."""
-VIBRATION, HIGH_COST = 2.0, 0.75
-"""Factor of the noise from which it has room for vibration, and cost relative to its expectation
-above which nothing of that is left: vibrating flights have 0.6, calm ones 0.15."""
 LONG_ARM = 3.0
 """Distance in metres between camera and IMU from which millimetres are likely."""
 
@@ -42,9 +41,10 @@ LONG_ARM = 3.0
 CAUSES = {
     "imu_samples": "samples are no measurements",
     "camera_from_imu": "camera_from_imu is turned",
+    "arm": "the arm of camera_from_imu is wrong",
     "gyro_scale": "the scale of the rates is wrong",
     "imu_clocks": "the times of images are wrong",
-    "imu_noise": "the calibrated noise is too large",
+    "imu_noise": "the calibrated noise is wrong",
     "unknown": "camera_from_imu, the clocks, the intrinsics or the noise of the IMU is wrong",
 }
 """Causes by the kind of the finding that shows them."""
@@ -54,7 +54,7 @@ class ImuFinding(NamedTuple):
     """Finding without its command line.
 
     Attributes:
-        kind: "imu_contradiction", "imu_cost", "imu_samples", "imu_interval", "camera_from_imu",
+        kind: "imu_contradiction", "imu_samples", "imu_interval", "camera_from_imu", "arm",
             "gyro_scale", "imu_clocks" or "imu_noise".
         sentence: the fact with its numbers.
         flags: flags that the next command adds; none: no command helps.
@@ -78,9 +78,11 @@ class Evidence(NamedTuple):
         is_quadratic: True without a robust loss.
         rotations: map between the rotations.
         axes: sentence on the axes of the accelerometer, or "".
+        arm: error of the arm of camera_from_imu.
         clocks: errors of single times.
         offset: offset of the clocks.
         noise: calibrated noise densities over those of the samples.
+        quietest: noise of the samples where they are quietest over the calibrated one.
         noise_scale: factor for vibration.
         camera_from_imu: (7,).
         bad: stretches of samples that are no measurements.
@@ -94,9 +96,11 @@ class Evidence(NamedTuple):
     is_quadratic: bool
     rotations: RotationMap
     axes: str
+    arm: ArmError
     clocks: ClockErrors
     offset: ClockOffset
     noise: tuple[float, float]
+    quietest: float
     noise_scale: float
     camera_from_imu: Array
     bad: Sequence[BadStretch]
@@ -115,7 +119,9 @@ def imu_findings(known: Evidence) -> tuple[ImuFinding, ...]:
         )
         if one is not None
     ]  # fmt: skip
-    first = _contradiction(known, others) or (None if others else _cost(known))
+    if not others:
+        others = [one for one in (_arm(known),) if one is not None]
+    first = _contradiction(known, others)
     return tuple(others if first is None else [first, *others])
 
 
@@ -166,21 +172,24 @@ def _contradiction(known: Evidence, others: Sequence[ImuFinding]) -> ImuFinding 
     )
 
 
-def _cost(known: Evidence) -> ImuFinding | None:
-    """Return the finding of a cost that leaves no room for vibration."""
-    agreement = known.agreement
-    ratio = agreement.chi2 / agreement.freedom
-    if not (known.noise_scale >= VIBRATION and ratio > HIGH_COST):
+def _arm(known: Evidence) -> ImuFinding | None:
+    """Return the finding of a wrong arm; other errors bend the path, too."""
+    found = known.arm
+    if not found.is_clear:
         return None
-    worst = int(np.argmax(agreement.interval_chi2))
-    row, seconds = _when(known, worst)
+    right = known.camera_from_imu[4:] + found.shift
+    size, sigma = found.size
+    words = ", ".join(f"{value:.3f}" for value in right)
     return ImuFinding(
-        "imu_cost",
-        f"Images and IMU together cost {ratio:.2g} times what noise explains that is already "
-        f"{known.noise_scale:.2g} times that of the calibration, most at {seconds:.2f} s "
-        f"({known.place(row)}): check the arm of camera_from_imu and the noise densities.",
+        "arm",
+        f"The arm of camera_from_imu is off by {100 * size:.2g} +- "
+        f"{100 * sigma:.1g} cm by the path of the images, which gives the translation {words}.",
         (),
-        {"chi2": agreement.chi2, "freedom": agreement.freedom, "row": row, "seconds": seconds},
+        {
+            "metres": size,
+            "metres_sigma": sigma,
+            "translation": right.tolist(),
+        },
     )
 
 
@@ -298,6 +307,14 @@ def _offset(known: Evidence) -> ImuFinding | None:
 
 def _noise(known: Evidence) -> ImuFinding | None:
     ratio = max(known.noise)
+    if known.quietest > UNDERSTATED * known.noise_scale:
+        return ImuFinding(
+            "imu_noise",
+            f"The noise of the samples is {known.quietest:.3g} times that of the calibration where "
+            "they are quietest: the IMU outweighs the images.",
+            ("--imu-noise-scale", f"{known.quietest:.2g}"),
+            {"ratio": 1 / known.quietest},
+        )
     if ratio <= LARGE_NOISE:
         return None
     sensor = ("gyroscope", "accelerometer")[int(known.noise[1] > known.noise[0])]

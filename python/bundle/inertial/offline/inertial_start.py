@@ -35,7 +35,14 @@ from bundle.model.rotations import (
 )
 from bundle.model.sequence.imu_noise import ImuNoise
 
-__all__ = ["InertialStart", "gyro_bias", "preintegrated", "solve_inertial_start"]
+__all__ = [
+    "InertialStart",
+    "gyro_bias",
+    "preintegrated",
+    "segment_rows",
+    "segments",
+    "solve_inertial_start",
+]
 
 Array = NDArray[np.float64]
 
@@ -124,11 +131,11 @@ def solve_inertial_start(
         rate_bias = gyro_bias(between, intervals, noise, rule)
     motions = preintegrated(intervals, noise, np.append(rate_bias, np.zeros(3)), rule)
     times = np.cumsum([0.0, *(motion.duration for motion in motions)])
-    parts = _segments(times)
-    segments = [_segment(part, rotations, centers, arms, motions, times) for part in parts]
+    parts = segments(times)
+    found = [segment_rows(part, rotations, centers, arms, motions, times) for part in parts]
     prior = np.zeros((3, 8))
     prior[:, 4:7] = np.eye(3) * POSITION_SIGMA / ACCEL_BIAS_SIGMA
-    system = np.vstack([*(segment.rows for segment in segments), prior])
+    system = np.vstack([*(segment.rows for segment in found), prior])
     x = np.linalg.lstsq(system[:, :7], system[:, 7], rcond=None)[0]
     direction = x[1:4] / np.linalg.norm(x[1:4])
     for _ in range(SPHERE_STEPS):  # g = length (direction + basis y), then normalised
@@ -143,7 +150,7 @@ def solve_inertial_start(
     rms = float(np.sqrt((residual**2).mean()))
     covariance = np.linalg.pinv(reduced.T @ reduced) * max(rms, 1e-9) ** 2
     velocities = np.empty_like(centers)
-    for part, segment in zip(parts, segments, strict=True):
+    for part, segment in zip(parts, found, strict=True):
         _velocities(part, segment, x, rotations, motions, times, velocities)
     return InertialStart(
         scale=float(x[0]),
@@ -175,7 +182,7 @@ def gyro_bias(between: Array, intervals: list[ImuInterval], noise: ImuNoise, rul
     return bias
 
 
-def _segments(times: Array) -> list[range]:
+def segments(times: Array) -> list[range]:
     """Return ranges of images; consecutive ranges share an image."""
     parts, first = [], 0
     for k in range(1, len(times)):
@@ -205,7 +212,7 @@ def _integrals(
     return p, q, v, w
 
 
-def _segment(
+def segment_rows(
     part: range,
     rotations: Array,
     centers: Array,
@@ -213,6 +220,7 @@ def _segment(
     motions: list[Preintegration],
     times: Array,
 ) -> _Rows:
+    """Return the equations of a segment, three for each of its images."""
     p, q, _, _ = _integrals(part, rotations, motions)
     rows = slice(part[0], part[-1] + 1)
     t = times[rows] - times[part[0]]

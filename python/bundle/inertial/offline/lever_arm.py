@@ -1,0 +1,130 @@
+r"""Error of the arm of camera_from_imu, by the path of the images alone.
+
+The equations of ``inertial_start`` are linear in an error d of the arm, along the axes of the body:
+with R_k = world_from_body,
+
+    s c_k + l_k + R_k d = p_0 + v_0 t + 1/2 g t^2 + P_k + Q_k a.
+
+Their errors are those of the positions, white with sigma p, and of the samples: the integrals of a
+white noise n and of a random walk w of the bias. For t <= u, an axis has the covariance
+
+    p^2 [t = u] + n^2 (t^2 u / 2 - t^3 / 6) + w^2 (t^3 u^2 / 12 - t^4 u / 24 + t^5 / 120),
+
+by which each segment is whitened. The residuals give the factor v of all covariances, at least 1. p
+is small on purpose: larger errors of positions then count by v, as if they were slow. d^T C^-1 d is
+chi2 with 3 degrees of freedom, C its covariance times v.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.graphs.pose_graphs.chi2_quantiles import chi2_bound
+from bundle.inertial.offline.inertial_start import (
+    ACCEL_BIAS_SIGMA,
+    preintegrated,
+    segment_rows,
+    segments,
+)
+from bundle.inertial.vio.window_frame import ImuInterval
+from bundle.model.sequence.imu_noise import ImuNoise
+
+__all__ = ["ArmError", "arm_error"]
+
+Array = NDArray[np.float64]
+
+POSITION_SIGMA = 1e-3
+"""Metres: p."""
+ARM_SIGMA = 1.0
+"""Metres: a weak prior on d, for paths that do not turn."""
+FALSE_ALARM = 1e-5
+"""Probability of a false alarm in a run, for sigmas that are up to 1.2 times too small."""
+LEAST = 0.02
+"""Metres: a smaller error does not count."""
+
+
+class ArmError(NamedTuple):
+    """Error of an arm.
+
+    Attributes:
+        shift: (3,) d in metres: the right arm is the given one plus d.
+        covariance: (3, 3).
+    """
+
+    shift: Array = np.zeros(3)
+    covariance: Array = np.eye(3)
+
+    @property
+    def chi2(self) -> float:
+        """Squared error in sigmas, 3 degrees of freedom."""
+        return float(self.shift @ np.linalg.solve(self.covariance, self.shift))
+
+    @property
+    def size(self) -> tuple[float, float]:
+        """Length of d in metres, and its standard deviation."""
+        length = float(np.linalg.norm(self.shift))
+        along = self.shift / max(length, 1e-12)
+        return length, float(np.sqrt(along @ self.covariance @ along))
+
+    @property
+    def is_clear(self) -> bool:
+        """True for an error beyond noise."""
+        return bool(self.size[0] > LEAST and self.chi2 > chi2_bound(3, FALSE_ALARM))
+
+
+def arm_error(
+    rotations: Array,
+    centers: Array,
+    arms: Array,
+    axes: Array,
+    intervals: list[ImuInterval],
+    noise: ImuNoise,
+    rule: str,
+    rate_bias: Array,
+) -> ArmError:
+    """Return the error of the arm.
+
+    Args:
+        rotations: (n, 3, 3) world_from_imu.
+        centers: (n, 3) projection centres in units of the model.
+        arms: (n, 3) vectors from the camera to the IMU along the axes of the model, metres.
+        axes: (n, 3, 3) world_from_body.
+        intervals: samples between consecutive images.
+        noise: noise of the IMU, without a factor for vibration.
+        rule: rule of preintegration.
+        rate_bias: bias of the gyroscope.
+    """
+    motions = preintegrated(intervals, noise, np.append(rate_bias, np.zeros(3)), rule)
+    times = np.cumsum([0.0, *(motion.duration for motion in motions)])
+    prior = np.zeros((6, 11))
+    prior[:3, 4:7], prior[3:, 7:10] = np.eye(3) / ACCEL_BIAS_SIGMA, np.eye(3) / ARM_SIGMA
+    rows, freedom = [prior], -10
+    for part in segments(times):
+        given = segment_rows(part, rotations, centers, arms, motions, times)
+        n = len(part)
+        turned = axes[part[0] : part[-1] + 1].reshape(-1, 3)
+        root = np.linalg.inv(np.linalg.cholesky(_covariance(times[part] - times[part[0]], noise)))
+        columns = np.column_stack([given.own, given.shared, turned, given.known])
+        whitened = (root @ columns.reshape(n, -1)).reshape(3 * n, -1)
+        basis = np.linalg.qr(whitened[:, :6])[0]
+        rows.append(whitened[:, 6:] - basis @ (basis.T @ whitened[:, 6:]))
+        freedom += 3 * n - 6
+    if freedom < 1:
+        return ArmError()
+    system = np.vstack(rows)
+    x: Any = np.linalg.lstsq(system[:, :10], system[:, 10], rcond=None)[0]
+    residual = system[:, 10] - system[:, :10] @ x
+    inverse: Any = np.linalg.pinv(system[:, :10].T @ system[:, :10])
+    return ArmError(x[7:], max(float(residual @ residual) / freedom, 1.0) * inverse[7:, 7:])
+
+
+def _covariance(times: Array, noise: ImuNoise) -> Array:
+    """Return the covariance of the errors of one axis at n times since the first."""
+    t, u = np.minimum.outer(times, times), np.maximum.outer(times, times)
+    white = noise.accel_noise_density**2 * (t**2 * u / 2 - t**3 / 6)
+    walk = noise.accel_bias_random_walk**2 * (t**3 * u**2 / 12 - t**4 * u / 24 + t**5 / 120)
+    found: Array = POSITION_SIGMA**2 * np.eye(len(times)) + white + walk
+    return found
