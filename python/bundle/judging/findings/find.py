@@ -130,21 +130,23 @@ def _lens(measured: Measured, fields: Sequence[LensField]) -> Finding | None:
     return lens_model(measured, fields) or absorbed_lens(measured)
 
 
-def _lens_of(measured: Measured) -> str:
-    """Return the larger lens model that a model needs; "": none."""
-    found = SystematicResiduals(measured)
-    lens = _lens(measured, fields_of_lenses(found, measured.scale))
-    return "" if lens is None else str(lens.evidence["larger_model"])
+def _repairs(measured: Measured) -> tuple[str, str]:
+    """Return the larger lens and the rolling shutter that a model needs; "": none."""
+    _, _, fields, moves = _fields(measured)
+    if moves is not None:
+        return "", str(moves.evidence["shutter"])
+    lens = _lens(measured, fields)
+    return ("" if lens is None else str(lens.evidence["larger_model"])), ""
 
 
-def _without_bends(measured: Measured, is_robust: bool, lens: str) -> Measured:
-    """Return the model with its positions, solved again without outliers and with a larger lens."""
+def _without_bends(measured: Measured, is_robust: bool, repairs: tuple[str, str]) -> Measured:
+    """Return the model with its positions, solved again without outliers and with repairs."""
     if not is_affordable(measured):
         return measured
     if is_robust:
         measured = repaired(measured, with_priors=True) or measured
-    if lens:
-        measured = repaired(measured, lens, with_priors=True) or measured
+    if any(repairs):
+        measured = repaired(measured, *repairs, with_priors=True) or measured
     return measured
 
 
@@ -179,30 +181,41 @@ def _findings(measured: Measured) -> Iterator[Finding | None]:
         free = repaired(measured, is_bent=is_bent)
     drift = places = None
     if is_bent:
-        larger_model = _lens_of(free or measured)
         straight = free or measured
-        if larger_model and can_repair:
-            straight = repaired(straight, larger_model) or straight
-        placed = _without_bends(measured, far is not None, larger_model)
+        repairs = _repairs(straight)
+        if any(repairs) and can_repair:
+            straight = repaired(straight, *repairs) or straight
+        placed = _without_bends(measured, far is not None, repairs)
         is_open = can_repair and free is None
         drift = scale_drift(placed, straight.whole)
         if drift is None:
             places = measured_positions(placed, is_open=is_open)
     yield from (drift, places)
     if free is not None:
-        measured = free if far is not None else free.of_command(measured.command)
+        command = measured.command if far is None else free.command
+        if places is not None and places.command:  # a bend is repaired beside its positions
+            command = command.following(places.command)
+        measured = free.of_command(command)
     elif far is not None or drift is not None or places is not None:
         return
     found, fits, fields, moves = _fields(measured)
-    lens = None if moves is not None else _lens(measured, fields)
+    shutter = "" if moves is None else moves.evidence["shutter"]
+    rolling = repaired(measured, shutter=shutter) if shutter and can_repair else None
+    if rolling is not None:  # motion hides the field of a lens
+        yield moves
+        measured = rolling
+        found, fits, fields, _ = _fields(measured)
+    lens = None if moves is not None and rolling is None else _lens(measured, fields)
     yield lens
     if lens is not None:
         larger = repaired(measured, lens.evidence["larger_model"]) if can_repair else None
         if larger is None:
             return
         measured = larger
-        found, fits, _, moves = _fields(measured)
-    yield moves
+        found, fits, _, moved = _fields(measured)
+        moves = moves or moved
+    if rolling is None:
+        yield moves
     yield image_residuals(measured, found, fits, is_general=moves is not None)
     groups = list(focal_lengths(measured))
     yield undetermined_intrinsics(measured, groups)

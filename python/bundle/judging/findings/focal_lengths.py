@@ -5,7 +5,8 @@ f_i and its standard deviation s_i. Cameras of one model and size belong to a gr
 
 Not determined. A focal length with s_i > 0.05 f_i, for the noise of the inliers, changes the shape
 of a scene without changing the residuals much. The command shares the lens of a group of several
-cameras, as the views together determine it; else it adds a prior of 2 %.
+cameras, as the views together determine it; of a single one, or where the lenses are known to
+differ (T below), it adds a prior of 2 %.
 
 Shared. All focal lengths and distortion parameters theta of a group of m cameras count together.
 With the covariance C of all of them, the contrasts D theta to the first camera have
@@ -36,7 +37,7 @@ from numpy.typing import NDArray
 from bundle.analysis.uncertainty.newton_step import newton_step
 from bundle.base.arrays import distinct, median
 from bundle.base.records import dataclass
-from bundle.base.words import named, number, plural
+from bundle.base.words import named, noun, number, plural
 from bundle.errors import InputError
 from bundle.interface.finding import Finding
 from bundle.judging.findings.larger_lens import chi2_tail
@@ -103,12 +104,13 @@ def undetermined_intrinsics(measured: Measured, groups: Groups) -> Finding | Non
     rows = np.flatnonzero(~worst.is_determined)
     cameras = measured.whole.camera_ids[worst.cameras[rows]]
     relative = worst.sigma[rows] * worst.inlier_factor / worst.focal[rows]
-    shares = len(worst.cameras) > 1
+    shares = len(worst.cameras) > 1 and not _differ(measured, worst)
     ids = ",".join(map(str, measured.whole.camera_ids[worst.cameras].tolist()))
     if shares:
         flags = ("--share-cameras", "all" if worst.is_covered else ids)
     else:
-        flags = ("--set", f"camera {int(cameras[0])}: f prior 2 %")
+        chosen = noun(len(rows), "camera", "cameras") + " " + ",".join(map(str, cameras.tolist()))
+        flags = ("--set", f"{chosen}: f prior 2 %")
     return Finding(
         kind="undetermined_intrinsics",
         sentence=f"The focal length is not determined in {plural(len(rows), 'camera')} "
@@ -122,6 +124,12 @@ def undetermined_intrinsics(measured: Measured, groups: Groups) -> Finding | Non
             "spread": float(np.std(worst.focal) / np.mean(worst.focal)),
         },
     )
+
+
+def _differ(measured: Measured, group: FocalLengths) -> bool:
+    """Return True if the lenses of a group are known to differ by so much that own ones pay."""
+    joint = joint_statistic(measured, group)
+    return joint is not None and joint[0] >= PAYS * joint[1]
 
 
 def shared_lens(measured: Measured, groups: Groups, *, is_jointed: bool = False) -> Finding | None:

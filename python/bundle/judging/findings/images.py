@@ -24,10 +24,20 @@ S(x, y) - S(x) beyond columns, and columns S(x, y) - S(y) beyond rows. A directi
 part is 1.5 times the other. A rolling shutter is proposed if these velocities explain at least half
 of what the linear fields explain; it is read by rows unless columns are named.
 
+Price. Velocities make the cameras less certain. Let D be the movement of the centres (rms) in the
+first step of the model with velocities beyond that of the present one, and s1 and s0 the standard
+deviations of the centres in both, for the same noise. Without motion, D^2 is s1^2 - s0^2 on average
+(Hausman 1978). Motion has moved the present centres by b, b^2 about D^2 - (s1^2 - s0^2), so that
+their mean square error is b^2 + s0^2. It exceeds s1^2, that with velocities, if D^2 > 2 (s1^2 -
+s0^2). D varies: a shutter is advised if D > 2 sqrt(s1^2 - s0^2). Lenses that differ are not shared
+by this command: once the shutter is known, ``shared_lens`` decides.
+
 Single images. Without motion in general, an image has systematic residuals if b_i^T V_i^-1 b_i >
 3 + 6 sqrt(6) + 20 + 2 log m and its field has an rms of half a scale. It is weak if its scale is
 1.75 times the median of all, which is 3 times the spread of the logarithms and 5 times their
 standard error, 0.72 / sqrt(n), and if its errors without the linear field are 1.5 times as large.
+Huber's loss at 2.5 times the noise reduces the weight of such images and costs the good ones
+nearly nothing; cauchy's at 1 px costs them more than weak images do.
 """
 
 from __future__ import annotations
@@ -37,11 +47,14 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.base.arrays import distinct, median
+from bundle.base.arrays import median
 from bundle.base.records import dataclass
 from bundle.base.words import noun, number
-from bundle.errors import shown
+from bundle.editing.rolling_shutters import with_shutters
+from bundle.errors import InputError, shown
 from bundle.interface.finding import Finding
+from bundle.interface.rolling_shutter_options import ShutterOptions
+from bundle.judging.findings.larger_lens import Step, is_cheap, rms
 from bundle.judging.findings.lens_terms import LensField
 from bundle.judging.findings.measured import Measured, median_by_group
 from bundle.judging.findings.systematic import SystematicResiduals
@@ -57,6 +70,10 @@ FEWEST_IMAGES = 6
 FIELD = 0.5
 WEAK, WEAK_WITHOUT_FIELD = 1.75, 1.5
 WEAK_SPREADS, WEAK_ERRORS = 3.0, 5.0
+GAIN = 2.0
+"""Movement of the cameras, by what noise alone moves them, from which a shutter is advised."""
+HUBER = 2.5
+"""Scale of a loss for weak images, by the noise."""
 NAMED = 3
 LEFT = 0.01
 """Share of a field that must be left for a test."""
@@ -108,18 +125,25 @@ def motion(
         order = "columns"
         where = "along the columns' order, as a rolling shutter of a turned camera does"
     worst = max(ratios, key=lambda name: ratios[name])
+    gain = shutter_gain(measured, order) if explained > EXPLAINED else 0.0
+    shutter = order if gain > GAIN else ""
+    price = (
+        " A rolling shutter would cost more certainty than it gains." if GAIN >= gain > 0 else ""
+    )
     return Finding(
         kind="motion",
         sentence=f"Motion or a rolling shutter: the {worst} of the residuals differs from image to "
         f"image, {number(ratios[worst])} times as much as the noise explains ({where}). Keep one "
-        "lens: a lens per image would absorb it and move the cameras.",
-        command=_command(measured, order if explained > EXPLAINED else ""),
+        f"lens: a lens per image would absorb it and move the cameras.{price}",
+        command=measured.command.refine("--rolling-shutter", shutter) if shutter else "",
         evidence={
             "chi2_per_dof": ratios,
             "sizes": sizes,
             "rows": rows,
             "columns": columns,
             "explained": explained,
+            "shutter": shutter,
+            "gain": gain,
             "image_ids": _ids(found, np.argsort(-fits.sizes)[:NAMED]),
         },
     )
@@ -151,11 +175,14 @@ def image_residuals(
     )
     more = f" and {len(order) - NAMED} more" if len(order) > NAMED else ""
     is_plain = measured.options.loss == "trivial"
+    loss_scale = f"{HUBER * measured.scale:.2g}"
     return Finding(
         kind="image_residuals",
         sentence=f"{len(order)} {noun(len(order), 'image has', 'images have')} larger or "
         f"systematic residuals (noise against the median image): {words}{more}.",
-        command=measured.command.refine("--loss", "cauchy") if is_plain else "",
+        command=measured.command.refine("--loss", "huber", "--loss-scale", loss_scale)
+        if is_plain
+        else "",
         evidence={
             "image_ids": [int(problem.image_ids[image]) for image in order],
             "systematic": [int(problem.image_ids[images[k].image]) for k in systematic.tolist()],
@@ -246,25 +273,24 @@ def _weak(
     return np.flatnonzero(is_weak), ratio
 
 
-def _command(measured: Measured, order: str) -> str:
-    """Return the command that shares the cameras of one size and adds a rolling shutter.
+def shutter_gain(measured: Measured, order: str) -> float:
+    """Return D / sqrt(s1^2 - s0^2) of a rolling shutter; see the top of this file.
 
-    Args:
-        measured: the model.
-        order: "rows" or "columns", or "" if a rolling shutter does not explain the residuals.
+    It is 0 if no shutter can be added, infinite if the model is too large for the step.
     """
-    problem = measured.whole
-    flags = ["--share-cameras", "all"] if _can_share(problem) else []
-    if order and can_roll(problem):
-        flags += ["--rolling-shutter", order]
-    return measured.command.refine(*flags) if flags else ""
-
-
-def _can_share(problem: Problem) -> bool:
-    used = distinct(problem.image_camera)
-    if len(used) < 2 or np.ptp(problem.camera_sizes[used], axis=0).any():
-        return False
-    return len({problem.camera_models[camera] for camera in used.tolist()}) == 1
+    problem, options = measured.whole, measured.options
+    if not can_roll(problem):
+        return 0.0
+    if not is_cheap(problem) or "poses" not in options.refine:
+        return np.inf
+    try:
+        rolling = Step(*with_shutters(problem, ShutterOptions(rolling_shutter=order), options))
+        present = Step(problem, options)
+        moved = rms(rolling.without_gauge(rolling.moves - present.moves))
+        spread = rolling.position_variance() - present.position_variance()
+    except InputError:  # something is not determined, or the sums overflow
+        return 0.0
+    return moved / float(np.sqrt(spread * rolling.variance)) if spread > 0 else np.inf
 
 
 def _ids(found: SystematicResiduals, rows: NDArray[np.int64]) -> list[int]:

@@ -46,7 +46,7 @@ from bundle.model.lenses.exact_image import exact_params
 from bundle.model.problem import Problem
 from bundle.model.rotations import cross_matrices, rotation_matrices
 
-__all__ = ["Step", "absorbed_lens", "chi2_tail"]
+__all__ = ["Step", "absorbed_lens", "chi2_tail", "is_cheap", "rms"]
 
 SIGNIFICANT = 1e-4
 """Probability of so large a T if the lens model is right."""
@@ -64,8 +64,7 @@ def absorbed_lens(measured: Measured) -> Finding | None:
     problem, options = measured.whole, measured.options
     lenses = distinct(problem.image_camera).tolist()
     used = {problem.camera_models[camera] for camera in lenses}
-    work = problem.num_observations + 20 * problem.num_images**2
-    if len(used) > 1 or len(lenses) > MOST_LENSES or work > MOST_WORK:
+    if len(used) > 1 or len(lenses) > MOST_LENSES or not is_cheap(problem):
         return None
     if not measured.scale > SMALLEST_SCALE:  # exact observations
         return None
@@ -77,6 +76,11 @@ def absorbed_lens(measured: Measured) -> Finding | None:
         return _found(measured, names[: last[0] + 1])
     except InputError:  # something is not determined, or the sums overflow
         return None
+
+
+def is_cheap(problem: Problem) -> bool:
+    """Return True if a step takes milliseconds."""
+    return problem.num_observations + 20 * problem.num_images**2 <= MOST_WORK
 
 
 def _found(measured: Measured, names: list[str]) -> Finding | None:
@@ -198,7 +202,11 @@ class Step:
         return left
 
     def position_sigma(self) -> float:
-        """Return the rms standard deviation of the centres without the free similarity.
+        """Return the rms standard deviation of the centres without the free similarity."""
+        return math.sqrt(self.position_variance() * self.variance)
+
+    def position_variance(self) -> float:
+        """Return the mean variance of the centres without the free similarity, for noise of 1.
 
         With P = I - U U^T, the trace of P C P is that of C minus the variances of U^T c.
         """
@@ -210,8 +218,7 @@ class Step:
         functions[:, :, :6] = np.einsum("nik,nij->knj", self._similarities, by_pose)
         found = newton_step(*self._given, functions, of_poses=True)
         spread = np.einsum("nij,njk,nik->", by_pose, found["poses"], by_pose)
-        trace = max(float(spread - np.trace(found["functions"])), 0.0)
-        return math.sqrt(trace * self.variance / problem.num_images)
+        return max(float(spread - np.trace(found["functions"])), 0.0) / problem.num_images
 
 
 def rms(moves: Floats) -> float:

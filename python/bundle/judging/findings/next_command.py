@@ -54,6 +54,10 @@ class NextCommand:
         words = tuple(word for one in (*kept, *advised) for word in one)
         return NextCommand(self.source, self.target, words)
 
+    def following(self, command: str) -> NextCommand:
+        """Return the maker of commands for a run after a command of this maker."""
+        return NextCommand(self.source, self.target, tuple(shlex.split(command)[5:]))
+
     def value(self, flag: str, default: str) -> str:
         """Return the value that this run gives to a flag of one value."""
         for one in _occurrences(self.given):

@@ -1,15 +1,16 @@
 """A model as it would be without a fault that was found, for the tests that follow.
 
 One fault looks like others. Outliers of a least-squares fit bend cameras, a lens model that is too
-small makes focal lengths differ, wrong positions pull images away. So the tests run in stages. If a
-stage finds a fault, the model is solved again from its present values as the command of the finding
-says (a cauchy loss, a larger lens model, no positions), and the next stage looks at that model. It
-reports faults of the original only. If the robust solve does not converge, the fault has destroyed
-the model, and no later stage can be trusted. That of a larger lens begins at a minimum; a few steps
-are enough. Later stages look for large changes, so both solves may end at a cost that is 1e-4 too
-high: a third of the steps reach it, and slow steps near the minimum are no sign of destruction.
-Positions that bend a model take it far from the minimum without them, and the way back is flat: the
-cost of a drift is small. So that solve has more steps and a smaller tolerance.
+small makes focal lengths differ, a rolling shutter bends, wrong positions pull images away. So the
+tests run in stages. If a stage finds a fault, the model is solved again from its present values as
+the command of the finding says (a cauchy loss, a larger lens model, a rolling shutter, no
+positions), and the next stage looks at that model. It reports faults of the original only. If the
+robust solve does not converge, the fault has destroyed the model, and no later stage can be
+trusted. That of a larger lens or a shutter begins at a minimum; a few steps are enough. Later
+stages look for large changes, so both solves may end at a cost that is 1e-4 too high: a third of
+the steps reach it, and slow steps near the minimum are no sign of destruction. Positions that bend
+a model take it far from the minimum without them, and the way back is flat: the cost of a drift is
+small. So that solve has more steps and a smaller tolerance.
 
 The second solve takes about as long as the first. It is made for models of at most 50,000
 observations and 100 images; of larger ones, later stages look at the model itself, without the
@@ -21,6 +22,7 @@ from __future__ import annotations
 import dataclasses
 
 from bundle.errors import InputError
+from bundle.interface.rolling_shutter_options import ShutterOptions
 from bundle.judging.findings.measured import Measured
 
 __all__ = ["is_affordable", "repaired"]
@@ -39,7 +41,12 @@ def is_affordable(measured: Measured) -> bool:
 
 
 def repaired(
-    measured: Measured, lens_model: str = "", *, with_priors: bool = False, is_bent: bool = False
+    measured: Measured,
+    lens_model: str = "",
+    shutter: str = "",
+    *,
+    with_priors: bool = False,
+    is_bent: bool = False,
 ) -> Measured | None:
     """Return the model solved again with a robust loss; None if it fails.
 
@@ -48,6 +55,7 @@ def repaired(
     Args:
         measured: the model.
         lens_model: larger lens model for all cameras; "": the present one.
+        shutter: direction of a rolling shutter for all cameras; "": none is added.
         with_priors: keep the measured positions and attitudes.
         is_bent: True if positions, which are left out, bend the model.
     """
@@ -70,6 +78,11 @@ def repaired(
             from bundle.editing.cameras.model_change import change_camera_model
 
             problem = change_camera_model(problem, lens_model).problem
+        if shutter:
+            from bundle.editing.rolling_shutters import with_shutters
+
+            rolling = ShutterOptions(rolling_shutter=shutter)
+            problem, options = with_shutters(problem, rolling, options)
         rules = measured.constraints
         request = SolveRequest(
             problem=problem, options=options, priors=priors, align=False, constraints=rules
@@ -78,13 +91,14 @@ def repaired(
         result = prepared.finished(solve_prepared(prepared, None))
     except InputError:
         return None
-    if not lens_model and result.summary.termination_type != "CONVERGENCE":
+    flags = ["--camera-model", lens_model] if lens_model else []
+    flags += ["--rolling-shutter", shutter] if shutter else []
+    if not flags and result.summary.termination_type != "CONVERGENCE":
         return None
-    flags = ("--camera-model", lens_model) if lens_model else ("--loss", "cauchy")
     return dataclasses.replace(
         measured,
         whole=result.problem,
-        command=measured.command.after(*flags),
+        command=measured.command.after(*(flags or ("--loss", "cauchy"))),
         options=options,
         covariance=None,
         priors=priors,
