@@ -66,6 +66,34 @@ def test_a_clipped_axis_piles_up_at_its_end_and_a_quantised_one_does_not() -> No
     assert {each[:2] for each in found(lower, accel)} == {("saturated", "gyro")}
 
 
+@pytest.mark.parametrize(
+    ("rows", "before", "is_clipped"),
+    [
+        ([500, 501, 502, 503], 1, True),
+        ([500, 501, 502, 600], 1, False),
+        ([500, 501, 502], 1, False),
+        ([*range(500, 506), *range(600, 606)], 4, True),
+        ([*range(500, 506), *range(600, 606)], 5, False),
+    ],
+)
+def test_four_in_a_row_at_an_end_that_piles_up_threefold_are_clipped(
+    rows: list[int], before: int, is_clipped: bool
+) -> None:
+    for sign in (1, -1):
+        gyro, accel = np.random.default_rng(5).normal(0, 0.1, (2, SIZE, 3))
+        end = np.abs(gyro[:, 1]).max()
+        gyro[100 : 100 + 7 * before : 7, 1] = sign * (end + 1e-3)
+        gyro[rows, 1] = sign * (end + 2e-3)
+        count = len(np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1))
+        assert [each[0] for each in found(gyro, accel)] == is_clipped * count * ["saturated"]
+
+
+def test_a_frozen_sample_far_away_is_one_stretch() -> None:
+    gyro, accel = samples()
+    gyro[1000:1005] = gyro[1000] + 3
+    assert found(gyro, accel) == [("frozen", "gyro", 1000, 1004)]
+
+
 @pytest.mark.parametrize("sign", [-1, 1])
 @pytest.mark.parametrize(("sensor", "size"), [(0, 0.06), (1, 0.6)])
 def test_a_spike_stands_out_of_its_neighbours_and_of_the_recording(

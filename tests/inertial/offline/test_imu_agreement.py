@@ -28,7 +28,7 @@ def agreement(intervals, chi2_=0.0, alone=(0.0, 1.0), scale=1.0):
     return Agreement.of(costs_of(intervals), len(intervals), cost, alone, scale)
 
 
-@pytest.mark.parametrize("degrees", [6, 15, 900])
+@pytest.mark.parametrize("degrees", [1, 6, 15, 900])
 def test_the_bound_is_the_quantile(degrees):
     for probability in (1e-3, 1e-5):
         exact = chi2.isf(probability, degrees)

@@ -106,6 +106,15 @@ def test_a_jump_of_the_bias_names_its_interval(flight, model):
     assert found.findings[0].evidence["seconds"] == pytest.approx(4.5, abs=0.7)
 
 
+def test_forces_that_are_a_tenth_too_large_or_too_small():
+    flight = bundle.synthesize_flight(motion="room", duration=8.0, num_tracks=60, seed=11)
+    problem, stamps = model_of(flight.sequence, flight.ground_truth, 4, noise=0.2)
+    found = adjusted(changed(flight.sequence, accel=lambda v: 1.12 * v), problem, stamps, OPTIONS)
+    assert [one.kind for one in found.findings][-1] == "accel_scale"
+    evidence = found.findings[-1].evidence
+    assert evidence["ratio"] == pytest.approx(1.12, abs=3 * evidence["ratio_sigma"])
+
+
 def test_noise_of_the_calibration(flight, model):
     noise = flight.sequence.calibration.noise
     large = changed(flight.sequence, calibration={"noise": noise.scaled(30.0)})

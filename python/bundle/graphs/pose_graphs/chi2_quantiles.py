@@ -60,9 +60,14 @@ def chi2_limit(degrees: int) -> float:
 
 
 def chi2_bound(degrees: int, probability: float) -> float:
-    """Return the value that chi2 exceeds with a small probability (Wilson and Hilferty)."""
+    """Return the value that chi2 exceeds with a small probability.
+
+    It is exact for one degree of freedom, and that of Wilson and Hilferty for more.
+    """
     from statistics import NormalDist  # slow, and most solves need the tables alone
 
+    if degrees == 1:
+        return NormalDist().inv_cdf(1 - probability / 2) ** 2
     return _quantile(degrees, NormalDist().inv_cdf(1 - probability))
 
 

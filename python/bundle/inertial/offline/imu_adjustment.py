@@ -42,8 +42,8 @@ from bundle.inertial.offline.imu_bodies import ImuBodies
 from bundle.inertial.offline.imu_findings import LONG_ARM, Evidence, imu_findings
 from bundle.inertial.offline.inertial_result import ImuSamples, InertialAdjustment
 from bundle.inertial.offline.inertial_start import InertialStart, preintegrated
-from bundle.inertial.offline.lever_arm import ArmError, arm_error
 from bundle.inertial.offline.motion_solve import GRAVITY, MotionState, solved_with_motions
+from bundle.inertial.offline.path_errors import PathErrors, path_errors
 from bundle.inertial.offline.rotation_map import RotationMap, axes_sentence
 from bundle.inertial.offline.upright_start import to_priors, upright_start
 from bundle.inertial.preintegration.preintegration import Preintegration
@@ -333,13 +333,19 @@ def _accel_axes(case: _Case, intervals: list[ImuInterval], rule: str) -> str:
     )
 
 
-def _arm_error(case: _Case, found: _Adjusted, noise: ImuNoise) -> ArmError:
+def _path_errors(case: _Case, found: _Adjusted, noise: ImuNoise) -> PathErrors:
     problem, bodies = case.images.problem, case.bodies
     intervals = found.video.at(found.clock.seconds if found.clock.is_clear else 0.0)
-    return arm_error(
+    return path_errors(
         bodies.imu_rotations(problem), bodies.centers(problem), bodies.arms(problem),
         bodies.axes(problem), intervals, noise, found.video.rule, found.start.gyro_bias,
     )  # fmt: skip
+
+
+def _lift(case: _Case, state: MotionState) -> float:
+    """Return the mean bias of the accelerometer along z, upwards."""
+    rotations = case.bodies.imu_rotations(state.problem)
+    return float(np.einsum("nj,nj->n", rotations[:, 2], state.biases[:, 3:]).mean())
 
 
 def _evidence(
@@ -373,7 +379,8 @@ def _evidence(
         is_quadratic=case.options.loss == "trivial",
         rotations=rotations,
         axes=axes,
-        arm=_arm_error(case, found, density),
+        path=_path_errors(case, found, density),
+        lift=_lift(case, found.state),
         clocks=video.clock_errors(case.rotations, case.noise, clock),
         offset=clock,
         noise=noise_ratios(*samples, density),

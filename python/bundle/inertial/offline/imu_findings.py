@@ -19,7 +19,8 @@ from bundle.inertial.offline.imu_agreement import (
     Agreement,
     ClockErrors,
 )
-from bundle.inertial.offline.lever_arm import ArmError
+from bundle.inertial.offline.motion_solve import ACCEL_BIAS_SIGMA
+from bundle.inertial.offline.path_errors import PathErrors
 from bundle.inertial.offline.rotation_map import RotationMap
 from bundle.model.rotations import (
     quaternion_from_matrix,
@@ -34,6 +35,9 @@ Array = NDArray[np.float64]
 
 OUTLIERS = 4.0
 """Variance factor of the images under a quadratic loss from which outliers rule the cost."""
+UNUSUAL_LIFT = 2.576 * ACCEL_BIAS_SIGMA
+"""Bias along gravity, m/s^2, that one of a hundred accelerometers has. Models of real videos drift:
+their path alone is no proof."""
 LONG_ARM = 3.0
 """Distance in metres between camera and IMU from which millimetres are likely."""
 
@@ -42,6 +46,7 @@ CAUSES = {
     "imu_samples": "samples are no measurements",
     "camera_from_imu": "camera_from_imu is turned",
     "arm": "the arm of camera_from_imu is wrong",
+    "accel_scale": "the scale of the forces is wrong",
     "gyro_scale": "the scale of the rates is wrong",
     "imu_clocks": "the times of images are wrong",
     "imu_noise": "the calibrated noise is wrong",
@@ -55,7 +60,7 @@ class ImuFinding(NamedTuple):
 
     Attributes:
         kind: "imu_contradiction", "imu_samples", "imu_interval", "camera_from_imu", "arm",
-            "gyro_scale", "imu_clocks" or "imu_noise".
+            "accel_scale", "gyro_scale", "imu_clocks" or "imu_noise".
         sentence: the fact with its numbers.
         flags: flags that the next command adds; none: no command helps.
         evidence: numbers behind the sentence.
@@ -78,7 +83,8 @@ class Evidence(NamedTuple):
         is_quadratic: True without a robust loss.
         rotations: map between the rotations.
         axes: sentence on the axes of the accelerometer, or "".
-        arm: error of the arm of camera_from_imu.
+        path: errors of the arm and of the forces by the path.
+        lift: mean bias of the accelerometer upwards in the result, m/s^2.
         clocks: errors of single times.
         offset: offset of the clocks.
         noise: calibrated noise densities over those of the samples.
@@ -96,7 +102,8 @@ class Evidence(NamedTuple):
     is_quadratic: bool
     rotations: RotationMap
     axes: str
-    arm: ArmError
+    path: PathErrors
+    lift: float
     clocks: ClockErrors
     offset: ClockOffset
     noise: tuple[float, float]
@@ -120,7 +127,7 @@ def imu_findings(known: Evidence) -> tuple[ImuFinding, ...]:
         if one is not None
     ]  # fmt: skip
     if not others:
-        others = [one for one in (_arm(known),) if one is not None]
+        others = [one for one in (_forces(known), _arm(known)) if one is not None]
     first = _contradiction(known, others)
     return tuple(others if first is None else [first, *others])
 
@@ -172,10 +179,25 @@ def _contradiction(known: Evidence, others: Sequence[ImuFinding]) -> ImuFinding 
     )
 
 
+def _forces(known: Evidence) -> ImuFinding | None:
+    """Return the finding of forces of a wrong scale, which the bias of the result shows, too."""
+    found = known.path
+    if not found.is_scale_wrong or known.lift * np.sign(found.forces - 1) < UNUSUAL_LIFT:
+        return None
+    return ImuFinding(
+        "accel_scale",
+        f"The forces of the accelerometer are {found.forces:.3f} +- {found.forces_sigma:.1g} times "
+        "those of the images at a gravity of 9.81 m/s^2: its scale is wrong, and that of the "
+        "result with it, or its bias along gravity is unusual.",
+        (),
+        {"ratio": found.forces, "ratio_sigma": found.forces_sigma},
+    )
+
+
 def _arm(known: Evidence) -> ImuFinding | None:
     """Return the finding of a wrong arm; other errors bend the path, too."""
-    found = known.arm
-    if not found.is_clear:
+    found = known.path
+    if not found.is_arm_wrong:
         return None
     right = known.camera_from_imu[4:] + found.shift
     size, sigma = found.size

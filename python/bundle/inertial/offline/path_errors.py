@@ -1,9 +1,12 @@
-r"""Error of the arm of camera_from_imu, by the path of the images alone.
+r"""Errors of the arm of camera_from_imu and of the scale of forces, by the path of images alone.
 
 The equations of ``inertial_start`` are linear in an error d of the arm, along the axes of the body:
 with R_k = world_from_body,
 
     s c_k + l_k + R_k d = p_0 + v_0 t + 1/2 g t^2 + P_k + Q_k a.
+
+Forces that are f times too large are explained by s and g that are f times as large. The length of
+g is free here, and tells f. Only a motion that tilts the IMU separates it from a bias along g.
 
 Their errors are those of the positions, white with sigma p, and of the samples: the integrals of a
 white noise n and of a random walk w of the bias. For t <= u, an axis has the covariance
@@ -11,12 +14,13 @@ white noise n and of a random walk w of the bias. For t <= u, an axis has the co
     p^2 [t = u] + n^2 (t^2 u / 2 - t^3 / 6) + w^2 (t^3 u^2 / 12 - t^4 u / 24 + t^5 / 120),
 
 by which each segment is whitened. The residuals give the factor v of all covariances, at least 1. p
-is small on purpose: larger errors of positions then count by v, as if they were slow. d^T C^-1 d is
-chi2 with 3 degrees of freedom, C its covariance times v.
+is small on purpose: larger errors of positions then count by v, as if they were slow. The prior of
+the bias does not depend on v. d^T C^-1 d is chi2 with 3 degrees of freedom, C its covariance.
 """
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,15 +28,15 @@ from numpy.typing import NDArray
 
 from bundle.graphs.pose_graphs.chi2_quantiles import chi2_bound
 from bundle.inertial.offline.inertial_start import (
-    ACCEL_BIAS_SIGMA,
     preintegrated,
     segment_rows,
     segments,
 )
+from bundle.inertial.offline.motion_solve import ACCEL_BIAS_SIGMA, GRAVITY
 from bundle.inertial.vio.window_frame import ImuInterval
 from bundle.model.sequence.imu_noise import ImuNoise
 
-__all__ = ["ArmError", "arm_error"]
+__all__ = ["PathErrors", "path_errors"]
 
 Array = NDArray[np.float64]
 
@@ -40,22 +44,29 @@ POSITION_SIGMA = 1e-3
 """Metres: p."""
 ARM_SIGMA = 1.0
 """Metres: a weak prior on d, for paths that do not turn."""
-FALSE_ALARM = 1e-5
-"""Probability of a false alarm in a run, for sigmas that are up to 1.2 times too small."""
-LEAST = 0.02
-"""Metres: a smaller error does not count."""
+FALSE_ALARM = 1e-4
+"""Probability of a false alarm in a run."""
+DISPERSION = 2.0
+"""Mean of the chi2 of right arms over its expectation in 30 simulated flights: errors of positions
+are not white. That of f is 0.8."""
+LEAST, LEAST_SCALE = 0.02, 0.02
+"""Metres, and share of the forces: smaller errors do not count."""
 
 
-class ArmError(NamedTuple):
-    """Error of an arm.
+class PathErrors(NamedTuple):
+    """Errors of a path.
 
     Attributes:
         shift: (3,) d in metres: the right arm is the given one plus d.
         covariance: (3, 3).
+        forces: f.
+        forces_sigma: its standard deviation.
     """
 
     shift: Array = np.zeros(3)
     covariance: Array = np.eye(3)
+    forces: float = 1.0
+    forces_sigma: float = math.inf
 
     @property
     def chi2(self) -> float:
@@ -70,12 +81,18 @@ class ArmError(NamedTuple):
         return length, float(np.sqrt(along @ self.covariance @ along))
 
     @property
-    def is_clear(self) -> bool:
-        """True for an error beyond noise."""
-        return bool(self.size[0] > LEAST and self.chi2 > chi2_bound(3, FALSE_ALARM))
+    def is_arm_wrong(self) -> bool:
+        """True for an error of the arm beyond noise."""
+        return self.size[0] > LEAST and self.chi2 > DISPERSION * chi2_bound(3, FALSE_ALARM)
+
+    @property
+    def is_scale_wrong(self) -> bool:
+        """True for a scale of the forces beyond noise and a usual bias."""
+        error = abs(self.forces - 1)
+        return error > LEAST_SCALE and (error / self.forces_sigma) ** 2 > chi2_bound(1, FALSE_ALARM)
 
 
-def arm_error(
+def path_errors(
     rotations: Array,
     centers: Array,
     arms: Array,
@@ -84,8 +101,8 @@ def arm_error(
     noise: ImuNoise,
     rule: str,
     rate_bias: Array,
-) -> ArmError:
-    """Return the error of the arm.
+) -> PathErrors:
+    """Return the errors.
 
     Args:
         rotations: (n, 3, 3) world_from_imu.
@@ -99,9 +116,7 @@ def arm_error(
     """
     motions = preintegrated(intervals, noise, np.append(rate_bias, np.zeros(3)), rule)
     times = np.cumsum([0.0, *(motion.duration for motion in motions)])
-    prior = np.zeros((6, 11))
-    prior[:3, 4:7], prior[3:, 7:10] = np.eye(3) / ACCEL_BIAS_SIGMA, np.eye(3) / ARM_SIGMA
-    rows, freedom = [prior], -10
+    rows, freedom = [], -10
     for part in segments(times):
         given = segment_rows(part, rotations, centers, arms, motions, times)
         n = len(part)
@@ -113,12 +128,21 @@ def arm_error(
         rows.append(whitened[:, 6:] - basis @ (basis.T @ whitened[:, 6:]))
         freedom += 3 * n - 6
     if freedom < 1:
-        return ArmError()
-    system = np.vstack(rows)
-    x: Any = np.linalg.lstsq(system[:, :10], system[:, 10], rcond=None)[0]
-    residual = system[:, 10] - system[:, :10] @ x
-    inverse: Any = np.linalg.pinv(system[:, :10].T @ system[:, :10])
-    return ArmError(x[7:], max(float(residual @ residual) / freedom, 1.0) * inverse[7:, 7:])
+        return PathErrors()
+    system, factor = np.vstack(rows), 1.0
+    for _ in range(2):
+        prior = math.sqrt(factor) * np.eye(6, 11, 4)
+        prior[:3] /= ACCEL_BIAS_SIGMA
+        prior[3:] /= ARM_SIGMA
+        columns = np.vstack([system, prior])
+        x: Any = np.linalg.lstsq(columns[:, :10], columns[:, 10], rcond=None)[0]
+        residual = system[:, 10] - system[:, :10] @ x
+        factor = max(float(residual @ residual) / freedom, 1.0)
+    inverse: Any = factor * np.linalg.pinv(columns[:, :10].T @ columns[:, :10])
+    length = float(np.linalg.norm(x[1:4]))
+    down = x[1:4] / length
+    sigma = math.sqrt(float(down @ inverse[1:4, 1:4] @ down))
+    return PathErrors(x[7:], inverse[7:, 7:], length / GRAVITY, sigma / GRAVITY)
 
 
 def _covariance(times: Array, noise: ImuNoise) -> Array:
