@@ -1,10 +1,9 @@
 """Covariances of random problems against the dense pseudo-inverse of J, block by block.
 
 Random problems (tests/analysis/uncertainty/random_problems) have rigs, ties, priors, fixed parts
-and losses. Where more than similarities is free, both have to say so. Off a minimum a sandwich need
-not exist: problems of convex losses are also asked for theirs. Printed beside each: what sums of
-squares would round (Dense.rounding), a sandwich twice; covariances of small problems do without
-these.
+and losses. Where more than similarities is free, or a loss rejects too much for a sandwich, both
+have to say so. Printed beside each: what sums of squares would round (Dense.rounding), a sandwich
+twice; covariances of small problems do without these.
 
 python -m tests.campaigns.covariance COUNT [SEED]
 """
@@ -43,9 +42,8 @@ class Comparison(NamedTuple):
 def compare_seed(seed: int) -> list[Comparison]:
     """Compare one problem, by weights and, where it has one, by its sandwich."""
     case = random_case(seed)
-    convex = case.settings["loss"] in ("trivial", "soft_l1")
     found = []
-    for robust in ("weights", "sandwich") if convex else ("weights",):
+    for robust in ("weights", "sandwich"):
         try:
             cov = bundle.covariance(
                 case.problem, robust=robust, factors=case.factors, num_threads=1, **case.settings

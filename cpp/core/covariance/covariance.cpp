@@ -52,7 +52,7 @@ CovarianceComputation::Matrix3 CovarianceComputation::OfPoint(int point, const P
                                                               PaddedRows* y) const {
   y->Set(blocks.y);
   Matrix3 out = Eigen::Map<const Matrix3>(blocks.inverse);
-  AddPairs(system_, system_.values(), blocks, *y, *y, /*is_same=*/true, out.data());
+  AddPairs(system_, system_.values(), blocks, *y, out.data());
   TakeGaugeOut(point, blocks.inverse, &out);
   return out;
 }
@@ -70,19 +70,12 @@ CovarianceComputation::Matrix3 CovarianceComputation::ScatterOfPoint(int point,
   const std::vector<double>& prior = system_.tracks().prior;
   const Eigen::Map<const Matrix3> inverse(blocks.inverse);
   y->Set(blocks.y);
-  PointScores scores;
-  SumScores(blocks, rows, prior.empty() ? nullptr : &prior[9 * size_t(point)], &scores);
-  Matrix3 cross = Matrix3::Zero(), sum = Matrix3::Zero();
-  PaddedRows e;
-  const std::vector<double> scores_e = ScoresBesidePoint(blocks, scores);
-  e.Set(scores_e);
-  AddPairs(system_, system_.values(), blocks, *y, e, /*is_same=*/false, cross.data());
-  AddPairs(system_, scatter_, blocks, *y, *y, /*is_same=*/true, sum.data());
-  const Eigen::Map<const Matrix3> of_point(scores.p);
-  const Matrix3 back = cross * inverse;
-  Matrix3 out = inverse * of_point * inverse + sum - back - back.transpose();
+  double p[9];
+  ExpectScatter(rows, variance_, prior.empty() ? nullptr : &prior[9 * size_t(point)], p);
+  Matrix3 out = inverse * Eigen::Map<const Matrix3>(p) * inverse;
+  AddPairs(system_, scatter_, blocks, *y, out.data());
   if (scatter_gauge_ != nullptr) {
-    scatter_gauge_->TransformPoint(point, blocks, layout(), scores_e.data(), scores.p, out.data());
+    scatter_gauge_->TransformPoint(point, blocks, layout(), p, out.data());
   }
   return out;
 }

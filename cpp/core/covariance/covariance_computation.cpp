@@ -13,6 +13,7 @@
 #include <utility>
 #include <vector>
 
+#include "core/covariance/leverages.h"
 #include "core/covariance/long_scatter.h"
 #include "core/covariance/long_sums.h"
 #include "core/covariance/sandwich.h"
@@ -20,35 +21,49 @@
 
 namespace bundle {
 
-/// S with the terms that fix its gauge, in long doubles. It is computed from rows, or copied from
-/// the sums, if a dense system needs it; otherwise empty.
-LongMatrix CovarianceComputation::SumHeld(bool by_rows) const {
-  if (by_rows) {
-    LongMatrix held = SumSystemOfRows(system_);
-    if (output_.gauge_degrees == 0) return held;
-    const LongMatrix b = gauge_->HeldDirections().cast<long double>();
-    return held + b.lazyProduct(b.transpose());
+/// S with the terms that fix its gauge, in long doubles, from rows; empty for a large system.
+LongMatrix CovarianceComputation::SumHeld() const {
+  if (!is_small_) return {};
+  LongMatrix held = SumSystemOfRows(system_);
+  if (output_.gauge_degrees == 0) return held;
+  const LongMatrix b = gauge_->HeldDirections().cast<long double>();
+  return held + b.lazyProduct(b.transpose());
+}
+
+/// Leverages need the blocks of S^-1, so that S is factorised twice.
+void CovarianceComputation::CorrectScores() {
+  Factorize();
+  LongMatrix inverse;
+  if (is_small_) {
+    inverse.setIdentity(lower_.rows(), lower_.cols());
+    SolveLong(lower_, &inverse);
+  } else {
+    Check(system_.Invert());
   }
-  if (!wanted_.sandwich || !is_small_) return {};
-  return Whole(system_.values(), system_.num_unknowns());
+  CorrectedResiduals corrected = CorrectForLeverage(system_, inverse);
+  variance_ = corrected.variance;
+  output_.predicted_decrease = system_.point_sums().decrease / corrected.kappa;
+  system_.SetScores(std::move(corrected.scores), corrected.kappa);
+  system_.SetSystem(SumBread(system_));
+  HoldGauge();
 }
 
 void CovarianceComputation::FindScatter() {
   if (is_small_) {
     long_scatter_ =
-        std::make_unique<LongScatter>(system_, std::move(lower_), SumMeatOfRows(system_),
+        std::make_unique<LongScatter>(system_, std::move(lower_), SumMeatOfRows(system_), variance_,
                                       constraints_ == nullptr ? nullptr : gauge_.get());
     scatter_ = long_scatter_->OfUnknowns();
     return;
   }
   if (constraints_ != nullptr) scatter_gauge_ = std::make_unique<ScatterGauge>(*gauge_);
-  const BlockValues meat = SumMeat(system_, scatter_gauge_.get());
+  const BlockValues meat = SumMeat(system_, variance_, scatter_gauge_.get());
   Check(SolveForScatter(&system_, meat, scatter_gauge_.get(), &scatter_));
   if (scatter_gauge_ != nullptr) Check(scatter_gauge_->Finish(&system_, meat));
 }
 
-void CovarianceComputation::Factorize(bool by_rows) {
-  const LongMatrix held = SumHeld(by_rows);
+void CovarianceComputation::Factorize() {
+  const LongMatrix held = SumHeld();
   Check(system_.Factorize());
   if (held.size() > 0) {
     const Eigen::Index n = held.rows();
@@ -103,9 +118,19 @@ CovarianceComputation::Matrix CovarianceComputation::CovarianceTimes(const Eigen
       Check(system_.Solve(with_points, to));
       if (constraints_ != nullptr) gauge_->Project(to);
     };
+    FullVectors own;
+    if (constraints_ != nullptr) {  // also move the points, which have their own scatter
+      gauge_->ProjectTransposed(&with_points);
+      own = with_points;
+      with_points = ReduceByPoints(system_, own);
+    }
     solve(&once);
     with_points = MeatTimes(system_, once);
     solve(&twice);
+    if (constraints_ != nullptr) {
+      AddOwnScatter(system_, variance_, own, &twice);
+      gauge_->Project(&twice);
+    }
     x = Eigen::Map<const Eigen::MatrixXd>(twice.cameras.data(), n, count);
   }
   Matrix columns = x;

@@ -43,12 +43,11 @@ class CovarianceComputation {
         is_small_(wanted.long_sums && system_.is_small()) {}
 
   CovarianceOutput Run() {
-    if (wanted_.sandwich) system_.UseSecondOrder();
-    const bool by_rows = is_small_ && system_.EliminateByRows();
-    if (wanted_.sandwich) system_.SetSystem(SumBread(system_));
+    if (is_small_) system_.EliminateByRows();
     HoldGauge();
     CountResiduals();
-    Factorize(by_rows);
+    if (wanted_.sandwich) CorrectScores();
+    Factorize();
     FindDirections();
     FindSteps();
     FindFunctions();
@@ -63,8 +62,6 @@ class CovarianceComputation {
     }
     if (constraints_ != nullptr && !wanted_.sandwich) {
       constraints_->TransformBlocks(system_.structure(), &system_.values());
-    } else if (scatter_gauge_ != nullptr) {
-      scatter_gauge_->TransformInverse(system_.structure(), &system_.values());
     }
     if (wanted_.of_points) FindPoints();
     if (scatter_gauge_ != nullptr) {
@@ -297,8 +294,9 @@ class CovarianceComputation {
   static constexpr int kLocal = kImageColumns;
 
   // factorize.cpp
-  LongMatrix SumHeld(bool by_rows) const;
-  void Factorize(bool by_rows);
+  void CorrectScores();
+  LongMatrix SumHeld() const;
+  void Factorize();
   void FindScatter();
   // covariance.cpp
   void FindPoints();
@@ -328,6 +326,7 @@ class CovarianceComputation {
   LongMatrix lower_;   ///< L of S, of a small system
   std::unique_ptr<LongScatter> long_scatter_;  ///< scatter of a small system
   BlockValues scatter_;                        ///< D, and finally D'; for the sandwich
+  double variance_ = 1;                        ///< s^2 of the sandwich
   Matrix step_;                                ///< Newton step of the unknowns, one column
   CovarianceOutput output_;
 };

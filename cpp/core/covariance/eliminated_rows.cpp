@@ -2,7 +2,6 @@
 
 #include <Eigen/QR>
 #include <algorithm>
-#include <cmath>
 #include <cstddef>
 
 #include "core/dense/decompositions.h"
@@ -12,26 +11,7 @@ namespace {
 
 using Eigen::MatrixXd;
 
-/// Limit below which a curvature along the residual is zero up to rounding.
-constexpr double kRounding = 1e-12;
-
 }  // namespace
-
-bool RootOfCurvature(const ObservationRows& rows, Eigen::Matrix2d* root) {
-  root->setIdentity();
-  if (rows.bend == 0) return true;
-  const Eigen::Map<const Eigen::Vector2d> r(rows.residual);
-  const double along = 1 + rows.bend * r.squaredNorm();
-  if (along < -kRounding) return false;
-  *root += (std::sqrt(std::max(along, 0.0)) - 1) / r.squaredNorm() * r * r.transpose();
-  return true;
-}
-
-Eigen::Matrix2d RootOrIdentity(const ObservationRows& rows, bool second_order) {
-  Eigen::Matrix2d root = Eigen::Matrix2d::Identity();
-  if (second_order) RootOfCurvature(rows, &root);
-  return root;
-}
 
 Eigen::Map<const TwoRows> RowsByBlock(const ObservationRows& rows, int b) {
   return Eigen::Map<const TwoRows>(rows.jacobian[b], 2, rows.size[b]);
@@ -39,8 +19,8 @@ Eigen::Map<const TwoRows> RowsByBlock(const ObservationRows& rows, int b) {
 
 EliminatedRows::EliminatedRows(const PointBlocks& blocks, const PointAssembler& assembler,
                                const std::vector<double>& priors) {
-  const MatrixXd rows = AllRows(blocks, assembler, priors, [&](const ObservationRows& of) {
-    return RootOrIdentity(of, assembler.is_second_order());
+  const MatrixXd rows = AllRows(blocks, assembler, priors, [](const ObservationRows&) {
+    return Eigen::Matrix2d(Eigen::Matrix2d::Identity());
   });
   MatrixXd turned = rows.rightCols(blocks.begin.back());
   const Eigen::Index rank = std::min<Eigen::Index>(3 - blocks.num_null, rows.rows());

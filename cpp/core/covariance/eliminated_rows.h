@@ -14,9 +14,7 @@
 ///
 ///   S = sum_p T_p^T T_p,      V_p^-1 = Z R^-1 R^-T Z^T,      Y_p^T = Z R^-1 (Q^T J_c)_1,
 ///
-/// with errors of eps times the condition of J_p. With the second derivatives of the loss
-/// (observation_rows.h) an observation's two rows are multiplied by I + gamma r r^T, whose square
-/// is I + beta r r^T.
+/// with errors of eps times the condition of J_p.
 
 #include <Eigen/Core>
 #include <algorithm>
@@ -26,11 +24,6 @@
 #include "core/covariance/point_blocks.h"
 
 namespace bundle {
-
-/// I + gamma r r^T; false if an observation has negative curvature along its residual.
-bool RootOfCurvature(const ObservationRows& rows, Eigen::Matrix2d* root);
-/// Square root of the curvature; to first order the identity.
-Eigen::Matrix2d RootOrIdentity(const ObservationRows& rows, bool second_order);
 
 /// Rows of an observation by block b, 2 x its size.
 using TwoRows = Eigen::Matrix<double, 2, Eigen::Dynamic, Eigen::RowMajor>;

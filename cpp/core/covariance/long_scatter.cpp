@@ -3,6 +3,7 @@
 #include <cstddef>
 #include <utility>
 
+#include "core/covariance/sandwich.h"
 #include "core/dense/decompositions.h"
 #include "core/parallel/thread_pool.h"
 
@@ -57,13 +58,13 @@ struct LongScatter::Shares {
   std::vector<int> unknowns;  ///< unknowns of its blocks
   LongMatrix y;               ///< Y, unknowns x 3
   LongMatrix inverse;         ///< V^-1
-  LongMatrix e, p;            ///< E, unknowns x 3, and P
+  LongMatrix p;               ///< P
   LongMatrix n;               ///< N_p, 3 x d
 };
 
 LongScatter::LongScatter(const ReducedSystem& system, LongMatrix lower, const LongMatrix& meat,
-                         const FreeGauge* gauge)
-    : system_(system), gauge_(gauge), lower_(std::move(lower)) {
+                         double variance, const FreeGauge* gauge)
+    : system_(system), gauge_(gauge), lower_(std::move(lower)), variance_(variance) {
   const Eigen::Index n = lower_.rows(), d = gauge == nullptr ? 0 : gauge->degrees();
   basis_ = cameras_ = reduced_ = LongMatrix::Zero(n, d);
   if (d > 0) {
@@ -72,11 +73,10 @@ LongScatter::LongScatter(const ReducedSystem& system, LongMatrix lower, const Lo
     reduced_ = gauge->reduced().cast<long double>();
   }
   SumPoints();
-  inverse_ = Symmetric(Solve(LongMatrix::Identity(n, n)));
-  scatter_ = Symmetric(Solve(meat.lazyProduct(inverse_)));
-  x_ = Solve(reduced_);
-  of_unknowns_ = Solve(e_ + meat.lazyProduct(x_));
-  of_rest_ = q_ + reduced_.transpose().lazyProduct(of_unknowns_) + e_.transpose().lazyProduct(x_);
+  const LongMatrix inverse = Symmetric(Solve(LongMatrix::Identity(n, n)));
+  scatter_ = Symmetric(Solve(meat.lazyProduct(inverse)));
+  of_unknowns_ = Solve(meat.lazyProduct(Solve(reduced_)));
+  of_rest_ = q_ + reduced_.transpose().lazyProduct(of_unknowns_);
 }
 
 /// S^+ b
@@ -95,31 +95,27 @@ void LongScatter::RemoveGauge(LongMatrix* x) const {
 
 LongScatter::Shares LongScatter::FindShares(int point, const PointBlocks& blocks,
                                             const PointAssembler& rows) const {
-  const ReducedShares reduced = FindReducedShares(system_, point, blocks, rows);
+  const std::vector<double>& prior = system_.tracks().prior;
+  double p[9];
+  ExpectScatter(rows, variance_, prior.empty() ? nullptr : &prior[9 * size_t(point)], p);
   Shares shares;
   shares.unknowns = UnknownsOf(system_.layout(), blocks);
-  const LongMatrix t = reduced.of_unknowns.cast<long double>();
-  const LongMatrix g = reduced.of_point.cast<long double>();
-  shares.y = Eigen::Map<const Eigen::MatrixXd>(blocks.y.data(), 3, t.cols())
+  shares.y = Eigen::Map<const Eigen::MatrixXd>(blocks.y.data(), 3, blocks.begin.back())
                  .transpose()
                  .cast<long double>();
   shares.inverse = Eigen::Map<const Eigen::Matrix3d>(blocks.inverse).cast<long double>();
-  shares.e = t.transpose().lazyProduct(g);
-  shares.p = g.transpose().lazyProduct(g);
+  shares.p = Eigen::Map<const Eigen::Matrix3d>(p).cast<long double>();
   shares.n = LongMatrix::Zero(3, basis_.cols());
   if (basis_.cols() > 0) shares.n = gauge_->OfPoint(point).cast<long double>();
   return shares;
 }
 
 void LongScatter::SumPoints() {
-  e_ = LongMatrix::Zero(basis_.rows(), basis_.cols());
   q_ = LongMatrix::Zero(basis_.cols(), basis_.cols());
   if (basis_.cols() == 0) return;
   system_.ForPoints(1, [&](int point, const PointBlocks& blocks, const PointAssembler& rows, int) {
     const Shares of = FindShares(point, blocks, rows);
     const LongMatrix solved = of.inverse.lazyProduct(of.n);
-    const LongMatrix added = of.e.lazyProduct(solved);
-    for (Eigen::Index i = 0; i < added.rows(); ++i) e_.row(of.unknowns[i]) += added.row(i);
     q_ += solved.transpose().lazyProduct(of.p.lazyProduct(solved).eval());
   });
 }
@@ -136,14 +132,11 @@ void LongScatter::OfPoint(int point, const PointBlocks& blocks, const PointAssem
                           double covariance[9]) const {
   const Shares of = FindShares(point, blocks, rows);
   const LongMatrix yt = of.y.transpose();
-  const LongMatrix f =
-      yt.lazyProduct(BlockTimes(inverse_, of.unknowns, of.e)).eval().lazyProduct(of.inverse);
-  LongMatrix sum = of.inverse.lazyProduct(of.p.lazyProduct(of.inverse).eval()) - f - f.transpose();
+  LongMatrix sum = of.inverse.lazyProduct(of.p.lazyProduct(of.inverse).eval());
   sum += yt.lazyProduct(BlockTimes(scatter_, of.unknowns, of.y));
   const LongMatrix own = of.p.lazyProduct(of.inverse.lazyProduct(of.n).eval());
   const LongMatrix r =
-      of.inverse.lazyProduct((own + of.e.transpose().lazyProduct(Rows(x_, of.unknowns))).eval()) -
-      yt.lazyProduct(Rows(of_unknowns_, of.unknowns));
+      of.inverse.lazyProduct(own) - yt.lazyProduct(Rows(of_unknowns_, of.unknowns));
   const LongMatrix back = r.lazyProduct(of.n.transpose());
   sum += of.n.lazyProduct(of_rest_.lazyProduct(of.n.transpose()).eval()) - back - back.transpose();
   Eigen::Map<Eigen::Matrix3d> to(covariance);

@@ -96,29 +96,19 @@ void Finish(const ReducedSystem& system, long double own, LongMatrix* sum) {
 
 }  // namespace
 
-LongMatrix Whole(const BlockValues& values, Eigen::Index n) {
-  LongMatrix whole = Eigen::Map<const MatrixXd>(values.data(), n, n).cast<long double>();
-  for (Eigen::Index j = 0; j < n; ++j) {
-    for (Eigen::Index i = 0; i < j; ++i) whole(i, j) = whole(j, i);
-  }
-  return whole;
-}
-
 std::vector<int> UnknownsOf(const ParameterLayout& layout, const PointBlocks& blocks) {
   std::vector<int> unknowns;
   for (const int block : blocks.blocks) AppendUnknowns(layout, block, &unknowns);
   return unknowns;
 }
 
-ReducedShares FindReducedShares(const ReducedSystem& system, int point, const PointBlocks& blocks,
-                                const PointAssembler& rows) {
+MatrixXd FindReducedShares(const ReducedSystem& system, int point, const PointBlocks& blocks,
+                           const PointAssembler& rows) {
   const MatrixXd all = AllRows(
       blocks, rows, system.point_prior_rows(point),
-      [](const ObservationRows& of) { return Eigen::RowVector2d(of.residual[0], of.residual[1]); });
+      [](const ObservationRows& of) { return Eigen::RowVector2d(of.score[0], of.score[1]); });
   const Eigen::Map<const MatrixXd> y(blocks.y.data(), 3, blocks.begin.back());
-  ReducedShares shares{all.rightCols(y.cols()), all.leftCols(3)};
-  shares.of_unknowns -= Multiply(shares.of_point, y);
-  return shares;
+  return all.rightCols(y.cols()) - Multiply(all.leftCols(3), y);
 }
 
 LongMatrix SumSystemOfRows(const ReducedSystem& system) {
@@ -128,7 +118,7 @@ LongMatrix SumSystemOfRows(const ReducedSystem& system) {
     AddSquares(UnknownsOf(system.layout(), blocks), rows.rest(), &sum);
   });
   system.ForObservationsOfFixedPoints([&](const ObservationRows& rows) {
-    AddObservation(system.layout(), rows, RootOrIdentity(rows, system.is_second_order()), &sum);
+    AddObservation(system.layout(), rows, MatrixXd::Identity(2, 2), &sum);
   });
   AddFactors(system, &sum);
   Finish(system, 1, &sum);
@@ -138,12 +128,11 @@ LongMatrix SumSystemOfRows(const ReducedSystem& system) {
 LongMatrix SumMeatOfRows(const ReducedSystem& system) {
   LongMatrix sum = LongMatrix::Zero(system.num_unknowns(), system.num_unknowns());
   system.ForPoints(1, [&](int point, const PointBlocks& blocks, const PointAssembler& of, int) {
-    AddSquares(UnknownsOf(system.layout(), blocks),
-               FindReducedShares(system, point, blocks, of).of_unknowns, &sum);
+    AddSquares(UnknownsOf(system.layout(), blocks), FindReducedShares(system, point, blocks, of),
+               &sum);
   });
   system.ForObservationsOfFixedPoints([&](const ObservationRows& rows) {
-    AddObservation(system.layout(), rows, Eigen::Map<const Eigen::RowVector2d>(rows.residual),
-                   &sum);
+    AddObservation(system.layout(), rows, Eigen::Map<const Eigen::RowVector2d>(rows.score), &sum);
   });
   AddFactors(system, &sum);
   Finish(system, 0, &sum);

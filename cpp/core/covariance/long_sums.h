@@ -19,24 +19,17 @@ namespace bundle {
 
 using LongMatrix = Eigen::Matrix<long double, Eigen::Dynamic, Eigen::Dynamic>;
 
-/// Fills both triangles of a dense symmetric matrix from the stored lower triangle.
-LongMatrix Whole(const BlockValues& values, Eigen::Index n);
-
 /// S, with both triangles.
 LongMatrix SumSystemOfRows(const ReducedSystem& system);
 
 /// B, with both triangles.
 LongMatrix SumMeatOfRows(const ReducedSystem& system);
 
-/// One row per observation i of a point: its contribution psi_i to the gradient. Then one row per
-/// residual of the factors on this point alone: its row of the Jacobian. In all rows, the part of
-/// the other unknowns is reduced, as from G_i to t_i.
-struct ReducedShares {
-  Eigen::MatrixXd of_unknowns;  ///< t, by the unknowns of UnknownsOf
-  Eigen::MatrixXd of_point;     ///< g, three columns
-};
-ReducedShares FindReducedShares(const ReducedSystem& system, int point, const PointBlocks& blocks,
-                                const PointAssembler& rows);
+/// One row t_i per observation i of a point, by the unknowns of UnknownsOf: the camera parameters'
+/// part G_i of its contribution to the gradient, reduced by that of the point. Then one row per
+/// residual of the factors on this point alone, from its row of the Jacobian.
+Eigen::MatrixXd FindReducedShares(const ReducedSystem& system, int point, const PointBlocks& blocks,
+                                  const PointAssembler& rows);
 
 /// Unknowns of the point's blocks, one after the other.
 std::vector<int> UnknownsOf(const ParameterLayout& layout, const PointBlocks& blocks);

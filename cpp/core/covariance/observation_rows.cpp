@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <utility>
 
 #include "core/cameras/registry.h"
 #include "core/factors/loss.h"
@@ -139,6 +140,12 @@ void ObservationEvaluator::Hold(const std::vector<uint8_t>& held) {
   }
 }
 
+void ObservationEvaluator::SetScores(std::vector<double> scores, double kappa) {
+  root_curvature_ = std::sqrt(kappa);
+  for (double& score : scores) score /= root_curvature_;
+  scores_ = std::move(scores);
+}
+
 bool ObservationEvaluator::Evaluate(int64_t observation, ObservationRows* rows) const {
   const int image = problem_.observation_image[observation];
   const int camera = problem_.image_camera[image];
@@ -155,8 +162,13 @@ bool ObservationEvaluator::Evaluate(int64_t observation, ObservationRows* rows) 
       problem_.observation_sigma == nullptr ? 1 : problem_.observation_sigma[observation];
   double rho[3];
   ValueOfLoss(loss_, loss_scale_, SquaredNorm(rows->residual, 2) / (sigma * sigma), rho);
-  const double weight = std::sqrt(rho[1]) / sigma;
+  double weight = std::sqrt(rho[1]) / sigma;
   for (double& value : rows->residual) value *= weight;
+  weight *= root_curvature_;
+  rows->observation = observation;
+  rows->weight = root_curvature_ * root_curvature_ * rho[1];
+  std::copy_n(scores_.empty() ? rows->residual : &scores_[2 * static_cast<size_t>(observation)], 2,
+              rows->score);
   for (double& value : rows->point) value *= weight;
   rows->bend = rho[2] == 0 || rho[1] == 0 ? 0 : 2 * rho[2] / (rho[1] * rho[1]);
   rows->num_blocks = 0;

@@ -8,11 +8,12 @@
 ///   r~ = sqrt(rho'(||r / s||^2)) r / s,        J~ alike,
 ///
 /// so that J~^T J~ is its block of the Gauss-Newton matrix of the solvers (factors/loss.h). The
-/// second derivative of the loss adds beta g g^T with g = J~^T r~ and beta = 2 rho'' / rho'^2. Rows
-/// by the local columns of an image, (w, t) and intrinsics, are mapped to the blocks of the layout
-/// by schur/column_map.h and factors/rig_pose.h.
+/// second derivative of the loss adds beta g g^T with g = J~^T r~ and beta = 2 rho'' / rho'^2
+/// (leverages.h). Rows by the local columns of an image, (w, t) and intrinsics, are mapped to the
+/// blocks of the layout by schur/column_map.h and factors/rig_pose.h.
 
 #include <cstdint>
+#include <utility>
 #include <vector>
 
 #include "core/interface/adjustment_problem.h"
@@ -41,9 +42,12 @@ std::vector<LocalMap> FindLocalMaps(const AdjustmentProblem& problem, const Para
 /// Whitened by the sigma and weighted by the loss, row-major.
 struct ObservationRows {
   static constexpr int kMaxBlocks = ParameterLayout::kNumPlaces;
+  int64_t observation;
   double residual[2];
+  double score[2];  ///< J~^T score enters the sandwich; the residual until SetScores
   double point[2 * 3];
-  double bend;  ///< beta
+  double bend;    ///< beta
+  double weight;  ///< kappa rho', with the kappa of SetScores
   int num_blocks = 0;
   int block[kMaxBlocks];
   int size[kMaxBlocks];
@@ -61,6 +65,9 @@ class ObservationEvaluator {
 
   const CameraStates& states() const { return states_; }
   const std::vector<LocalMap>& maps(int image) const { return maps_[image]; }
+  /// Multiplies J~^T J~ by kappa from now on, and takes J~^T score from these scores, two numbers
+  /// per observation of the problem (leverages.h).
+  void SetScores(std::vector<double> scores, double kappa);
   /// Holds the marked unknowns constant from now on.
   void Hold(const std::vector<uint8_t>& held);
 
@@ -69,6 +76,8 @@ class ObservationEvaluator {
   const ParameterLayout& layout_;
   const CameraStates states_;
   std::vector<std::vector<LocalMap>> maps_;  ///< per image
+  std::vector<double> scores_;
+  double root_curvature_ = 1;
   const LossType loss_;
   const double loss_scale_;
   const Cheirality cheirality_;

@@ -68,13 +68,13 @@ void Invert(PointBlocks* blocks) {
 void ShareOf(const ObservationRows& rows, int b, double* share) {
   const double* const j = rows.jacobian[b];
   for (int k = 0; k < rows.size[b]; ++k) {
-    share[k] = j[k] * rows.residual[0] + j[rows.size[b] + k] * rows.residual[1];
+    share[k] = j[k] * rows.score[0] + j[rows.size[b] + k] * rows.score[1];
   }
 }
 
 void PointShare(const ObservationRows& rows, double share[3]) {
   for (int k = 0; k < 3; ++k) {
-    share[k] = rows.point[k] * rows.residual[0] + rows.point[3 + k] * rows.residual[1];
+    share[k] = rows.point[k] * rows.score[0] + rows.point[3 + k] * rows.score[1];
   }
 }
 
@@ -115,12 +115,8 @@ PointAssembler::Tracks PointAssembler::FindTracks(const AdjustmentProblem& probl
 }
 
 PointAssembler::PointAssembler(const ParameterLayout& layout, const ObservationEvaluator& evaluator,
-                               const Tracks& tracks, bool second_order)
-    : layout_(layout),
-      evaluator_(evaluator),
-      tracks_(tracks),
-      second_order_(second_order),
-      place_(layout.blocks().size(), -1) {}
+                               const Tracks& tracks)
+    : layout_(layout), evaluator_(evaluator), tracks_(tracks), place_(layout.blocks().size(), -1) {}
 
 void PointAssembler::Assemble(int point, PointBlocks* blocks) {
   const int64_t first = tracks_.begin[point], last = tracks_.begin[point + 1];
@@ -147,26 +143,10 @@ void PointAssembler::Assemble(int point, PointBlocks* blocks) {
       }
     }
   }
-  for (int r = 0; r < num_rows_ && second_order_; ++r) {
-    if (rows_[r].bend != 0) AddSecondOrder(rows_[r], blocks);
-  }
   for (const int block : blocks->blocks) place_[block] = -1;
   Invert(blocks);
   for (size_t i = 0; i < blocks->w.size(); i += 3) {
     VectorMatrix3(&blocks->w[i], blocks->inverse, &blocks->y[i]);
-  }
-}
-
-void PointAssembler::AddSecondOrder(const ObservationRows& rows, PointBlocks* blocks) const {
-  double of_point[3], share[BlockSystem::kMaxBlockSize];
-  PointShare(rows, of_point);
-  for (int k = 0; k < 9; ++k) blocks->v[k] += rows.bend * of_point[k / 3] * of_point[k % 3];
-  for (int b = 0; b < rows.num_blocks; ++b) {
-    ShareOf(rows, b, share);
-    double* to = &blocks->w[3 * size_t(blocks->begin[place_[rows.block[b]]])];
-    for (int i = 0; i < rows.size[b]; ++i, to += 3) {
-      for (int k = 0; k < 3; ++k) to[k] += rows.bend * share[i] * of_point[k];
-    }
   }
 }
 

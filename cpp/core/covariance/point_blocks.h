@@ -7,8 +7,6 @@
 /// over the point's observations; V also sums over factors of the point. Eliminating the point
 /// subtracts W V^-1 W^T from the camera parameters' matrix.
 ///
-/// Second derivatives of the loss add beta g_p g_p^T and beta g_b g_p^T.
-///
 /// If the observations of a point do not determine it (one observation, rays without parallax), it
 /// has directions n with V n = 0. Hence J_p n = 0 in every row and W n = 0: these directions do not
 /// couple with other unknowns, and the exact elimination uses the pseudo-inverse of V. A direction
@@ -29,7 +27,7 @@ namespace bundle {
 
 inline constexpr double kNullPoint = 1e-12;
 
-/// g = J~^T r~ of an observation, by the unknowns of its block b and by its point.
+/// J~^T score of an observation, by the unknowns of its block b and by its point.
 void ShareOf(const ObservationRows& rows, int b, double* share);
 void PointShare(const ObservationRows& rows, double share[3]);
 
@@ -62,24 +60,21 @@ class PointAssembler {
 
   /// Keeps references to all arguments.
   PointAssembler(const ParameterLayout& layout, const ObservationEvaluator& evaluator,
-                 const Tracks& tracks, bool second_order = false);
+                 const Tracks& tracks);
 
   /// Assembles the blocks of a free point.
   void Assemble(int point, PointBlocks* blocks);
 
   /// The observations of the point assembled last, without those that do not count.
   int num_rows() const { return num_rows_; }
-  bool is_second_order() const { return second_order_; }
   const ObservationRows& row(int i) const { return rows_[i]; }
 
  private:
   void FindBlocks(PointBlocks* blocks);
-  void AddSecondOrder(const ObservationRows& rows, PointBlocks* blocks) const;
 
   const ParameterLayout& layout_;
   const ObservationEvaluator& evaluator_;
   const Tracks& tracks_;
-  const bool second_order_;
   std::vector<ObservationRows> rows_;  ///< the first num_rows_ are valid
   int num_rows_ = 0;
   std::vector<int> place_;  ///< per block of the layout: place in PointBlocks::blocks

@@ -1,6 +1,6 @@
 #pragma once
 
-/// Sums over the pairs of a point's blocks: W^T A W for a matrix A with the structure of S.
+/// Sums over the pairs of a point's blocks: Y^T A Y for a matrix A with the structure of S.
 
 #include <cstddef>
 #include <vector>
@@ -13,7 +13,7 @@ namespace bundle {
 /// Four numbers that the processor adds at once; without alignment.
 using Four = double __attribute__((vector_size(32), aligned(8)));
 
-/// W or Y of a point, four numbers per row, the last one zero.
+/// Y of a point, four numbers per row, the last one zero.
 struct PaddedRows {
   std::vector<double> values;
 
@@ -27,8 +27,8 @@ struct PaddedRows {
   const Four* row(int i) const { return reinterpret_cast<const Four*>(&values[4 * size_t(i)]); }
 };
 
-/// sum += X^T A Z, 3 x 3 row-major, for a symmetric A. `is_same`: X is Z.
+/// sum += Y^T A Y, 3 x 3 row-major, for a symmetric A.
 void AddPairs(const ReducedSystem& system, const BlockValues& values, const PointBlocks& blocks,
-              const PaddedRows& x, const PaddedRows& z, bool is_same, double sum[9]);
+              const PaddedRows& y, double sum[9]);
 
 }  // namespace bundle

@@ -275,7 +275,7 @@ void ReducedSystem::ForPoints(int num_threads, const std::vector<int>& points,
   }
   std::atomic<bool> abandoned{false};
   RunOnThreads(num_threads, [&](int64_t thread) {
-    PointAssembler assembler(layout_, *evaluator_, tracks_, second_order_);
+    PointAssembler assembler(layout_, *evaluator_, tracks_);
     PointBlocks blocks;
     try {
       for (size_t k = first[thread]; k < first[thread + 1]; ++k) {

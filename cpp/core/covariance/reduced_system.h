@@ -19,6 +19,7 @@
 #include <map>
 #include <memory>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "core/covariance/observation_rows.h"
@@ -86,7 +87,7 @@ class ReducedSystem {
   const PointSums& point_sums() const { return point_sums_; }
 
   /// nullptr: not requested, or V and W have changed since.
-  const GaugeSums* gauge_sums() const { return second_order_ ? nullptr : gauge_sums_.get(); }
+  const GaugeSums* gauge_sums() const { return has_scores_ ? nullptr : gauge_sums_.get(); }
 
   /// Ascending.
   const std::vector<NullPoint>& null_points() const { return null_points_; }
@@ -105,9 +106,11 @@ class ReducedSystem {
   /// Entry (j, j) of S before the factorisation, for each unknown.
   const std::vector<double>& diagonal() const { return diagonal_; }
 
-  /// Adds the second derivatives of the loss to V and W (sandwich.h); S is given.
-  void UseSecondOrder() { second_order_ = true; }
-  bool is_second_order() const { return second_order_; }
+  /// ObservationEvaluator::SetScores; V and W follow, S has to be set.
+  void SetScores(std::vector<double> scores, double kappa) {
+    evaluator_->SetScores(std::move(scores), kappa);
+    has_scores_ = true;
+  }
   void SetSystem(BlockValues values);
 
   LinearSolution Factorize();
@@ -131,11 +134,9 @@ class ReducedSystem {
   /// True if S is dense, and the tracks are so short and few that long sums of their rows take
   /// little time.
   bool is_small() const;
-  /// Lets ForPoints eliminate points from their rows (eliminated_rows.h). False if an observation
-  /// has no rows, because its weight along its residual is negative.
-  bool EliminateByRows();
-  /// Rows of the point's own factors, whitened, three columns each. Call after EliminateByRows,
-  /// whatever it returned.
+  /// Lets ForPoints eliminate points from their rows (eliminated_rows.h).
+  void EliminateByRows();
+  /// Rows of the point's own factors, whitened, three columns each. Call after EliminateByRows.
   const std::vector<double>& point_prior_rows(int point) const;
 
   /// Calls visit(point, its blocks, its rows, thread) for every free point, on all threads. Points
@@ -207,7 +208,7 @@ class ReducedSystem {
   AdjustmentProblem view_;  ///< the problem with factors_
   std::unique_ptr<SchurProblem> schur_;
   bool is_finite_ = true;  ///< result of the linearisation
-  bool second_order_ = false;
+  bool has_scores_ = false;
   bool by_rows_ = false;
   std::map<int, std::vector<double>> prior_rows_;  ///< per point; computed by EliminateByRows
   std::vector<uint8_t> held_;

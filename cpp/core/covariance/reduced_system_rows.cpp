@@ -8,7 +8,6 @@
 #include <memory>
 #include <vector>
 
-#include "core/covariance/eliminated_rows.h"
 #include "core/covariance/reduced_system.h"
 #include "core/model/factor_costs.h"
 
@@ -30,19 +29,13 @@ bool ReducedSystem::is_small() const {
   return cubes <= kMaxTrackCubes;
 }
 
-bool ReducedSystem::EliminateByRows() {
+void ReducedSystem::EliminateByRows() {
   ForFactors([&](const FactorRows& factor) {
     if (factor.points.empty()) return;
     std::vector<double>& to = prior_rows_[factor.points.front()];
     to.insert(to.end(), factor.jacobian.begin(), factor.jacobian.end());
   });
-  ObservationRows rows;
-  Eigen::Matrix2d root;
-  for (int64_t i = 0; i < problem_.num_observations && second_order_; ++i) {
-    if (evaluator_->Evaluate(i, &rows) && !RootOfCurvature(rows, &root)) return false;
-  }
   by_rows_ = true;
-  return true;
 }
 
 const std::vector<double>& ReducedSystem::point_prior_rows(int point) const {

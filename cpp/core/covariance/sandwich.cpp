@@ -125,7 +125,7 @@ BlockValues SumBread(const ReducedSystem& system) {
   BlockValues bread(static_cast<size_t>(s.num_values), 0.0);
   SymmetricSum sum(s, &bread);
   system.ForPoints(1, [&](int, const PointBlocks& blocks, const PointAssembler& rows, int) {
-    for (int i = 0; i < rows.num_rows(); ++i) AddOwn(rows.row(i), 1, rows.row(i).bend, &sum);
+    for (int i = 0; i < rows.num_rows(); ++i) AddOwn(rows.row(i), 1, 0, &sum);
     for (size_t a = 0; a < blocks.blocks.size(); ++a) {
       for (size_t b = 0; b <= a; ++b) {
         sum.Add(blocks.blocks[a], blocks.blocks[b], [&](int r, int c) {
@@ -136,35 +136,42 @@ BlockValues SumBread(const ReducedSystem& system) {
     }
   });
   system.ForObservationsOfFixedPoints(
-      [&](const ObservationRows& rows) { AddOwn(rows, 1, rows.bend, &sum); });
+      [&](const ObservationRows& rows) { AddOwn(rows, 1, 0, &sum); });
   AddFactors(system, &bread);
   return bread;
 }
 
-std::vector<double> ScoresBesidePoint(const PointBlocks& blocks, const PointScores& scores) {
-  std::vector<double> e = scores.f;
-  for (size_t i = 0; i < e.size(); i += 3) {
-    double by_p[3];
-    VectorMatrix3(&blocks.y[i], scores.p, by_p);
-    for (int k = 0; k < 3; ++k) e[i + k] -= by_p[k];
+void ExpectScatter(const PointAssembler& assembler, double variance, const double* prior,
+                   double p[9]) {
+  std::fill_n(p, 9, 0.0);
+  if (prior != nullptr) std::copy_n(prior, 9, p);
+  for (int i = 0; i < assembler.num_rows(); ++i) {
+    const ObservationRows& rows = assembler.row(i);
+    if (rows.weight == 0) continue;
+    const double* const b = rows.point;
+    const double share = variance / rows.weight;
+    for (int k = 0; k < 9; ++k) {
+      p[k] += share * (b[k / 3] * b[k % 3] + b[3 + k / 3] * b[3 + k % 3]);
+    }
   }
-  return e;
 }
 
-BlockValues SumMeat(const ReducedSystem& system, ScatterGauge* gauge) {
+BlockValues SumMeat(const ReducedSystem& system, double variance, ScatterGauge* gauge) {
   const BlockStructure& s = system.structure();
   BlockValues meat(static_cast<size_t>(s.num_values), 0.0);
   SymmetricSum sum(s, &meat);
   const std::vector<double>& prior = system.tracks().prior;
   // Uses one thread: points share blocks, and no bit may depend on the order of threads.
   system.ForPoints(1, [&](int point, const PointBlocks& blocks, const PointAssembler& rows, int) {
+    const double* const of_prior = prior.empty() ? nullptr : &prior[9 * size_t(point)];
     PointScores scores;
-    SumScores(blocks, rows, prior.empty() ? nullptr : &prior[9 * size_t(point)], &scores);
+    SumScores(blocks, rows, of_prior, &scores);
     for (int i = 0; i < rows.num_rows(); ++i) AddOwn(rows.row(i), 0, 1, &sum);
     AddEliminated(blocks, scores, &sum);
     if (gauge == nullptr) return;
-    const std::vector<double> e = ScoresBesidePoint(blocks, scores);
-    gauge->AddPoint(point, blocks, system.layout(), e.data(), scores.p);
+    double expected[9];
+    ExpectScatter(rows, variance, of_prior, expected);
+    gauge->AddPoint(point, blocks, expected);
   });
   system.ForObservationsOfFixedPoints(
       [&](const ObservationRows& rows) { AddOwn(rows, 0, 1, &sum); });
@@ -276,6 +283,49 @@ FullVectors MeatTimes(const ReducedSystem& system, const FullVectors& x) {
     }
   });
   return product;
+}
+
+FullVectors ReduceByPoints(const ReducedSystem& system, const FullVectors& x) {
+  FullVectors reduced{x.num_columns, x.cameras, std::vector<double>(x.points.size(), 0.0)};
+  const auto n = static_cast<size_t>(system.num_unknowns());
+  const size_t num_coordinates = 3 * static_cast<size_t>(system.problem().num_points);
+  system.ForPoints(1, [&](int point, const PointBlocks& blocks, const PointAssembler&, int) {
+    for (int m = 0; m < x.num_columns; ++m) {
+      const double* const from = &x.points[m * num_coordinates + 3 * size_t(point)];
+      for (size_t b = 0; b < blocks.blocks.size(); ++b) {
+        double* to = &reduced.cameras[m * n + system.layout().blocks()[blocks.blocks[b]].offset];
+        for (int row = blocks.begin[b]; row < blocks.begin[b + 1]; ++row) {
+          *to++ -= Dot3(&blocks.y[3 * size_t(row)], from);
+        }
+      }
+    }
+  });
+  return reduced;
+}
+
+void AddOwnScatter(const ReducedSystem& system, double variance, const FullVectors& x,
+                   FullVectors* to) {
+  const auto n = static_cast<size_t>(system.num_unknowns());
+  const size_t num_coordinates = 3 * static_cast<size_t>(system.problem().num_points);
+  const std::vector<double>& prior = system.tracks().prior;
+  system.ForPoints([&](int point, const PointBlocks& blocks, const PointAssembler& rows, int) {
+    double p[9], once[3], twice[3];
+    ExpectScatter(rows, variance, prior.empty() ? nullptr : &prior[9 * size_t(point)], p);
+    for (int m = 0; m < x.num_columns; ++m) {
+      const size_t at = m * num_coordinates + 3 * size_t(point);
+      VectorMatrix3(&x.points[at], blocks.inverse, once);
+      VectorMatrix3(once, p, twice);
+      VectorMatrix3(twice, blocks.inverse, once);
+      for (size_t b = 0; b < blocks.blocks.size(); ++b) {
+        const double* from =
+            &to->cameras[m * n + system.layout().blocks()[blocks.blocks[b]].offset];
+        for (int row = blocks.begin[b]; row < blocks.begin[b + 1]; ++row, ++from) {
+          for (int k = 0; k < 3; ++k) once[k] -= blocks.y[3 * size_t(row) + k] * *from;
+        }
+      }
+      std::copy_n(once, 3, &to->points[at]);
+    }
+  });
 }
 
 }  // namespace bundle

@@ -9,22 +9,28 @@
 ///
 ///   cov delta = H^-1 M H^-1,        M = sum psi_i psi_i^T.
 ///
-/// H is the derivative of the gradient. It includes second derivatives of the loss but not of the
-/// residuals: sum J^T (rho' I + 2 rho'' r r^T) J. With the weights rho' alone, as in solvers,
-/// outliers would count as information, and the covariance would be too small.
-///
-/// Factors of prior knowledge (priors, control points) have a known sigma and enter M by their
-/// information J^T J, the expectation of psi psi^T.
+/// H is the expected derivative of the gradient: the Gauss-Newton matrix of the solvers, in which
+/// outliers would count as information, times the curvature kappa of the loss (leverages.h).
+/// Residuals at the solution are smaller than the errors, so M has the residuals r^ corrected for
+/// their leverage. Factors of prior knowledge (priors, control points) have a known
+/// sigma and enter M by their information J^T J, the expectation of psi psi^T.
 ///
 /// With the points eliminated (reduced_system.h), let Y_p = W_p V_p^-1. Let g_i and G_i be the
 /// entries of psi_i for the point and for the camera parameters. Over the observations i of point
 /// p, P_p = sum g_i g_i^T and F_p = sum G_i g_i^T. Then
 ///
 ///   delta_c = S^-1 (G - sum Y_p g_p),     cov delta_c = C B C =: D,     C = S^-1,
-///   B = sum_i G_i G_i^T + sum_p (Y_p P_p Y_p^T - F_p Y_p^T - Y_p F_p^T),
-///   cov delta_p = V^-1 (P + W^T D W - W^T C E - (W^T C E)^T) V^-1,      E = F - Y P,
+///   B = sum_i G_i G_i^T + sum_p (Y_p P_p Y_p^T - F_p Y_p^T - Y_p F_p^T).
 ///
-/// where B has the blocks of S, and only these blocks of C and D are needed. Unlike C, D has no
+/// A point has too few observations for its own scatter: two rays leave one residual, from which no
+/// variance can be read, corrected or not. Its own part, given the cameras, is therefore that of
+/// the common variance s^2 of all residuals rho' r under the loss, with the derivatives J_p without
+/// its weights:
+///
+///   delta_p = V^-1 g_p - Y_p^T delta_c,
+///   cov delta_p = V^-1 P_p V^-1 + Y_p^T D Y_p,     P_p = s^2 sum J_p^T J_p + the prior of p.
+///
+/// B has the blocks of S, and only these blocks of C and D are needed. Unlike C, D has no
 /// recursion; its columns are computed by solves, some hundred at a time. For the effect of inner
 /// constraints see scatter_gauge.h.
 
@@ -45,15 +51,16 @@ struct PointScores {
 void SumScores(const PointBlocks& blocks, const PointAssembler& assembler, const double* prior,
                PointScores* scores);
 
-/// Returns S of H with the second derivatives of the loss. It may be indefinite if the state is not
-/// a minimum. The system includes these second derivatives.
+/// Returns H with the points eliminated, with the structure of S.
 BlockValues SumBread(const ReducedSystem& system);
 
-/// E_p = F - Y P, rows as in PointBlocks::w.
-std::vector<double> ScoresBesidePoint(const PointBlocks& blocks, const PointScores& scores);
+/// The expected P of the point assembled last, for residuals of this variance.
+void ExpectScatter(const PointAssembler& assembler, double variance, const double* prior,
+                   double p[9]);
 
 /// Returns B, with the structure of S, and adds the sums for `gauge`, unless it is nullptr.
-BlockValues SumMeat(const ReducedSystem& system, ScatterGauge* gauge);
+/// `variance`: s^2.
+BlockValues SumMeat(const ReducedSystem& system, double variance, ScatterGauge* gauge);
 
 /// Returns D at the blocks of S, for a factorised system; the D' of scatter_gauge.h, unless `gauge`
 /// is nullptr.
@@ -62,5 +69,11 @@ LinearSolution SolveForScatter(ReducedSystem* system, const BlockValues& meat,
 
 /// M x, for vectors of all unknowns.
 FullVectors MeatTimes(const ReducedSystem& system, const FullVectors& x);
+
+/// L^T x for L = (I; -Y^T), by which the points follow the cameras; no points remain.
+FullVectors ReduceByPoints(const ReducedSystem& system, const FullVectors& x);
+/// Sets the points of `to` to their part of L c + V^-1 P V^-1 x, for its cameras c.
+void AddOwnScatter(const ReducedSystem& system, double variance, const FullVectors& x,
+                   FullVectors* to);
 
 }  // namespace bundle

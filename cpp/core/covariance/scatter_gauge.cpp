@@ -17,22 +17,13 @@ using Matrix3 = Eigen::Matrix<double, 3, 3, Eigen::RowMajor>;
 ScatterGauge::ScatterGauge(const FreeGauge& gauge)
     : gauge_(gauge),
       basis_(OrthonormalColumns(gauge.cameras())),
-      e_(Eigen::MatrixXd::Zero(gauge.cameras().rows(), gauge.degrees())),
       q_(Eigen::MatrixXd::Zero(gauge.degrees(), gauge.degrees())) {}
 
-void ScatterGauge::AddPoint(int point, const PointBlocks& blocks, const ParameterLayout& layout,
-                            const double* e, const double p[9]) {
+void ScatterGauge::AddPoint(int point, const PointBlocks& blocks, const double p[9]) {
   const PointRows n =
       Eigen::Map<const Matrix3>(blocks.inverse).lazyProduct(gauge_.OfPoint(point));  // V^-1 N_p
   const PointRows pn = Eigen::Map<const Matrix3>(p).lazyProduct(n);
   q_ += n.transpose().lazyProduct(pn);
-  for (size_t b = 0; b < blocks.blocks.size(); ++b) {
-    const CameraBlock& block = layout.blocks()[blocks.blocks[b]];
-    for (int k = 0; k < block.size; ++k) {
-      const double* const row = e + 3 * size_t(blocks.begin[b] + k);
-      e_.row(block.offset + k) += row[0] * n.row(0) + row[1] * n.row(1) + row[2] * n.row(2);
-    }
-  }
 }
 
 Eigen::MatrixXd ScatterGauge::UnitColumns(int first, int columns) const {
@@ -48,29 +39,21 @@ void ScatterGauge::RemoveGauge(Eigen::Ref<Eigen::MatrixXd> x) const {
 LinearSolution ScatterGauge::Finish(ReducedSystem* system, const BlockValues& meat) {
   const int d = gauge_.degrees();
   LinearSolution solution;
-  // to = S^+ from, or C from.
-  const auto solve = [&](Eigen::MatrixXd from, bool without_gauge, Eigen::MatrixXd* to) {
-    if (solution.status != LinearStatus::kSuccess) return;
-    if (without_gauge) RemoveGauge(from);
-    to->setZero(from.rows(), d);
-    solution = system->Solve(from.data(), d, to->data());
-    if (without_gauge) RemoveGauge(*to);
+  const auto solve = [&](Eigen::MatrixXd from) {  // S^+ from
+    Eigen::MatrixXd to = Eigen::MatrixXd::Zero(from.rows(), d);
+    if (solution.status != LinearStatus::kSuccess) return to;
+    RemoveGauge(from);
+    solution = system->Solve(from.data(), d, to.data());
+    RemoveGauge(to);
+    return to;
   };
-  solve(basis_, false, &solved_basis_);
-  solve(gauge_.reduced(), true, &x_);
-  if (solution.status != LinearStatus::kSuccess) return solution;
+  const Eigen::MatrixXd x = solve(gauge_.reduced());
   SymmetricProduct product(system->structure(), system->num_threads());
-  Eigen::MatrixXd right = Eigen::MatrixXd::Zero(x_.rows(), d);
-  for (int m = 0; m < d; ++m) product.Multiply(meat, x_.col(m).data(), right.col(m).data());
-  right += e_;
-  solve(std::move(right), true, &of_unknowns_);
-  of_rest_ = q_ + MultiplyTransposed(gauge_.reduced(), of_unknowns_) + MultiplyTransposed(e_, x_);
+  Eigen::MatrixXd right = Eigen::MatrixXd::Zero(x.rows(), d);
+  for (int m = 0; m < d; ++m) product.Multiply(meat, x.col(m).data(), right.col(m).data());
+  of_unknowns_ = solve(std::move(right));
+  of_rest_ = q_ + MultiplyTransposed(gauge_.reduced(), of_unknowns_);
   return solution;
-}
-
-void ScatterGauge::TransformInverse(const BlockStructure& structure, BlockValues* values) const {
-  TransformBlocks(basis_, solved_basis_, MultiplyTransposed(basis_, solved_basis_), structure,
-                  values);
 }
 
 void ScatterGauge::TransformScatter(const BlockStructure& structure, BlockValues* values) const {
@@ -78,24 +61,23 @@ void ScatterGauge::TransformScatter(const BlockStructure& structure, BlockValues
 }
 
 void ScatterGauge::TransformPoint(int point, const PointBlocks& blocks,
-                                  const ParameterLayout& layout, const double* e, const double p[9],
+                                  const ParameterLayout& layout, const double p[9],
                                   double* covariance) const {
   const Eigen::Map<const Matrix3> inverse(blocks.inverse);
   const PointRows n = gauge_.OfPoint(point);
   const PointRows solved = inverse.lazyProduct(n);
-  PointRows sum = Eigen::Map<const Matrix3>(p).lazyProduct(solved);  // P V^-1 N_p + E_p^T X
-  PointRows by_y = PointRows::Zero(3, n.cols());                     // Y^T R
+  const PointRows own = Eigen::Map<const Matrix3>(p).lazyProduct(solved);  // P V^-1 N_p
+  PointRows by_y = PointRows::Zero(3, n.cols());                           // Y^T R
   for (size_t b = 0; b < blocks.blocks.size(); ++b) {
     const CameraBlock& block = layout.blocks()[blocks.blocks[b]];
     for (int k = 0; k < block.size; ++k) {
       const size_t at = 3 * size_t(blocks.begin[b] + k);
       for (int i = 0; i < 3; ++i) {
-        sum.row(i) += e[at + i] * x_.row(block.offset + k);
         by_y.row(i) += blocks.y[at + i] * of_unknowns_.row(block.offset + k);
       }
     }
   }
-  const PointRows r = inverse.lazyProduct(sum) - by_y;
+  const PointRows r = inverse.lazyProduct(own) - by_y;
   const PointRows nt = n.lazyProduct(of_rest_);
   Eigen::Map<Matrix3> to(covariance);
   to += nt.lazyProduct(n.transpose()) - r.lazyProduct(n.transpose()) - n.lazyProduct(r.transpose());

@@ -21,16 +21,15 @@
 ///
 ///   s = N^T delta = q + K^T delta_c,        q = sum N_p^T V_p^-1 g_p,        delta' = delta - N s.
 ///
-/// With E_q = E[b q^T] = sum E_p V_p^-1 N_p, Q_q = E[q q^T] = sum N_p^T V_p^-1 P_p V_p^-1 N_p and X
-/// = S^+ K, the seven numbers s have
+/// The points' own parts are independent of delta_c (sandwich.h). With Q_q = E[q q^T] = sum N_p^T
+/// V_p^-1 P_p V_p^-1 N_p and X = S^+ K, the seven numbers s have
 ///
-///   R = E[delta_c s^T] = S^+ (E_q + B X),        T = E[s s^T] = Q_q + K^T R + E_q^T X,
+///   R = E[delta_c s^T] = S^+ B X,        T = E[s s^T] = Q_q + K^T R,
 ///
 /// and for any part i of delta, cov delta' = cov delta - R_i N_j^T - N_i R_j^T + N_i T N_j^T. For a
 /// point,
 ///
-///   cov delta_p = V^-1 P V^-1 + Y^T D Y - F - F^T,        F = Y^T S^+ E_p V^-1,
-///   R_p = V^-1 (P V^-1 N_p + E_p^T X) - Y^T R.
+///   cov delta_p = V^-1 P V^-1 + Y^T D Y,        R_p = V^-1 P V^-1 N_p - Y^T R.
 ///
 /// Small systems use long doubles: long_scatter.h.
 
@@ -50,9 +49,8 @@ class ScatterGauge {
   /// Keeps a reference to the gauge.
   explicit ScatterGauge(const FreeGauge& gauge);
 
-  /// Adds E_p V^-1 N_p and N_p^T V^-1 P V^-1 N_p; `e` is E_p, with rows as in PointBlocks::w.
-  void AddPoint(int point, const PointBlocks& blocks, const ParameterLayout& layout,
-                const double* e, const double p[9]);
+  /// Adds N_p^T V^-1 P V^-1 N_p.
+  void AddPoint(int point, const PointBlocks& blocks, const double p[9]);
 
   /// Columns [first, first + columns) of Q: unknowns x columns.
   Eigen::MatrixXd UnitColumns(int first, int columns) const;
@@ -62,20 +60,17 @@ class ScatterGauge {
   /// Computes X, R and T from the factorised system and B.
   LinearSolution Finish(ReducedSystem* system, const BlockValues& meat);
 
-  /// Transforms blocks of C to those of S^+. Call after Finish.
-  void TransformInverse(const BlockStructure& structure, BlockValues* values) const;
   /// Transforms blocks of D to those of cov delta_c'.
   void TransformScatter(const BlockStructure& structure, BlockValues* values) const;
-  /// Transforms cov delta_p (3 x 3, row-major) to cov delta_p'; arguments as for AddPoint.
+  /// Transforms cov delta_p (3 x 3, row-major) to cov delta_p'.
   void TransformPoint(int point, const PointBlocks& blocks, const ParameterLayout& layout,
-                      const double* e, const double p[9], double* covariance) const;
+                      const double p[9], double* covariance) const;
 
  private:
   const FreeGauge& gauge_;
-  const Eigen::MatrixXd basis_;                ///< O, unknowns x d
-  Eigen::MatrixXd e_, q_;                      ///< E_q, unknowns x d, and Q_q
-  Eigen::MatrixXd solved_basis_;               ///< C O
-  Eigen::MatrixXd x_, of_unknowns_, of_rest_;  ///< X, R and T
+  const Eigen::MatrixXd basis_;            ///< O, unknowns x d
+  Eigen::MatrixXd q_;                      ///< Q_q
+  Eigen::MatrixXd of_unknowns_, of_rest_;  ///< R and T
 };
 
 }  // namespace bundle

@@ -5,6 +5,7 @@ of every camera, points. Rows are weighted by sigmas and losses.
 """
 
 import numpy as np
+from scipy import optimize
 from scipy.spatial.transform import Rotation
 
 from tests.scenes import exp, project
@@ -49,16 +50,10 @@ class Dense:
             self.jacobian[:, j] = self.residuals(step).imag / 1e-30
         s = (self.residual.reshape(-1, 2) ** 2).sum(axis=1)
         sigma = 1.0 if problem.observation_sigma is None else problem.observation_sigma
-        weight = np.sqrt(rho_prime(loss, loss_scale, s / sigma**2)) / sigma
-        self.weigh(np.repeat(np.broadcast_to(weight, s.shape), 2))
+        self.rho_prime = np.broadcast_to(rho_prime(loss, loss_scale, s / sigma**2), s.shape)
+        self.weigh(np.repeat(np.broadcast_to(np.sqrt(self.rho_prime) / sigma, s.shape), 2))
         # Along the residual a loss counts as rho' + 2 rho'' s, here beside rho'.
-        ratio = (loss_scale * sigma) ** 2 / s
-        curvature = {
-            "trivial": lambda: np.ones_like(s),
-            "huber": lambda: (ratio >= 1).astype(float),
-            "soft_l1": lambda: ratio / (ratio + 1),
-        }
-        self.along = curvature[loss]() if loss in curvature else None
+        self.along = along_residual(loss, s / (loss_scale * sigma) ** 2)
 
     def weigh(self, weight):
         self.residual = self.residual * weight
@@ -104,17 +99,6 @@ class Dense:
         self.residual = np.concatenate([self.residual, residual])
         self.jacobian = np.vstack([self.jacobian, jacobian])
 
-    def _bent(self):
-        """J of the second derivatives of the loss."""
-        observed = 2 * len(self.along)
-        unit = self.residual[:observed].reshape(-1, 2)
-        unit = unit / np.linalg.norm(unit, axis=1, keepdims=True)
-        rows = self.jacobian[:observed].reshape(-1, 2, len(self.names))
-        part = np.einsum("ni,nij->nj", unit, rows)
-        shrink = np.sqrt(self.along) - 1
-        rows = rows + np.einsum("n,ni,nj->nij", shrink, unit, part)
-        return np.vstack([rows.reshape(observed, -1), self.jacobian[observed:]])
-
     def similarities(self):
         """Derivatives of the columns, constant ones included, by the similarities of the world."""
         n = np.zeros((len(self.names), 7))
@@ -137,21 +121,15 @@ class Dense:
         A sum A^T A in floating point is off by up to eps |A|^T |A|, entry by entry; between two
         inverses of H, which may cancel, that is eps |H^+| |A|^T |A| |H^+|.
         """
-        j = (self._bent() if sandwich else self.jacobian) @ basis
-        root = _root_of_inverse(j, np.linalg.pinv(basis) @ self.similarities())
+        if sandwich:
+            _, (rows, residual, by_weights, root, _) = self._sandwich(basis, num_priors)
+            rows = scores(rows, residual, by_weights, num_priors)
+        else:
+            rows, root, _ = self._weights(basis)
         inverse = root @ root.T
-        rows = self._scores(basis, num_priors) if sandwich else j
         variance = np.diag(inverse @ (rows.T @ rows) @ inverse)
         sums = (np.abs(rows) @ np.abs(inverse)) ** 2
         return np.finfo(float).eps * (sums.sum(axis=0) / variance).max()
-
-    def _scores(self, basis, num_priors):
-        """Rows whose squares sum up to M."""
-        observed = len(self.residual) - num_priors
-        weighted = (self.jacobian[:observed] @ basis) * self.residual[:observed, None]
-        return np.vstack(
-            [weighted.reshape(-1, 2, basis.shape[1]).sum(axis=1), self.jacobian[observed:] @ basis]
-        )
 
     def covariance(self, basis, *, sandwich=False, num_priors=0):
         """Return the covariance of all columns; those that are not free have none.
@@ -159,17 +137,115 @@ class Dense:
         ``basis``: (columns, unknowns), a column of the identity for each that is free, or sums of
         such. ``num_priors``: last rows, which enter the sandwich by their information.
         """
-        j = (self._bent() if sandwich else self.jacobian) @ basis
-        root = _root_of_inverse(j, np.linalg.pinv(basis) @ self.similarities())
-        inverse = root @ root.T
-        if sandwich:
-            scores = self._scores(basis, num_priors) @ root
-            inverse = root @ (scores.T @ scores) @ root.T
-        return basis @ inverse @ basis.T
+        if not sandwich:
+            _, root, _ = self._weights(basis)
+            return basis @ root @ root.T @ basis.T
+        curvature, given = self._sandwich(basis, num_priors)
+        of_point = basis[self.column["point", 0, 0] :].any(axis=0)
+        whole = scatter(*given, of_point, num_priors, curvature, self.rho_prime)
+        project = np.eye(len(whole)) - given[-1] @ given[-1].T
+        return basis @ project @ whole @ project @ basis.T
+
+    def _weights(self, basis, curvature=1.0, num_priors=0):
+        """J, a root of the inverse of H and a basis of its null space."""
+        rows = self.jacobian @ basis
+        rows[: len(rows) - num_priors] *= np.sqrt(curvature)
+        return rows, *_root_of_inverse(rows, np.linalg.pinv(basis) @ self.similarities())
+
+    def curvature(self, basis):
+        """kappa, by the matrices of its equation."""
+        if (self.along == 1).all():
+            return 1.0
+        rows, root, _ = self._weights(basis)
+        rest, axes = leverages(rows[: 2 * len(self.along)], root)
+        says = rest > 0.01
+        with np.errstate(divide="ignore"):
+            ratio = np.where(says, np.maximum(1 - rest, 0) / rest, 0)
+        k = np.einsum("nij,nj,nkj->nik", axes, ratio, axes)
+        r = self.residual[: 2 * len(rest)].reshape(-1, 2)
+        unit = r / np.maximum(np.linalg.norm(r, axis=1, keepdims=True), 1e-300)
+        d = np.eye(2) + np.einsum("n,ni,nj->nij", self.along - 1, unit, unit)
+        found = np.linalg.eigvals(d @ k).real.ravel()
+        known = np.maximum(1 - rest, 0)[says].sum()
+
+        def over(kappa, values):
+            return (values / (kappa + values)).sum() - known
+
+        for values, least in ((found, -found.min()), (np.maximum(found, 0), 0)):
+            grid = 0.95 ** np.arange(135)
+            grid = grid[grid > max(least, 1e-3)]
+            enough = [kappa for kappa in grid if over(kappa, values) >= 0]
+            if enough:
+                return optimize.brentq(over, enough[0], enough[0] / 0.95, (values,), xtol=1e-15)
+        raise SingularError
+
+    def _sandwich(self, basis, num_priors):
+        """Arguments of scores and scatter: J, r, roots of inverses by weights and of H, null."""
+        curvature = self.curvature(basis)
+        rows, by_weights, _ = self._weights(basis)
+        _, root, null = self._weights(basis, curvature, num_priors)
+        return curvature, (rows, self.residual, by_weights, root, null)
+
+
+def leverages(rows, root):
+    """Eigenvalues (n, 2) and eigenvectors of I - h, h = J A A^T J^T, of every observation."""
+    seen = (rows @ root).reshape(-1, 2, root.shape[1])
+    return np.linalg.eigh(np.eye(2) - np.einsum("nik,njk->nij", seen, seen))
+
+
+def scores(rows, residual, by_weights, num_priors):
+    """Rows whose squares sum up to M: shares of corrected residuals, and the rows of priors."""
+    observed = len(rows) - num_priors
+    rest, axes = leverages(rows[:observed], by_weights)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        factors = np.where(rest > 0.01, 1 / np.sqrt(rest), 0)
+    r = residual[:observed].reshape(-1, 2)
+    r = np.einsum("nij,nj,nkj,nk->ni", axes, factors, axes, r)
+    shares = np.einsum("nij,ni->nj", rows[:observed].reshape(len(r), 2, -1), r)
+    return np.vstack([shares, rows[observed:]])
+
+
+def scatter(
+    rows, residual, by_weights, root, null, of_point, num_priors=0, curvature=1.0, rho_prime=None
+):
+    """Covariance of cameras by their scatter and of points given the cameras, unconstrained.
+
+    ``by_weights`` and ``root``: A with A A^T = H^+, without and with the curvature; ``null``: basis
+    of its null space; ``of_point``: columns.
+    """
+    observed = len(residual) - num_priors
+    of_scores, inverse = scores(rows, residual, by_weights, num_priors), root @ root.T
+    points, cameras = np.flatnonzero(of_point), np.flatnonzero(~of_point)
+    own, _ = np.linalg.qr(null[cameras])
+    without = np.eye(len(cameras)) - own @ own.T
+    of_cameras = (inverse @ of_scores.T @ of_scores @ inverse)[np.ix_(cameras, cameras)]
+    bent = rows.copy()
+    bent[:observed] *= np.sqrt(curvature)
+    h = bent.T @ bent
+    solved = np.zeros((len(points), len(points)))
+    for k in range(0, len(points), 3):
+        block = h[np.ix_(points[k : k + 3], points[k : k + 3])]
+        solved[k : k + 3, k : k + 3] = np.linalg.pinv(block, rcond=1e-12, hermitian=True)
+    weights = np.ones(observed // 2) if rho_prime is None else rho_prime
+    counts = weights > 0
+    rest = leverages(rows[:observed], by_weights)[0].sum(axis=1)[counts].sum()
+    squares = (residual[:observed].reshape(-1, 2) ** 2).sum(axis=1) * weights
+    variance = squares.sum() / rest if rest > 0.01 else 1.0
+    plain = rows[:observed, points].reshape(len(counts), 2, -1)[counts]
+    plain = plain / np.sqrt(weights[counts])[:, None, None]
+    expected = variance * np.einsum("nij,nik->jk", plain, plain)
+    expected += rows[observed:, points].T @ rows[observed:, points]
+    lift = np.zeros((len(of_point), len(cameras)))
+    lift[cameras] = np.eye(len(cameras))
+    lift[points] = -solved @ h[np.ix_(points, cameras)]
+    whole = lift @ without @ of_cameras @ without @ lift.T
+    whole[np.ix_(points, points)] += solved @ expected @ solved
+    return whole
 
 
 def _root_of_inverse(jacobian, similarities):
-    """A with A A^T the pseudo-inverse of J^T J, by singular values of a J of comparable columns.
+    """A with A A^T the pseudo-inverse of J^T J, by singular values of a J of comparable columns,
+    and an orthonormal basis of its null space.
 
     Vectors of small singular values are known to rounding over their distance from zero only, 1e-11
     and less beside a weak mode. The null space is therefore that of the similarities, exactly.
@@ -186,7 +262,7 @@ def _root_of_inverse(jacobian, similarities):
         raise SingularError
     null, _ = np.linalg.qr(similarities @ combinations[len(combinations) - degrees :].T)
     root = scale[:, None] * vectors[seen].T / values[seen]
-    return root - null @ (null.T @ root)
+    return root - null @ (null.T @ root), null
 
 
 def rho_prime(loss, scale, s):
@@ -199,4 +275,17 @@ def rho_prime(loss, scale, s):
             "cauchy": lambda: 1 / (1 + s / b),
             "arctan": lambda: 1 / (1 + s**2 / b**2),
             "tukey": lambda: np.where(s <= b, (1 - s / b) ** 2, 0),
+        }[loss]()
+
+
+def along_residual(loss, u):
+    """(rho' + 2 rho'' s) / rho' by u = s / scale^2; 1 where rho' = 0."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return {
+            "trivial": lambda: np.ones_like(u),
+            "huber": lambda: (u <= 1).astype(float),
+            "soft_l1": lambda: 1 / (1 + u),
+            "cauchy": lambda: (1 - u) / (1 + u),
+            "arctan": lambda: 1 - 4 * u**2 / (1 + u**2),
+            "tukey": lambda: np.where(u < 1, 1 - 4 * u / (1 - u), 1),
         }[loss]()

@@ -1,6 +1,7 @@
 """Covariances against the scatter of solutions over repeated noise."""
 
 import numpy as np
+import pytest
 from scipy import stats
 
 import bundle
@@ -13,6 +14,9 @@ SOLVE = {
     "check_solution": False,
     "num_threads": 1,
 }
+
+
+QUICK = {"function_tolerance": 1e-9, "check_solution": False, "num_threads": 1}
 
 
 def errors(truth, refined):
@@ -84,3 +88,44 @@ def test_mean_nees_with_outliers_is_that_of_chi_squared_under_the_sandwich():
     for name in ("pose", "point", "camera"):
         mean = np.mean([c[name] for c in covariances], axis=0)
         check(name, np.mean([e[name] @ np.linalg.solve(mean, e[name]) for e in found]))
+
+
+def laplace(rng, shape):
+    return rng.laplace(size=shape) / np.sqrt(2)
+
+
+def of_two_sigmas(rng, shape):
+    return rng.standard_normal(shape) * rng.choice([0.5, 1.5], shape[0])[:, None]
+
+
+@pytest.mark.parametrize("track", [2, 3, 6])
+@pytest.mark.parametrize(
+    ("noise", "loss"),
+    [
+        (gauss, {}),
+        (of_two_sigmas, {}),
+        (laplace, {"loss": "cauchy", "loss_scale": 1.5}),
+        (gauss, {"loss": "huber", "loss_scale": 1.0}),
+    ],
+)
+def test_a_sandwich_of_short_tracks_has_the_size_of_the_errors(track, noise, loss):
+    """Uncorrected residuals give 2 to 4 for translations, and 3 and far more for points."""
+    problem = make_problem(
+        num_images=8, num_points=600 // track, track=track, shared=True, noise=0, perturbation=0
+    )
+    rng = np.random.default_rng(1)
+    given = {"fixed_image_ids": (1, 6), "refine": ("poses", "points"), **loss, **QUICK}
+    of_poses, of_points = [], []
+    for _ in range(30):
+        xy = problem.observation_xy + noise(rng, problem.observation_xy.shape)
+        solved = bundle.solve(problem.replace(observation_xy=xy), **given).problem
+        cov = bundle.covariance(solved, robust="sandwich", gauge="none", **given)
+        moved = solved.cam_from_world[:, 4:] - problem.cam_from_world[:, 4:]
+        of_poses += [
+            moved[i] @ np.linalg.solve(cov.pose_covariance[i, 3:, 3:], moved[i]) / 3
+            for i in (1, 2, 3, 4, 6, 7)
+        ]
+        variances = np.einsum("nii->ni", cov.point_covariance)
+        of_points.append(((solved.points - problem.points) ** 2 / variances).mean())
+    assert 0.75 < np.mean(of_poses) < 1.3
+    assert 0.75 < np.mean(of_points) < 1.3

@@ -5,6 +5,7 @@ import pytest
 
 import bundle
 from bundle.model.rotations import rotation_matrices
+from tests.analysis.uncertainty.dense import scatter
 from tests.scenes import make_problem
 
 FAR = 7  # row of the point
@@ -53,17 +54,18 @@ def constrained_without(problem, out, *, sandwich):
         i, p = problem.observation_image[k], problem.observation_point[k]
         jacobian[k, :, 6 * i : 6 * i + 6] = linear.d_pose[k]
         jacobian[k, :, of_poses + 3 * p : of_poses + 3 * p + 3] = linear.d_point[k]
-    shares = np.einsum("kij,ki->kj", jacobian, linear.residual)
     jacobian = jacobian.reshape(2 * count, -1)
     scale = 1 / np.linalg.norm(jacobian, axis=0)
     root = np.linalg.pinv(jacobian * scale, rcond=1e-6) * scale[:, None]
-    if sandwich:
-        root = root @ (root.T @ shares.T)
     n = similarities(problem)
     part = n.copy()
     part[of_poses + 3 * out : of_poses + 3 * out + 3] = 0
-    root = root - n @ np.linalg.solve(part.T @ n, part.T @ root)
-    return root @ root.T
+    project = np.eye(len(n)) - n @ np.linalg.solve(part.T @ n, part.T)
+    of_point = np.arange(len(n)) >= of_poses
+    cov = root @ root.T
+    if sandwich:
+        cov = scatter(jacobian, linear.residual.ravel(), root, root, n, of_point)
+    return project @ cov @ project.T
 
 
 @pytest.mark.parametrize("robust", ["weights", "sandwich"])
@@ -96,6 +98,10 @@ def test_a_point_that_is_seen_once_says_nothing_of_the_world(robust):
     names = [f"observation_{name}" for name in ("image", "point", "xy", "keypoint")]
     once = (problem.observation_point != FAR) | (problem.observation_image == 0)
     lonely = problem.replace(**{name: getattr(problem, name)[once] for name in names})
+    xy = lonely.observation_xy.copy()
+    mine = lonely.observation_point == FAR  # at the minimum, its residual is 0
+    xy[mine] += bundle.model.reprojection.linearize(lonely).residual[mine]
+    lonely = lonely.replace(observation_xy=xy)
     cov = bundle.covariance(lonely, robust=robust)
     without = bundle.covariance(without_point(problem, FAR), robust=robust)
     scale = np.abs(without.pose_covariance).max()

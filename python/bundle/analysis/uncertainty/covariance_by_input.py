@@ -137,8 +137,9 @@ def covariance(
         scale: "unit": residuals have sigma 1 px, or ``observation_sigma`` if available; "sigma0":
             these times sigma0, estimated from the residuals. Priors keep their sigmas.
         robust: treatment of a loss. "weights": its weights rho' make an observation less certain;
-            "sandwich": H^-1 (sum psi psi^T) H^-1, with psi the gradient of an observation. The
-            latter holds for independent residuals of any distribution and has its own scale.
+            "sandwich": H^-1 (sum psi psi^T) H^-1, with psi the gradient of an observation, its
+            residual corrected for its leverage. The latter holds for independent residuals of any
+            distribution and has its own scale; of a point given the cameras, that of all residuals.
         factors: factors in addition to the observations, as in :func:`bundle.solve`.
         priors: measured positions and control points, in the frame of the problem; they do not move
             the problem.

@@ -1,0 +1,62 @@
+#pragma once
+
+/// Residuals corrected for their leverage, and the curvature of the loss, for the sandwich
+/// (sandwich.h).
+///
+/// The residual at the solution is smaller than the error. To first order of the Gauss-Newton
+/// matrix G = sum J~^T J~ (observation_rows.h), r = (I - h) e with the leverage h_i = J~_i G^-1
+/// J~_i^T (2 x 2). If all errors have the same variance,
+///
+///   E[r_i r_i^T] = s^2 (I - h_i),        r^_i = (I - h_i)^(-1/2) r_i    has again s^2 I
+///
+/// (HC2; J. G. MacKinnon and H. White, 1985). With the points eliminated, J~_i = (A_i, B_i) and C =
+/// S^-1,
+///
+///   h = B V^-1 B^T + T C T^T,        T = A - B Y^T    (by the unknowns of the point's blocks).
+///
+/// Of the two rays to a point seen twice, four residuals, three determine the point: I - h is
+/// nearly of rank 1. Along directions in which I - h is below kFullLeverage, the residual says
+/// nothing about its error; such a part is left out everywhere.
+///
+/// The variance of all residuals rho' r under the loss, for the points, is
+///
+///   s^2 = sum ||rho' r||^2 / sum (2 - tr h)    over observations with rho' > 0.
+///
+/// Curvature. The Hessian of the cost is H = sum J~^T D J~ with D = I + beta r~ r~^T, along some
+/// residuals negative. Evaluated at the residuals, it is no estimate of its expectation: residuals
+/// are smaller than errors, and H^-1 of so few observations per point is far larger than the
+/// inverse of the expectation. The sandwich therefore takes H = kappa G + the priors, with one
+/// kappa <= 1. Without observation i, H^-1 is K / kappa in the units of its rows, K = h (I - h)^-1.
+/// With it, by the rule of Sherman and Morrison, the observation has the leverage of its own D. As
+/// the leverages of any H sum up to the number of parameters that it determines, kappa solves
+///
+///   sum_i tr[D K (kappa I + D K)^-1] = sum_i tr h_i,
+///
+/// with D = I at kappa = 1. For observations that determine little each, kappa is mean D / mean
+/// rho' without P. J. Huber's correction for few observations (1973), and with it to first order.
+/// With m the eigenvalues of K^(1/2) D K^(1/2), the terms are m / (kappa + m). The largest root is
+/// taken. Without a root at which all kappa + m are positive, the negative m count as 0, flat: the
+/// others have to hold such observations. If even then there is none above kLeastCurvature, the
+/// loss rejects too much for a covariance, and InputError is thrown.
+
+#include <vector>
+
+#include "core/covariance/long_sums.h"
+#include "core/covariance/reduced_system.h"
+
+namespace bundle {
+
+inline constexpr double kFullLeverage = 0.01;
+inline constexpr double kLeastCurvature = 1e-3;
+
+struct CorrectedResiduals {
+  std::vector<double> scores;  ///< r^, two numbers per observation; zero if it does not count
+  double variance = 1;         ///< s^2; 1 without degrees of freedom
+  double kappa = 1;            ///< exactly 1 without a loss
+};
+
+/// Returns the residuals of a system with this C; `inverse` empty: its values are C
+/// (ReducedSystem::Invert). C may be any inverse of a gauge: J N = 0.
+CorrectedResiduals CorrectForLeverage(const ReducedSystem& system, const LongMatrix& inverse);
+
+}  // namespace bundle
