@@ -64,7 +64,7 @@ def test_dense_matrices_beyond_memory_are_refused_with_their_size(options):
 
 
 def test_a_dense_reduced_system_beyond_memory_is_refused_with_its_size(solve):
-    base, n = scenes.make_problem(num_images=1, num_points=30, shared=True), 300_000
+    base, n = scenes.make_problem(num_images=1, num_points=30, shared=True), 60_000
     problem = base.replace(
         cam_from_world=np.tile(base.cam_from_world, (n, 1)),
         image_ids=np.arange(n),
