@@ -98,6 +98,20 @@ def test_headings_do_not_turn_a_world_that_positions_place():
     )
 
 
+def test_headings_have_no_vertical_for_two_positions():
+    truth, given = upright_and_turned()
+    two = [
+        PositionPrior(int(truth.image_ids[k]), truth.projection_centers[k], 0.01) for k in (0, 5)
+    ]
+    level = [*gravity_of(truth, 0.1), *two]
+    placed = bundle.solve(given, priors=level, max_num_iterations=0).problem
+    np.testing.assert_allclose(placed.projection_centers, truth.projection_centers, atol=0.05)
+    priors = [*headings_of(truth, 0.0), *two]
+    assert bundle.solve(given, priors=priors, max_num_iterations=0).similarity is None
+    with pytest.raises(InputError, match="at least 3 images"):
+        bundle.solve(given, priors=priors, max_num_iterations=0, align=True)
+
+
 @pytest.mark.parametrize(("above", "is_refused"), [(85.2, True), (84.8, False)])
 def test_the_least_angle_of_an_axis_with_a_heading(above, is_refused):
     truth, _ = upright_and_turned()

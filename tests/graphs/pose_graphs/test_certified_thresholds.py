@@ -121,6 +121,28 @@ def test_the_bound_of_correlated_information_is_tight(dimension, error):
     assert bound_weights(graph.replace(information=singular), error) is None
 
 
+def test_rounding_raises_no_weights_of_a_bound():
+    """Uncoupled blocks with eigenvalues of 1 to 1e10: alpha is 1, computed up to 1e-6 above."""
+    rng = np.random.default_rng(0)
+    information = np.zeros((40, 6, 6))
+    for matrix in information:
+        for part in (slice(0, 3), slice(3, 6)):
+            axes = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+            block = axes * [1.0, 1e5, 1e10] @ axes.T
+            matrix[part, part] = (block + block.T) / 2
+    still = np.array([[0, 0, 0, 1.0, 0, 0, 0]])
+    graph = bundle.PoseGraph(
+        poses=np.repeat(still, 2, axis=0),
+        edges=[[0, 1]] * 40,
+        measurements=np.repeat(still, 40, axis=0),
+        information=information,
+    )
+    weights = bound_weights(graph, "log")
+    least = [np.linalg.eigvalsh(information[:, k : k + 3, k : k + 3])[:, 0] for k in (0, 3)]
+    assert (weights.kappa <= 0.5 * least[0]).all() and (weights.tau <= least[1]).all()
+    assert weights.tau == pytest.approx(least[1], rel=1e-4)
+
+
 def test_singular_information_has_no_bound_and_no_harmonic_weights():
     edge = {"edges": [[0, 1]], "poses": np.zeros((2, 3)), "measurements": np.zeros((1, 3))}
     coupled = np.array([[1.0, 0, 1], [0, 1, 0], [1, 0, 1]])  # its blocks are regular
@@ -315,6 +337,18 @@ def test_a_minimum_of_chi2_without_one_of_the_chordal_cost():
     assert not bundle.certify(turned_pair(1.0, 0.8, far + 0.3)).is_settled
 
 
+@pytest.mark.parametrize(("apart", "verdict"), [(0.9e-6, "certified"), (1.1e-6, "not-a-minimum")])
+def test_minima_of_equal_chi2_are_the_same(apart, verdict):
+    """Measurements 0 and pi - delta: the minima of chi2 are as (pi - delta)^2 to (pi + delta)^2."""
+    delta = np.pi / 4 * apart
+    graph = turned_pair(1.0, 0.5, -(np.pi + delta) / 3)
+    graph = graph.replace(measurements=np.array([[0, 0, 0], [0, 0, np.pi - delta]]))
+    found = bundle.certify(graph)
+    assert found.chi2 == pytest.approx((np.pi + delta) ** 2 / 3, rel=1e-12)
+    assert found.initial_cost > 1.2 * found.cost  # the minimum of F belongs to the other one
+    assert (found.verdict, found.is_settled) == (verdict, True)
+
+
 def test_a_maximum_of_the_chordal_cost_is_no_minimum():
     found = bundle.certify(turned_pair(1.0, 1.0, 1.25 - np.pi))
     assert found.num_steps <= 1 and found.cost == pytest.approx(found.initial_cost)
@@ -349,4 +383,6 @@ def test_no_second_solve_without_lower_poses():
     found = certified_solve.certified(graph, options, solve)
     stairs = found.certificate.staircase
     assert stairs.cost >= (1 - 1e-6) * found.certificate.cost
+    assert 0 < stairs.lower_bound < stairs.cost
+    assert stairs.gap == pytest.approx(stairs.cost - stairs.lower_bound, rel=1e-12)
     assert len(solves) == 1 and found.summary.init == real.summary.init

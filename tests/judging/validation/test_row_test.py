@@ -169,3 +169,18 @@ def test_a_ratio_that_lens_errors_reach_does_not_fire(monkeypatch):
     assert np.isnan(found.confirmation)
     monkeypatch.setattr(module, "SMALLEST_RATIO", 1.0)
     assert row_test(problem, r).confirmation > 0
+
+
+@pytest.mark.parametrize(
+    ("ratio", "freedom", "is_confirmed"),
+    [
+        (2.01, 3.0, True),  # the quantile of 0.95 is at a ratio of 2.6
+        (1.99, 3.0, False),
+        (1.99, 1000.0, True),
+        (1.074, 1000.0, False),  # chi2_0.95(1000) = 1074.7
+        (1.075, 1000.0, True),
+        (np.nan, 0.0, False),
+    ],
+)
+def test_motion_is_confirmed_by_twice_its_noise_or_by_the_quantile(ratio, freedom, is_confirmed):
+    assert module._is_confirmed(module.ShearScore(ratio, freedom)) == is_confirmed
