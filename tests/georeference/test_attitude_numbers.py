@@ -155,3 +155,30 @@ def test_the_largest_of_good_residuals(length, agrees):
     # The robust mean moves by less than a thirtieth of the length.
     assert (len(found.suspects) == 0) == agrees
     assert found.images[7].apart == pytest.approx(length, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("sigmas", "apart", "expected"),
+    [
+        ((1.0,), 0.0, 2.448),  # chi2 with 2 degrees of freedom exceeds 2.448^2 in 5 of 100
+        ((1.0, 1.0), 0.0, 2.448 / math.sqrt(2)),
+        ((0.5, 1.0), 0.0, 2.448 / math.sqrt(5)),
+        # Two that are 10 sigmas apart have lengths of 5, a scale of 5 / 1.17741 and Tukey's weights
+        # w; their squares are 12.5 times the expected ones.
+        ((1.0, 1.0), 10.0, 2.448 * math.sqrt(12.5 / 2) / (1 - (1.17741 / 4.685) ** 2)),
+    ],
+)
+def test_the_bound_of_one_or_two_directions(sigmas, apart, expected):
+    truth, _ = upright_and_turned(num_images=3)
+    priors = []
+    for prior, sigma, by in zip(gravity_of(truth, 1e-9), sigmas, (-0.5, 0.5), strict=False):
+        world = Rotation.from_rotvec(np.radians([by * apart, 0, 0])).apply([0, 0, -1.0])
+        row = truth.image_ids.tolist().index(prior.image)
+        priors.append(GravityPrior(prior.image, rotations(truth)[row].apply(world), sigma))
+    (found,) = Attitudes(tuple(priors)).errors(truth)
+    assert found.within == pytest.approx(expected, rel=1e-3)
+
+
+def test_losses_have_the_names_of_the_solver():
+    prior = GravityPrior(1, (0, 1, 0), 1.0, loss="Soft-L1")
+    assert prior.loss == "soft_l1" and prior.factor(1).loss == "soft_l1"

@@ -117,3 +117,12 @@ def test_copies_stay_immutable():
         assert shutter.axis.tolist() == [1, 2]
         with pytest.raises(ValueError, match="read-only"):
             shutter.twist[0] = 1
+
+
+def test_images_with_a_rolling_shutter_and_neighbours_are_tied():
+    neighbours = [[0, 1], [0, 2], [-1, -1], [2, 3]]
+    twist = np.where([[True], [True], [True], [False]], TWIST, 0.0)
+    problem = problem_of(direction=("rows", "global"), twist=twist, neighbours=neighbours)
+    assert problem.rolling_shutter.tied(problem).tolist() == [True, True, False, False]
+    alone = problem_of(neighbours=None)
+    assert not alone.rolling_shutter.tied(alone).any()

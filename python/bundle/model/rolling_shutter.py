@@ -163,8 +163,7 @@ class RollingShutter(FrozenArrays, Displayed):
         """Return the mask of images with a rolling shutter and with neighbours."""
         if self.neighbours is None:
             return np.zeros(len(self.twist), bool)
-        rolls = np.asarray(self.is_rolling[problem.image_camera])
-        return np.asarray(rolls & (self.neighbours[:, 0] >= 0) & (self.neighbours[:, 1] >= 0))
+        return np.asarray(self.is_rolling[problem.image_camera] & (self.neighbours[:, 0] >= 0))
 
     def check_tied(self, problem: ProblemArrays) -> None:
         """Check that twists can be tied to the poses of neighbours.

@@ -5,6 +5,7 @@ import pytest
 from scipy.linalg import expm
 
 import bundle
+from bundle.analysis.diagnosis import shutter_modes as module
 from bundle.analysis.diagnosis import shutter_spectrum
 from bundle.analysis.diagnosis.shutter_modes import shutter_modes
 from bundle.model.rotations import quaternion_rotate
@@ -131,3 +132,29 @@ def test_more_images_than_are_tested(monkeypatch):
     monkeypatch.setattr(shutter_spectrum, "MOST_POINTS", 150)
     (mode,) = shutter_modes(scene_of("flat", 1))
     assert len(mode.image_ids) == 6 and "images were tested" in mode.sentence
+
+
+@pytest.mark.parametrize(
+    ("weak", "null", "flat", "images", "kind"),
+    [
+        # columns of 5 images: weak below the limit, null, flat
+        ("11000", "00000", "11000", [0, 1], "flat_scene_parallel_readout"),
+        ("11000", "00000", "10000", [], ""),  # fewer than two, since a weak image must be flat
+        ("10000", "01000", "10000", [0, 1], "flat_scene_parallel_readout"),  # some weak, some null
+        ("00000", "01100", "00000", [1, 2], "undetermined_twists"),
+        ("01100", "01100", "01100", [1, 2], "flat_scene_pure_translation"),
+    ],
+)
+def test_weak_images_are_flat_and_null_ones_any(monkeypatch, weak, null, flat, images, kind):
+    problem = film(options("orbit", num_images=5)).ground_truth
+    weak, null, flat = (np.array(list(row)) == "1" for row in (weak, null, flat))
+    monkeypatch.setattr(
+        module,
+        "_energy",
+        lambda _, limit: np.where(null if limit == module.ZERO else weak, 0.71, 0.69),
+    )
+    monkeypatch.setattr(module, "_flat_images", lambda *_: flat)
+    found = shutter_modes(problem)
+    assert [one.kind for one in found] == ([kind] if kind else [])
+    if found:
+        assert found[0].image_ids == tuple(problem.image_ids[images])

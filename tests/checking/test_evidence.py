@@ -1,0 +1,113 @@
+"""Hypotheses about wrong columns, on both sides of each of their limits."""
+
+import numpy as np
+import pytest
+
+from bundle.checking import column_signatures, row_signatures
+from bundle.checking.columns import Block, Column
+from bundle.checking.evidence import Evidence
+from bundle.checking.jacobian_deviation import JacobianDeviation
+
+TOLERANCE = 1e-7
+
+
+def evidence(analytic, reference, uncertainty=None, points=None):
+    """Return the evidence of Jacobians (K, R, N), all of whose columns are wrong."""
+    analytic, reference = np.array(analytic, float), np.array(reference, float)
+    doubt = np.zeros_like(reference) if uncertainty is None else np.array(uncertainty, float)
+    count, _, width = reference.shape
+    return Evidence(
+        JacobianDeviation(analytic, reference, doubt, TOLERANCE),
+        [Column(f"x {j}", "x") for j in range(width)],
+        [Block("x", 0, width)],
+        np.ones((count, width)) if points is None else np.array(points, float),
+        lambda *_: None,
+        list(range(width)),
+        TOLERANCE,
+    )
+
+
+@pytest.mark.parametrize(("left", "is_explained"), [(0.99e-5, True), (1.01e-5, False)])
+def test_a_guess_leaves_a_share_of_the_deviation(left, is_explained):
+    given = evidence([[[3.0]]], [[[1.0]]])
+    assert given.explains(np.array([[[3.0 + 2 * left]]]), [0]) == is_explained
+
+
+@pytest.mark.parametrize(("left", "is_explained"), [(0.99e-5, True), (1.01e-5, False)])
+def test_a_small_column_is_explained_by_its_own_size(left, is_explained):
+    """A column of a thousandth is no zero: the remainder is compared with it, too."""
+    given = evidence([[[1e-3]]], [[[1.0]]])
+    assert given.explains(np.array([[[1e-3 * (1 + left)]]]), [0]) == is_explained
+    tiny = evidence([[[1e-6]]], [[[1.0]]])
+    assert not tiny.explains(np.zeros((1, 1, 1)), [0])
+
+
+@pytest.mark.parametrize(("doubt", "is_explained"), [(0.0099, True), (0.0101, False)])
+def test_a_deviation_is_ten_times_its_doubt(doubt, is_explained):
+    given = evidence([[[1.1]]], [[[1.0]]], [[[doubt]]])
+    assert given.explains(np.array([[[1.1]]]), [0]) == is_explained
+
+
+@pytest.mark.parametrize(("unknown", "is_explained"), [(2, True), (3, False)])
+def test_half_of_the_entries_are_known(unknown, is_explained):
+    doubt = np.zeros((4, 1, 1))
+    doubt[:unknown] = 0.11  # above a tenth
+    given = evidence(np.full((4, 1, 1), 2.0), np.ones((4, 1, 1)), doubt)
+    assert given.explains(np.full((4, 1, 1), 2.0), [0]) == is_explained
+
+
+@pytest.mark.parametrize(("size", "ratio"), [(0.9e-12, 1.0), (1.1e-12, 5.0)])
+def test_a_row_of_rounding_has_no_factor(size, ratio):
+    reference = np.array([[1.0, size], [0.0, 0.0]])
+    found = column_signatures._ratios(reference * [2.0, 5.0], reference, 0)
+    assert found == pytest.approx([2.0, ratio], rel=1e-9)
+    assert column_signatures._ratios(0 * reference, 0 * reference, 0).tolist() == [1.0, 1.0]
+
+
+def test_a_row_that_is_there_twice_is_no_order():
+    right = np.random.default_rng(0).normal(size=(4, 3, 2))
+    exchanged = evidence(right[:, [1, 0, 2]], right)
+    row_signatures.rows(exchanged)
+    assert [one.kind for one in exchanged.findings] == ["swapped_rows"]
+    twice = evidence(right[:, [1, 1, 2]], right)
+    row_signatures.rows(twice)
+    assert twice.findings == []
+
+
+@pytest.mark.parametrize("exponent", [1, -1])
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize(
+    ("mean", "slope", "is_found"),
+    [
+        (1 + 0.9e-3, 0.0, True),
+        (1 + 1.1e-3, 0.0, False),
+        (1 - 0.9e-3, 0.0, True),
+        (1 - 1.1e-3, 0.0, False),
+        (1.0, 0.9e-3, True),
+        (1.0, 1.1e-3, False),
+    ],
+)
+def test_a_factor_is_a_parameter_to_a_thousandth(exponent, sign, mean, slope, is_found):
+    rng = np.random.default_rng(1)
+    right = rng.normal(size=(5, 2, 2))
+    value = np.array([1.5, 2.0, 0.5, -3.0, 4.0])
+    constant = sign * (mean + slope * np.linspace(-0.5, 0.5, 5))
+    analytic = right.copy()
+    analytic[..., 0] *= (constant * value**exponent)[:, None]
+    given = evidence(analytic, right, points=np.stack([value, np.ones(5)], axis=1))
+    given.wrong = [0]
+    column_signatures.parameter_factors(given)
+    assert [one.kind for one in given.findings] == ["scaled_by_parameter"] * is_found
+    if is_found:
+        verb = "multiplied" if exponent == 1 else "divided"
+        minus = "" if sign == 1 else "minus "
+        assert f"x 0: {verb} by {minus}x 0, " in given.findings[0].sentence
+
+
+@pytest.mark.parametrize(("spread", "is_found"), [(2e-9, True), (0.5e-9, False)])
+def test_a_parameter_that_stands_still_tells_nothing(spread, is_found):
+    right = np.random.default_rng(2).normal(size=(4, 2, 1))
+    value = 1 + spread * np.linspace(0, 1, 4)
+    given = evidence(1.0005 * right, right, points=value[:, None])
+    column_signatures.parameter_factors(given)
+    assert bool(given.findings) == is_found
