@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -11,10 +12,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from bundle.cli.main import main
+from bundle.inertial.tracking import force_check, sequence_axes, track_turns
 from bundle.inertial.tracking.sequence_axes import axes_findings, explanations
 from bundle.inertial.tracking.track_turns import turns_of_tracks
 from bundle.inertial.vio.sequence_images import SequenceImages
 from bundle.inertial.vio.trajectory_comparison import states_at
+from bundle.interface.finding import Finding
 from bundle.io.sequences.sequence_folder import save_sequence
 from bundle.model.sequence.sequence import Sequence
 from bundle.synthetic.flight.synthetic_flight import SyntheticFlight, synthesize_flight
@@ -22,7 +25,14 @@ from bundle.synthetic.flight.synthetic_flight import SyntheticFlight, synthesize
 
 @pytest.fixture(scope="module")
 def flight() -> SyntheticFlight:
-    return synthesize_flight(motion="loop", duration=10.0, seed=4)
+    return synthesize_flight(motion="loop", duration=10.0, num_tracks=50, seed=4)
+
+
+@pytest.fixture(autouse=True)
+def few(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fewer pairs of images and spans: enough here, and quick."""
+    monkeypatch.setattr(sequence_axes, "MANY", 70)
+    monkeypatch.setattr(force_check, "SPANS", 3)
 
 
 def changed(flight: SyntheticFlight, gyro: Any = (1, 1, 1), accel: Any = (1, 1, 1)) -> Sequence:
@@ -43,6 +53,36 @@ def test_turns_of_tracks_are_those_of_the_truth(flight: SyntheticFlight) -> None
         true = lens * other.inv() * one * lens.inv()
         errors.append((Rotation.from_matrix(turn.rotation) * true.inv()).magnitude())
     assert np.median(errors) < np.radians(0.4)
+
+
+def test_pairs_have_a_quarter_of_a_second_inside_the_samples_and_start_near_the_truth(
+    flight: SyntheticFlight, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given = flight.sequence
+    seconds = 1e-9 * (given.track_timestamps_ns - given.imu_timestamps_ns[0])
+    kept = (seconds < 4.0) | (seconds > 4.8)
+    inside = 1e-9 * (given.imu_timestamps_ns - given.imu_timestamps_ns[0])
+    inside = (inside > 0.5) & (inside < 8.0)
+    holed = replace(
+        given, track_timestamps_ns=given.track_timestamps_ns[kept],
+        track_ids=given.track_ids[kept], xy=given.xy[kept], gyro=given.gyro[inside],
+        accel=given.accel[inside], imu_timestamps_ns=given.imu_timestamps_ns[inside],
+    )  # fmt: skip
+    monkeypatch.setattr(track_turns, "refined_rotation", lambda *given: given[2])
+    images = SequenceImages(holed)
+    covered = np.flatnonzero(images.covered)
+    turns = turns_of_tracks(images, 1000)
+    lens = Rotation.from_quat(given.calibration.camera_from_imu[:4])
+    errors, angles = [], []
+    for turn in turns:
+        pair = covered[[turn.earlier, turn.later]]  # no image beyond the samples
+        assert 0.25 <= 1e-9 * np.diff(images.stamps[pair])[0] <= 0.5
+        one, other = Rotation.from_quat(states_at(flight.ground_truth, images.stamps[pair])[:, :4])
+        true = lens * other.inv() * one * lens.inv()
+        errors.append((Rotation.from_matrix(turn.rotation) * true.inv()).magnitude())
+        angles.append(true.magnitude())
+    assert len(turns) > 80
+    assert np.median(errors) < 0.7 * np.median(angles)
 
 
 @pytest.mark.parametrize(
@@ -72,6 +112,78 @@ def test_one_reversed_axis_of_the_accelerometer_is_found_afterwards(
     assert found.kind == "accelerometer axes"
     assert "-x +y +z" in found.sentence
     assert explanations(flight.sequence, "S") == ()
+
+
+def test_an_unknown_cause_does_not_refuse_a_sequence(
+    flight: SyntheticFlight, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sequence_axes, "check_rotations", lambda *_: None)
+    monkeypatch.setattr(sequence_axes, "turns_of_tracks", lambda *_: [])
+    monkeypatch.setattr(sequence_axes, "share_unexplained", lambda *_: 1.0)
+    monkeypatch.setattr(sequence_axes, "is_reversed", lambda _: False)
+    for kind, is_problem, count in (("rotation", True, 0), ("axes", True, 1), ("axes", False, 0)):
+        found = Finding(kind=kind, sentence="", is_problem=is_problem)
+        monkeypatch.setattr(sequence_axes, "tracking_findings", lambda *_, found=found: (found,))
+        assert len(axes_findings(flight.sequence, "S")) == count
+    monkeypatch.setattr(sequence_axes, "tracking_findings", lambda *_: ())
+    for signs, count in (((1, 1, 1), 0), (None, 0), ((1, -1, 1), 1)):
+        monkeypatch.setattr(sequence_axes, "right_signs", lambda _, signs=signs: signs)
+        assert len(explanations(flight.sequence, "S")) == count
+
+
+@pytest.mark.parametrize(
+    ("spans", "expected"),
+    [
+        ([(1.0, ""), (1.0, "bias")], True),
+        ([(0.95, ""), (0.95, "")], True),
+        ([(0.94, ""), (0.94, "")], False),
+        ([(0.96, ""), (0.51, ""), (0.96, "")], True),
+        ([(0.96, ""), (0.5, ""), (0.96, "")], False),
+        ([(1.0, "")], False),
+        ([(1.0, "no parallax"), (1.0, "")], False),
+        ([], False),
+    ],
+)
+def test_two_spans_behind_the_camera_and_none_before_it_are_reversed(
+    monkeypatch: pytest.MonkeyPatch, spans: list[tuple[float, str]], expected: bool
+) -> None:
+    monkeypatch.setattr(force_check, "_spans", lambda _: iter(spans))
+    monkeypatch.setattr(force_check, "_start", lambda _, span: span)
+    assert force_check.is_reversed(None) == expected  # type: ignore[arg-type]
+
+
+X, Y = (-1.0, 1.0, 1.0), (1.0, -1.0, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("spans", "expected"),
+    [
+        ([{X}, {X}], (-1, 1, 1)),
+        ([{X, Y}, {X}], (-1, 1, 1)),
+        ([{X, Y}, {X, Y}], None),
+        ([{X}, {Y}], None),
+        ([{X}], None),
+        ([{X}, {(1.0, 1.0, 1.0), Y}], None),
+        ([{X}, {(1.0, 1.0, 1.0), Y}, {X}], (-1, 1, 1)),
+    ],
+)
+def test_signs_that_explain_two_spans_alone_are_right(
+    monkeypatch: pytest.MonkeyPatch, spans: list[set[Any]], expected: Any
+) -> None:
+    @dataclass
+    class Given:
+        accel: Any
+
+    def start(images: Any, span: set[Any]) -> tuple[float, str]:
+        return 0.0, "" if tuple(images.sequence.accel) in span else "bias"
+
+    monkeypatch.setattr(force_check, "_spans", lambda _: iter(spans))
+    monkeypatch.setattr(force_check, "_start", start)
+    monkeypatch.setattr(
+        force_check, "SequenceImages", lambda given: SimpleNamespace(sequence=given)
+    )
+    images: Any = SimpleNamespace(sequence=Given(np.ones(3)))
+    assert force_check.right_signs(images) == expected
 
 
 @pytest.mark.parametrize("milliseconds", [-30, 30])

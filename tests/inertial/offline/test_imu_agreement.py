@@ -52,7 +52,9 @@ def test_the_whole_is_contradicted_beyond_its_bound():
     assert found.bound == pytest.approx(bound, rel=0.01)
     # outliers of a quadratic loss, a variance below 1, images alone without a minimum
     assert agreement(quiet, 3.9 * bound, (7.0, 4.0)).chi2 == pytest.approx(3.9 * bound / 4)
-    assert agreement(quiet, 1.01 * bound, (7.0, 0.1)).is_contradicted
+    small = agreement(quiet, 1.01 * bound, (7.0, 0.1))
+    assert small.is_contradicted
+    assert small.chi2 == pytest.approx(1.01 * bound)
     lost = agreement(quiet, 9 * bound, (math.nan, 1.0))
     assert not lost.is_contradicted
     assert lost.asdict()["chi2"] is None

@@ -45,13 +45,29 @@ def test_what_a_gap_may_hide(rule: str) -> None:
     assert whole.doubt == pytest.approx((step * 0.075**2, 100 * step * 0.075**2))
     if rule == "zero_order_hold":  # the mean of both ends
         np.testing.assert_allclose(whole.gyro[:, 0], [1, 2, 3.5, 4, 5])
+        np.testing.assert_allclose(whole.accel[:, 0], [10, 20, 35, 40, 50])
     half = slices.between(5_000_000, 40_000_000)
     other = slices.between(40_000_000, 100_000_000)
     assert half.doubt == pytest.approx((step * 0.025**2, 100 * step * 0.025**2))
+    if rule == "zero_order_hold":  # the middle of the piece
+        np.testing.assert_allclose(half.gyro[:, 0], [1, 2, 3 + 12.5 / 75])
     assert half.then(other).doubt[0] == pytest.approx(half.doubt[0] + other.doubt[0])
     assert slices.between(0, 15_000_000).doubt == (0.0, 0.0)
     np.testing.assert_array_equal(gyro, ramp)  # the recording stays
     np.testing.assert_array_equal(accel, 10 * ramp)
+
+
+@pytest.mark.parametrize(("before", "is_near"), [(145, True), (155, False)])
+def test_what_is_near_a_gap_is_twice_its_length_away(before: int, is_near: bool) -> None:
+    stamps = 1_000_000 * np.r_[0:500:5, 570:1000:5]  # a gap from 495 to 570 ms
+    gyro = np.zeros((len(stamps), 3))
+    last = int(np.flatnonzero(stamps == 1_000_000 * (495 - before))[0])
+    gyro[last - 12 : last + 1, 1] = 3.0
+    rng = np.random.default_rng(0)
+    gyro += rng.normal(0, 1e-3, gyro.shape)
+    slices = ImuSlices(stamps, gyro, gyro + np.array([0, 0, 9.81]), "midpoint")
+    doubt = slices.between(490_000_000, 575_000_000).doubt[0]
+    assert (doubt > 1e-4) == is_near
 
 
 def test_doubt_is_part_of_the_covariance() -> None:
