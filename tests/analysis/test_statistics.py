@@ -296,6 +296,25 @@ def test_absurd_distortion(gain, is_absurd):
         assert found["absurd_distortion"].evidence["ids"] == [2]
 
 
+@pytest.mark.parametrize(
+    ("k1", "k2", "kind"),
+    [
+        # Coefficients for the farthest observation at 1.
+        (4.4, -0.1, "absurd_distortion"),  # folds at 244
+        (-14.0, 80.0, "folding_distortion"),  # folds at 0.11, and grows again beyond
+    ],
+)
+def test_a_lens_folds_or_stretches(k1, k2, kind):
+    problem = scene().replace(camera_models=("RADIAL",) * 4)
+    params = problem.camera_params.copy()
+    camera = problem.image_camera[problem.observation_image]
+    radius = np.hypot(*(problem.observation_xy[camera == 2] - params[2, 1:3]).T).max()
+    square = (params[2, 0] / radius) ** 2
+    params[2, 3:] = k1 * square, k2 * square**2
+    found = kinds(problem.replace(camera_params=params))
+    assert {"absurd_distortion", "folding_distortion"} & set(found) == {kind}
+
+
 @pytest.mark.parametrize("k1", [-0.4, -0.05, 0.0, 0.3])
 @pytest.mark.parametrize("k2", [-0.2, -0.01, 0.0, 0.01, 0.2])
 def test_fold_radius_against_sampling(k1, k2):

@@ -63,11 +63,11 @@ MODELS: dict[str, tuple[str, ...]] = {
     **{f"colmap/{name}": () for name in ("maupertuis", "video48", "vr_opencv", "long_tracks")},
     "degenerate/pratikk0": (),
     "rigs/kitti26_stereo_rig": (),
-    "rolling_shutter/phone": (),
-    "georeferenced/brighton_gps": (),
-    "georeferenced/copr_gcp": (),
+    "rolling_shutter/phone/model": (),
+    "georeferenced/brighton_gps/model": (),
+    "georeferenced/copr_gcp/model": ("--gcp", "georeferenced/copr_gcp/gcp_list.txt"),
 }
-"""Real models by their paths in BUNDLE_DATA, and flags of the first run."""
+"""Real models and the flags of the first run; paths are those in BUNDLE_DATA."""
 
 
 @dataclass(frozen=True)
@@ -252,10 +252,13 @@ def scene_steps(seed: int, folder: Path) -> list[Step]:
 
 def model_steps(name: str, folder: Path) -> list[Step]:
     """Follow the findings of a real model."""
-    whole = bundle.load(Path(os.environ["BUNDLE_DATA"]) / name)
+    data = Path(os.environ["BUNDLE_DATA"])
+    whole = bundle.load(data / name)
     kept, held = bundle.hold_out(whole, percent=10, seed=0)
     bundle.save(kept, f"{folder / 'model'}/", format="colmap")
-    return follow(folder / "model", MODELS.get(name, ()), held_out_error(whole, held))
+    given = MODELS.get(name, ())
+    flags = tuple(str(data / word) if (data / word).exists() else word for word in given)
+    return follow(folder / "model", flags, held_out_error(whole, held))
 
 
 def summary(steps: list[Step]) -> str:

@@ -42,6 +42,7 @@ def test_images_keep_their_scale(model, tmp_path):
     [
         ("--refine", "points,focal"),
         ("--only-images", "1,2,3"),
+        ("--fix-images", "orbit_0001.jpg"),
         ("--set", "image 2: position fixed"),
     ],
 )

@@ -147,6 +147,22 @@ def test_a_wrong_point_is_accused_and_no_offset():
         assert not checks.offset.is_significant
 
 
+def test_others_are_tested_again_without_an_accused_point():
+    problem, positions, gcps, _ = block(wrong=(3, np.array([0.2, 0.0, 0.0])))
+    points = solved(problem, positions, gcps).survey_checks.points
+    gcps[3] = dataclasses.replace(gcps[3], sigma=(1e4, 1e4))
+    others = solved(problem, positions, gcps).survey_checks.points
+    for name in set(others) - {"t3"}:
+        assert points[name].statistic == pytest.approx(others[name].statistic, rel=1e-3)
+
+
+def test_an_offset_that_is_not_significant_has_its_value():
+    found = solved(*block(shift=(0, 0, -0.6))[:3]).survey_checks.offset
+    estimated = solved(*block(shift=(0, 0, -0.6), offset="up")[:3]).survey_checks.offset
+    assert not found.is_significant and not estimated.is_significant
+    assert found.value[2] == pytest.approx(estimated.value[2], rel=0.05)
+
+
 def test_two_wrong_points_are_accused_one_after_the_other():
     problem, positions, gcps, _ = block(wrong=(3, np.array([0.3, 0.0, 0.0])))
     x, y, z = gcps[6].position
@@ -171,7 +187,7 @@ def test_the_statistic_is_that_of_a_solve_without_the_point():
 
 def test_a_check_point_is_tested_and_pulls_nothing():
     problem, positions, gcps, _ = block(wrong=(3, np.array([0.0, 0.0, 0.9])))
-    gcps[3] = dataclasses.replace(gcps[3], role="check")
+    gcps[3] = dataclasses.replace(gcps[3], sigma=(1e4, 1e4))
     result = solved(problem, positions, gcps)
     checks = result.survey_checks
     assert checks.points["t3"].is_suspect and checks.points["t3"].redundancy == 1

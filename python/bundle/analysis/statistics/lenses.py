@@ -5,8 +5,9 @@ The radial part of SIMPLE_RADIAL, RADIAL and OPENCV maps the undistorted radius 
 2 / (-3 k1 + sqrt(9 k1^2 - 20 k2))`` if that is a positive number. No image point lies beyond the
 distorted radius reached there. Folds of other models are not computed.
 
-A lens that does not fold stretches the farthest observation, at the distorted radius R, by more
-than t if the radius R / t is already distorted beyond R: ``k1 s + k2 s^2 > t - 1``, s = (R / t)^2.
+A lens that does not fold before the farthest observation, at the distorted radius R, stretches its
+radius by more than t if R / t is already distorted beyond R: ``k1 s + k2 s^2 > t - 1``, s = (R /
+t)^2.
 """
 
 from __future__ import annotations
@@ -39,8 +40,8 @@ class Lens:
             farthest observation from the principal point along an axis.
         farthest: distorted radius of the farthest observation, in focal lengths.
         fold: distorted radius at which the distortion folds, in focal lengths; infinite if never.
-        stretched: True if the distortion does not fold and more than doubles the radius of the
-            farthest observation.
+        stretched: True if the distortion does not fold before the farthest observation, and more
+            than doubles its radius.
     """
 
     focal: NDArray[np.float64]
@@ -83,7 +84,7 @@ def lenses(problem: Problem) -> Lens:
             size=np.where(recorded > 0, recorded, 2.0 * reach),
             farthest=radius / focal,
             fold=fold,
-            stretched=np.isinf(fold) & (gain > STRETCH - 1.0),
+            stretched=~(radius / focal > fold) & (gain > STRETCH - 1.0),
         )
 
 

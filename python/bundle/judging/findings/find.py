@@ -165,7 +165,8 @@ def _findings(measured: Measured) -> Iterator[Finding | None]:
     joint = weak_joint(measured.whole, TrackTable(measured.whole))
     yield joint
     yield duplicate_points(measured)
-    yield wrong_attitudes(measured)
+    turned = wrong_attitudes(measured)
+    yield turned
     offset = position_offset(measured)
     yield offset
     start = shifted_pixels(measured) or not_refined(measured)
@@ -174,13 +175,14 @@ def _findings(measured: Measured) -> Iterator[Finding | None]:
         return  # other tests need a minimum
     far = outliers(measured)
     yield far
-    is_bent = offset is None and is_tense(measured)  # an offset bends the model
+    is_tensed = offset is None and is_tense(measured)  # an offset bends the model
+    is_bent = is_tensed or turned is not None
     can_repair = is_affordable(measured)
     free = None
     if can_repair and (far is not None or is_bent):
         free = repaired(measured, is_bent=is_bent)
     drift = places = None
-    if is_bent:
+    if is_tensed:
         straight = free or measured
         repairs = _repairs(straight)
         if any(repairs) and can_repair:
@@ -193,10 +195,11 @@ def _findings(measured: Measured) -> Iterator[Finding | None]:
     yield from (drift, places)
     if free is not None:
         command = measured.command if far is None else free.command
-        if places is not None and places.command:  # a bend is repaired beside its positions
-            command = command.following(places.command)
+        for one in (turned, places):  # a bend is repaired beside the measurements that bend
+            if one is not None and one.command:
+                command = command.with_flags_of(one.command)
         measured = free.of_command(command)
-    elif far is not None or drift is not None or places is not None:
+    elif any(one is not None for one in (far, turned, drift, places)):
         return
     found, fits, fields, moves = _fields(measured)
     shutter = "" if moves is None else moves.evidence["shutter"]

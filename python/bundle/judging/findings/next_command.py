@@ -54,9 +54,9 @@ class NextCommand:
         words = tuple(word for one in (*kept, *advised) for word in one)
         return NextCommand(self.source, self.target, words)
 
-    def following(self, command: str) -> NextCommand:
-        """Return the maker of commands for a run after a command of this maker."""
-        return NextCommand(self.source, self.target, tuple(shlex.split(command)[5:]))
+    def with_flags_of(self, command: str) -> NextCommand:
+        """Return the maker of commands for a run with the flags of a command in addition."""
+        return self.after(*shlex.split(command)[5:])
 
     def value(self, flag: str, default: str) -> str:
         """Return the value that this run gives to a flag of one value."""
