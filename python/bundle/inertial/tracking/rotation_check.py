@@ -158,9 +158,13 @@ class _Pairs:
         self.seconds = 1e-9 * float(np.median(np.diff(self.spans))) if len(rows) else 0.0
 
     def imu(self, shift: float, scale: float = 1.0) -> Array:
-        """Return rotation vectors (n, 3) later_from_earlier of the IMU, of scaled samples."""
+        """Return rotation vectors (n, 3) later_from_earlier of the IMU, of scaled samples.
+
+        Pairs that a large shift moves beyond the samples end there.
+        """
         matrices = []
-        for begin, end in (self.spans + round(1e9 * shift)).tolist():
+        first, last = self._slices.stamps[[0, -1]]
+        for begin, end in (self.spans + round(1e9 * shift)).clip(first, last).tolist():
             interval = self._slices.between(begin, end)
             motion = Preintegration(self._noise, rule="midpoint")
             motion.integrate(scale * interval.gyro, interval.accel, interval.dt)
@@ -238,7 +242,10 @@ def _likely_shifts(pairs: _Pairs) -> list[float]:
 
 
 def _time_shift(pairs: _Pairs, matrix: Array) -> tuple[float, float]:
-    """Return the best shift and its standard deviation by a parabola through the cost."""
+    """Return the best shift and its standard deviation by a parabola through the cost.
+
+    If the best one is the last, those beyond are tried, too.
+    """
     scale = 1.48 * float(np.median(np.abs(pairs.errors(matrix, pairs.imu(0.0)))))
     scale = max(scale, 1e-6)
 
@@ -246,16 +253,21 @@ def _time_shift(pairs: _Pairs, matrix: Array) -> tuple[float, float]:
         errors = pairs.errors(matrix, pairs.imu(shift)) / scale
         return float(np.log1p((errors**2).sum(axis=1)).sum())
 
-    costs = [cost(float(shift)) for shift in SHIFTS]
-    best = int(np.argmin(costs))
-    if not 0 < best < len(SHIFTS) - 1:
+    middle = 0.0
+    for _ in range(2):
+        costs = [cost(middle + float(shift)) for shift in SHIFTS]
+        best = int(np.argmin(costs))
+        if 0 < best < len(SHIFTS) - 1:
+            break
+        middle += float(SHIFTS[best])
+    else:
         return float("nan"), float("nan")
     before, least, after = costs[best - 1 : best + 2]
     step = float(SHIFTS[1] - SHIFTS[0])
     curvature = (before - 2 * least + after) / step**2
     if curvature <= 0:
         return float("nan"), float("nan")
-    shift = float(SHIFTS[best]) + (before - after) / (2 * step * curvature)
+    shift = middle + float(SHIFTS[best]) + (before - after) / (2 * step * curvature)
     return shift, float(np.sqrt(2 / curvature))
 
 
