@@ -177,6 +177,7 @@ def test_the_bound_of_one_or_two_directions(sigmas, apart, expected):
         priors.append(GravityPrior(prior.image, rotations(truth)[row].apply(world), sigma))
     (found,) = Attitudes(tuple(priors)).errors(truth)
     assert found.within == pytest.approx(expected, rel=1e-3)
+    assert found.sigma == pytest.approx(np.median(sigmas), rel=1e-12)
 
 
 def test_losses_have_the_names_of_the_solver():

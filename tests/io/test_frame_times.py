@@ -83,3 +83,15 @@ def test_times_in_seconds_are_multiplied_by_the_rate(problem, tmp_path):
             read(problem, tmp_path, f"image_id,time_s\n{a},2\n", frame_rate=rate)
     with pytest.raises(bundle.InputError, match="found none of them"):
         read(problem, tmp_path, "image_id,frame\n77,2\n")
+
+
+def test_rows_may_be_short(problem, tmp_path):
+    """Cells that a row does not have are empty: no neighbour, no image."""
+    a, b, c, _ = problem.image_ids.tolist()
+    rows = f"{a},0\n{b},5,{a}\n{c},10,{b},{a}\n"
+    _, found = read(problem, tmp_path, f"image_id,frame,neighbour_a,neighbour_b\n{rows}")
+    assert found.tolist() == [[-1, -1], [0, 1], [1, 0], [-1, -1]]
+    frames, _ = read(problem, tmp_path, f"frame,image_id\n1\n2,{b}\n")
+    np.testing.assert_array_equal(frames, [np.nan, 2, np.nan, np.nan])
+    with pytest.raises(bundle.InputError, match=r"times.csv:2: frame: expected a number"):
+        read(problem, tmp_path, f"image_id,frame\n{a}\n")

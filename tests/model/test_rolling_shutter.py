@@ -126,3 +126,26 @@ def test_images_with_a_rolling_shutter_and_neighbours_are_tied():
     assert problem.rolling_shutter.tied(problem).tolist() == [True, True, False, False]
     alone = problem_of(neighbours=None)
     assert not alone.rolling_shutter.tied(alone).any()
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({}, ""),
+        ({"neighbours": None}, "found 0 images with both"),
+        ({"frames": None}, "found 0 images with both"),
+        ({"neighbours": [[-1, -1]] * 4}, "found 0 images with both"),
+        ({"neighbours": [[0, 1], [0, 2], [2, 1], [-1, -1]]}, "image 2: .* found -5 frames"),
+        ({"frames": [0.0, 5, 5, 0]}, "image 2: .* found 0 frames"),
+        ({"frames": [0.0, 5, np.nan, 0]}, "image 1: .* found nan frames"),
+        ({"readout": [np.nan, 0.5]}, "camera 0: expected a readout"),
+        ({"readout": [0.5, np.nan]}, ""),  # no image of camera 1 is tied
+    ],
+)
+def test_ties_need_times_in_order_and_readouts(changes, words):
+    problem = problem_of(**changes)
+    if not words:
+        problem.rolling_shutter.check_tied(problem)
+        return
+    with pytest.raises(bundle.InputError, match=words):
+        problem.rolling_shutter.check_tied(problem)
