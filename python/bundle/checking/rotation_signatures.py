@@ -69,11 +69,12 @@ def rotation_vectors(evidence: Evidence) -> None:
             (np.linalg.solve(right, left), f"the left Jacobian of {what} instead of the right"),
         ):
             guess = raw @ change / evidence.deviations.scale[..., columns]
-            if set(columns) & set(evidence.wrong) and evidence.explains(guess, columns):
+            if evidence.explains(guess, columns):
                 names = evidence.names(columns)
                 evidence.found(
                     "perturbation", columns, f"{names}: left for right perturbation; it is {words}"
                 )
+                break
 
 
 def turned(evidence: Evidence) -> None:

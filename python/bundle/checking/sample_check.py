@@ -221,7 +221,7 @@ class _Check:
             if found:
                 return tallies, found
         findings = self._classify(outer, layout.columns, layout.blocks, ambient=True)
-        if layout.is_curved and along.wrong_columns:
+        if layout.is_curved:
             inner = self._classify(
                 along, layout.tangent_columns, layout.tangent_blocks, ambient=False
             )

@@ -259,6 +259,15 @@ def test_extreme_information_of_odometry_leaves_out_what_its_limit_does(scale, l
     assert extreme.keys() >= wrong if scale > 1 else extreme.keys() < wrong
 
 
+@pytest.mark.parametrize("value", [np.inf, np.nan])
+def test_information_that_is_not_finite_is_refused(value):
+    graph = graphs.loop(2)
+    information = np.array(graph.information)
+    information[3, 1, 1] = value
+    with pytest.raises(bundle.InputError, match=r"^consistency: edge 3 4: expected invertible"):
+        consistency.closure_consistency(graph.replace(information=information))
+
+
 def test_scipy_is_an_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "scipy", None)
     with pytest.raises(bundle.InputError, match=r"^consistency: expected the package scipy"):

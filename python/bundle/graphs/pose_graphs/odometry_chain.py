@@ -91,9 +91,10 @@ def edge_covariance(graph: PoseGraph, edges: NDArray[np.intp]) -> Floats:
     """Return the covariances (k, d, d) of some edges in tangent coordinates.
 
     Raises:
-        InputError: information is singular; the message names the edge.
+        InputError: information is singular or not finite; the message names the edge.
     """
     information = graph.information[edges]
+    information[~np.isfinite(information).all(axis=(1, 2))] = 0.0
     diagonal = np.diagonal(information, axis1=1, axis2=2)
     scale = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1))
     scaled = scale[:, :, None] * information * scale[:, None, :]
@@ -101,7 +102,8 @@ def edge_covariance(graph: PoseGraph, edges: NDArray[np.intp]) -> Floats:
     if singular.any():
         name = graph.edge_name(int(edges[np.argmax(singular)]))
         raise InputError(
-            f"consistency: {name}: expected invertible information, found a singular matrix"
+            f"consistency: {name}: expected invertible information, found a singular matrix "
+            "or infinity"
         )
     inverse: Floats = scale[:, :, None] * np.linalg.inv(scaled) * scale[:, None, :]
     return inverse
