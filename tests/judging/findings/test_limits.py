@@ -143,9 +143,10 @@ def test_observations_that_take_part():
     assert systematic._chosen(measured)[1].tolist() == [2]
 
 
-def moving(monkeypatch, ratio, tau, *, excess=1.0, lens=0.0, scale=2.0):
+def moving(monkeypatch, ratio, tau, *, excess=1.0, lens=0.0, scale=2.0, read=(1.0, 1.0, 0.0)):
     monkeypatch.setattr(images, "between_images", lambda *_: (ratio, tau * scale, excess))
-    monkeypatch.setattr(images, "direction", lambda _: (1.0, 1.0, 0.0))
+    monkeypatch.setattr(images, "direction", lambda _: read)
+    monkeypatch.setattr(images, "shutter_gain", lambda *_: 3.0)
     fits = SimpleNamespace(
         coefficients=np.zeros((7, 3)), variances=np.ones((7, 3)), sizes=np.arange(7.0)
     )
@@ -153,7 +154,22 @@ def moving(monkeypatch, ratio, tau, *, excess=1.0, lens=0.0, scale=2.0):
     measured = SimpleNamespace(scale=scale, command=NextCommand())
     one = motion(measured, found, fits, [field(1.0, 0.0, size=lens)])
     assert one is None or one.evidence["image_ids"] == [6, 5, 4]
-    return one is not None
+    return one
+
+
+def test_the_direction_of_a_shutter_is_named_from_limits(monkeypatch):
+    for read, shutter, is_clear in (
+        ((1.0, 1.0, 0.51), "rows", False),
+        ((1.0, 1.0, 0.49), "", False),
+        ((1.49, 1.0, 0.9), "rows", False),
+        ((1.51, 1.0, 0.9), "rows", True),
+        ((1.0, 1.49, 0.9), "rows", False),
+        ((1.0, 1.51, 0.9), "columns", True),
+    ):
+        found = moving(monkeypatch, 4.1, 0.46, read=read)
+        assert found.evidence["shutter"] == shutter
+        assert ("not clear" not in found.sentence) == is_clear
+        assert found.command.endswith(f"--rolling-shutter {shutter}" if shutter else "")
 
 
 def test_limits_of_motion(monkeypatch):

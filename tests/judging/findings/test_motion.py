@@ -52,6 +52,11 @@ def test_the_gain_is_that_of_a_solve_with_the_shutter(monkeypatch):
     spread = (steps[1].position_variance() - steps[0].position_variance()) * steps[1].variance
     rms = np.sqrt((moved**2).sum(axis=1).mean())
     assert shutter_gain(measured, "rows") == pytest.approx(rms / np.sqrt(spread), rel=0.05)
+    # The start need not be the minimum, as where positions pull at it.
+    poses = problem.cam_from_world.copy()
+    poses[:, 4:] += 0.5 * rms * np.random.default_rng(0).normal(size=(len(poses), 3))
+    pulled = Measured(whole=problem.replace(cam_from_world=poses), command=NextCommand())
+    assert shutter_gain(pulled, "rows") == pytest.approx(rms / np.sqrt(spread), rel=0.15)
     # Neither a model that is too large for the step nor one that rolls already.
     monkeypatch.setattr(images, "is_cheap", lambda _: False)
     assert shutter_gain(measured, "rows") == np.inf
