@@ -50,10 +50,8 @@ from numpy.typing import NDArray
 from bundle.base.arrays import median
 from bundle.base.records import dataclass
 from bundle.base.words import noun, number
-from bundle.editing.rolling_shutters import with_shutters
 from bundle.errors import InputError, shown
 from bundle.interface.finding import Finding
-from bundle.interface.rolling_shutter_options import ShutterOptions
 from bundle.judging.findings.larger_lens import Step, is_cheap, rms
 from bundle.judging.findings.lens_terms import LensField
 from bundle.judging.findings.measured import Measured, median_by_group
@@ -283,6 +281,9 @@ def shutter_gain(measured: Measured, order: str) -> float:
         return 0.0
     if not is_cheap(problem) or "poses" not in options.refine:
         return np.inf
+    from bundle.editing.rolling_shutters import with_shutters  # few models move
+    from bundle.interface.rolling_shutter_options import ShutterOptions
+
     try:
         rolling = Step(*with_shutters(problem, ShutterOptions(rolling_shutter=order), options))
         present = Step(problem, options)

@@ -22,7 +22,6 @@ from __future__ import annotations
 import dataclasses
 
 from bundle.errors import InputError
-from bundle.interface.rolling_shutter_options import ShutterOptions
 from bundle.judging.findings.measured import Measured
 
 __all__ = ["is_affordable", "repaired"]
@@ -80,6 +79,7 @@ def repaired(
             problem = change_camera_model(problem, lens_model).problem
         if shutter:
             from bundle.editing.rolling_shutters import with_shutters
+            from bundle.interface.rolling_shutter_options import ShutterOptions
 
             rolling = ShutterOptions(rolling_shutter=shutter)
             problem, options = with_shutters(problem, rolling, options)
