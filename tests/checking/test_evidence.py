@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+import bundle
 from bundle.checking import column_signatures, row_signatures
 from bundle.checking.columns import Block, Column
 from bundle.checking.evidence import Evidence
@@ -111,3 +112,51 @@ def test_a_parameter_that_stands_still_tells_nothing(spread, is_found):
     given = evidence(1.0005 * right, right, points=value[:, None])
     column_signatures.parameter_factors(given)
     assert bool(given.findings) == is_found
+
+
+DEGREES = 180 / np.pi
+
+
+@pytest.mark.parametrize(
+    ("ratios", "kind"),
+    [
+        ([1.0, DEGREES, 1.0], "degrees"),
+        ([1.0, 1 / DEGREES, DEGREES], "degrees"),
+        ([2.0, DEGREES, 1.0], "whitening"),
+        ([2.0, 3.0, 1.0], "whitening"),
+    ],
+)
+def test_rows_with_factors_are_weights_or_degrees(ratios, kind):
+    right = np.random.default_rng(3).normal(size=(4, 3, 2))
+    given = evidence(right * np.array(ratios)[:, None], right)
+    row_signatures.whitening(given)
+    assert [one.kind for one in given.findings] == [kind]
+
+
+@pytest.mark.parametrize(("width", "is_one"), [(3, True), (2, False)])
+def test_one_matrix_is_judged_by_columns_that_others_predict(width, is_one):
+    """A row that depends on the first parameter alone leaves M open without it."""
+    right = np.random.default_rng(4).normal(size=(5, 2, width))
+    right[:, 1, 1:] = 0.0
+    given = np.array([[1.0, 0.5], [-0.3, 2.0]]) @ right
+    assert row_signatures._is_one_matrix(given, right) == is_one
+    given[0, 0, 0] += 1e-3
+    assert not row_signatures._is_one_matrix(given, right)
+
+
+@pytest.mark.parametrize(("off", "is_kept"), [(0.0, True), (1e-3, False)])
+def test_a_logarithm_keeps_its_residual(off, is_kept):
+    """M = I + v w^T with w across r keeps r."""
+    rng = np.random.default_rng(5)
+    right, residuals, v, w = rng.normal(size=(4, 3, 5)), *rng.normal(size=(3, 4, 3))
+    w -= residuals * ((w * residuals).sum(axis=1) / (residuals**2).sum(axis=1) - off)[:, None]
+    matrices = np.eye(3) + v[:, :, None] * w[:, None, :]
+    given = evidence(matrices @ right, right)
+    given.residuals = residuals
+    assert row_signatures._keeps_residual(given, list(range(5)), 3) == is_kept
+
+
+@pytest.mark.parametrize("block", [[1.0, np.nan], [np.inf, 2.0]])
+def test_a_start_is_finite(block):
+    with pytest.raises(bundle.InputError, match="nan or infinity in block 1"):
+        bundle.check_gradients(lambda _: (np.zeros(1), []), [[1.0], block])

@@ -62,8 +62,10 @@ def test_headings(tmp_path):
 def test_losses_apply_to_all(tmp_path):
     (prior,) = read(tmp_path, "7 0 1 0", prior_loss="tukey")
     assert prior.loss == "tukey" and prior.loss_scale == pytest.approx(2.4477, rel=1e-4)
-    (prior,) = read(tmp_path, "7 0 1 0", prior_loss="tukey", prior_loss_scale=5.0)
-    assert prior.loss_scale == 5
+    (prior,) = read(tmp_path, "7 0 1 0", prior_loss="tukey", prior_loss_scale=0.5)
+    assert prior.loss_scale == 0.5
+    with pytest.raises(InputError, match="prior_loss_scale: expected more than 0"):
+        read(tmp_path, "7 0 1 0", prior_loss_scale=0.0)
 
 
 BAD_GRAVITY = {
