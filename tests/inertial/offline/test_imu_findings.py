@@ -147,6 +147,8 @@ def test_the_next_command_of_a_contradiction():
         return imu_findings(known(chi2=2400.0, **changes))[0].flags
 
     assert flags(is_converged=False) == ("--max-iterations", "200")
+    few = imu_findings(known(chi2=2400.0, is_converged=False, noise=(0.01, 1.0)))[0]
+    assert few.evidence["cause"] == "not_converged"
     assert flags(rotations=turned(5), is_converged=False) == ()
     assert flags(noise=(0.01, 1.0)) == ("--imu-noise-scale", "1e+02")
 

@@ -22,7 +22,7 @@ def flight():
     return bundle.synthesize_flight(motion="room", duration=16.0, num_tracks=20, seed=4)
 
 
-def found(flight, shift, noise=0.0, turn=True, forces=1.0):
+def found(flight, shift, noise=0.0, turn=True, forces=1.0, seed=0):
     """The error of an arm that is wrong by -shift, from true poses with white noise."""
     sequence, truth = flight.sequence, flight.ground_truth
     stamps = truth.timestamps_ns[20:-4:4]
@@ -31,7 +31,7 @@ def found(flight, shift, noise=0.0, turn=True, forces=1.0):
     arm = np.array(sequence.calibration.camera_from_imu)
     camera = imu * Rotation.from_quat(arm[:4]).inv()
     centers = states[:, 4:7] - camera.apply(arm[4:])
-    centers += noise * np.random.default_rng(0).normal(size=centers.shape)
+    centers += noise * np.random.default_rng(seed).normal(size=centers.shape)
     samples = ImuSamples(sequence.imu_timestamps_ns, sequence.gyro, forces * sequence.accel)
     axes = camera.as_matrix() if turn else np.tile(np.eye(3), (len(stamps), 1, 1))
     wrong = arm[4:] - np.asarray(shift)
@@ -57,6 +57,11 @@ def test_a_right_arm_and_noise_are_silent(flight):
         assert not one.is_arm_wrong
         assert one.chi2 < 16
     assert found(flight, (0, 0, 0), 0.02).size[1] > 3 * found(flight, (0, 0, 0), 1e-3).size[1]
+
+
+def test_chi2_of_right_arms_is_that_of_three_numbers(flight):
+    found_chi2 = [found(flight, (0, 0, 0), 0.02, seed=k).chi2 for k in range(16)]
+    assert 2 < np.mean(found_chi2) < 4.5
 
 
 def test_a_path_that_does_not_turn_determines_no_arm(flight):

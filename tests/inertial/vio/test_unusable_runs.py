@@ -62,19 +62,19 @@ def test_an_indefinite_prior_counts_at_a_fifth(result: OdometryResult) -> None:
         assert bool(_lost_reason(records(result, changed))) == expected
 
 
-@pytest.mark.parametrize(("share", "images", "is_lost"), [
-    (0.51, 6, True), (0.51, 5, False), (0.5, 10, False),
+@pytest.mark.parametrize(("share", "images", "every", "is_lost"), [
+    (0.51, 6, 1, True), (0.51, 5, 1, False), (0.5, 10, 1, False), (0.51, 10, 2, False),
 ])  # fmt: skip
 def test_tracks_far_from_their_landmarks(
     flight: SyntheticFlight, monkeypatch: pytest.MonkeyPatch, share: float, images: int,
-    is_lost: bool,
+    every: int, is_lost: bool,
 ) -> None:  # fmt: skip
     reject, calls = SlidingWindow._reject, []
 
     def far(self: SlidingWindow, table: Any, norms: Any) -> None:
         reject(self, table, norms)
         calls.append(1)
-        if 5 <= len(calls) < 5 + images:
+        if 5 <= len(calls) < 5 + images * every and len(calls) % every == 0:
             self.far_share = share
 
     monkeypatch.setattr(SlidingWindow, "_reject", far)

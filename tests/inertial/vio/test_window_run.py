@@ -41,6 +41,17 @@ def test_a_jump_is_measured_by_the_speed(speed: float, jump: float, is_lost: boo
     assert [bool(text) for text in judged(states)][49] == is_lost
 
 
+@pytest.mark.parametrize("speeds", [(1.5, 30.0), (30.0, 1.5)])
+def test_the_larger_speed_of_both_states_counts(speeds: tuple[float, float]) -> None:
+    states = walk(speeds[0], 1000)
+    states[990:, 7] = speeds[1]
+    states[990:, 4] += 0.05 * (speeds[1] - speeds[0]) + 14.0
+    states[990:, 4] += 0.1 * (speeds[1] - speeds[0]) * np.arange(10)
+    assert not any(judged(states))
+    states[990:, 4] += 3.0
+    assert "jump" in judged(states)[989]
+
+
 def test_small_steps_add_up() -> None:
     """A metre a second, sideways, at 1.5 m/s: each step is below what a jump is."""
     states = walk()

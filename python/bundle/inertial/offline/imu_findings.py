@@ -158,6 +158,7 @@ def _contradiction(known: Evidence, others: Sequence[ImuFinding]) -> ImuFinding 
         scale = known.noise_scale * max(ratio**0.5, too_small)
         flags = ("--imu-noise-scale", f"{scale:.2g}")
         if not known.is_converged:
+            kind, cause = "not_converged", "the steps were too few to tell the cause"
             flags = ("--max-iterations", "200")
     worst = int(np.argmax(agreement.interval_chi2))
     row, seconds = _when(known, worst)
