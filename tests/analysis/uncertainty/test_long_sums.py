@@ -1,5 +1,7 @@
 """Covariances of small problems, whose points are eliminated from rows and summed up long."""
 
+import re
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -73,6 +75,20 @@ def test_a_sandwich_at_a_minimum_is_that_of_the_dense_form(loss, scale, track):
     assert cov.relative(1, 5) == pytest.approx(expected, abs=1e-9 * expected.max())
 
 
+def test_the_last_step_follows_the_curvature_of_the_loss():
+    """Off the minimum, the step of H = kappa G promises 1 / kappa as much as that of G."""
+    problem = make_problem(num_images=5, num_points=30, seed=9, noise=0.3, perturbation=3e-3)
+    given = {"loss": "cauchy", "loss_scale": 3.0}
+    dense = Dense(problem, **given)
+    refined = np.eye(len(dense.names))[:, [name[0] != "camera" for name in dense.names]]
+    shares = []
+    for robust in ("weights", "sandwich"):
+        cov = bundle.covariance(problem, robust=robust, refine=("poses", "points"), **given)
+        shares += [float(share) for share in re.findall(r"([\d.]+) %", " ".join(cov.notes))]
+    ratio = shares[0] / shares[1]
+    assert ratio == pytest.approx(dense.curvature(refined), rel=2e-3)
+
+
 def relative_moves(problem, a, b):
     """Derivatives of the pose b from a by (w, t) of each, both by left perturbations."""
     turns = [Rotation.from_quat(q).as_matrix() for q in problem.cam_from_world[[a, b], :4]]
@@ -83,9 +99,9 @@ def relative_moves(problem, a, b):
     return by_a, np.block([[np.eye(3), zero], [arm, np.eye(3)]])
 
 
-@pytest.mark.parametrize("seed", [5, 11, 7, 44])
+@pytest.mark.parametrize("seed", [5, 11, 7, 86])
 def test_losses_that_are_flat_or_concave_along_many_residuals(seed):
-    """Far off a minimum: in 5 and 44 negative ones count as flat, 7 and 11 have no sandwich."""
+    """Far off a minimum: in 5 and 86 negative ones count as flat, 7 and 11 have no sandwich."""
     entry = next(entry for entry in compare_seed(seed) if entry.robust == "sandwich")
     assert (entry.kind == "singular") == (seed in (7, 11))
     assert entry.difference < TOLERANCE
