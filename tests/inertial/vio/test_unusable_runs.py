@@ -15,7 +15,7 @@ from bundle.inertial.vio.keyframe_record import KeyframeRecord
 from bundle.inertial.vio.odometry import OdometryResult, run_odometry
 from bundle.inertial.vio.sliding_window import SlidingWindow
 from bundle.inertial.vio.window_alarms import DISAGREEMENT, WindowAlarms
-from bundle.inertial.vio.window_run import _lost_reason
+from bundle.inertial.vio.window_run import _lost_reason, _out_of_time
 from bundle.interface.window_options import WindowOptions
 from bundle.io.sequences.sequence_folder import save_sequence
 from bundle.io.sequences.trajectory_files import load_tum
@@ -53,6 +53,24 @@ def test_a_burst_of_contradictions_counts(result: OdometryResult) -> None:
     alarm = {"alarms": (f"{DISAGREEMENT}: the IMU costs much",)}
     for last, expected in ((46, ""), (47, "3.5 s")):  # from 40 on: 3 and 3.5 s
         found = _lost_reason(records(result, dict.fromkeys(range(40, last + 1), alarm)))
+        assert expected in found and bool(found) == bool(expected)
+
+
+def test_a_budget_that_ends_more_than_half_of_the_solves_before_a_step_counts(
+    result: OdometryResult,
+) -> None:
+    late = {"out_of_time": True, "num_iterations": 0}
+    for count, expected in ((50, ""), (51, "51 of 100")):
+        found = _out_of_time(records(result, dict.fromkeys(range(count), late)))
+        assert expected in found and bool(found) == bool(expected)
+    stepped = {"out_of_time": True, "num_iterations": 1}
+    assert _out_of_time(records(result, dict.fromkeys(range(100), stepped))) == ""
+
+
+def test_a_contradicted_prior_counts_at_a_tenth(result: OdometryResult) -> None:
+    alarm = {"alarms": ("prior contradicted: it costs 100 with 60 coordinates",)}
+    for count, expected in ((10, ""), (11, "11 of 100")):
+        found = _lost_reason(records(result, {4 * k: alarm for k in range(count)}))
         assert expected in found and bool(found) == bool(expected)
 
 
