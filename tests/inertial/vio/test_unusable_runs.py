@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from bundle.inertial.vio.keyframe_record import KeyframeRecord
 from bundle.inertial.vio.odometry import OdometryResult, run_odometry
 from bundle.inertial.vio.sliding_window import SlidingWindow
 from bundle.inertial.vio.window_alarms import DISAGREEMENT, WindowAlarms
-from bundle.inertial.vio.window_run import _lost_reason, _out_of_time
+from bundle.inertial.vio.window_run import WindowRun, _lost_reason, _out_of_time
 from bundle.interface.window_options import WindowOptions
 from bundle.io.sequences.sequence_folder import save_sequence
 from bundle.io.sequences.trajectory_files import load_tum
@@ -54,6 +55,21 @@ def test_a_burst_of_contradictions_counts(result: OdometryResult) -> None:
     for last, expected in ((46, ""), (47, "3.5 s")):  # from 40 on: 3 and 3.5 s
         found = _lost_reason(records(result, dict.fromkeys(range(40, last + 1), alarm)))
         assert expected in found and bool(found) == bool(expected)
+
+
+def test_a_short_run_without_excitation_gets_its_alarm_at_the_end(result: OdometryResult) -> None:
+    run = object.__new__(WindowRun)
+    for count, verdict, expected in (
+        (1, "unobservable", 1), (4, "unobservable", 1), (5, "unobservable", 0), (4, "healthy", 0),
+    ):  # fmt: skip
+        quiet = {"excitation_verdict": "unobservable"}
+        known = records(result, dict.fromkeys(range(count), quiet))[:count]
+        known[0] = replace(known[0], excitation_verdict=verdict)
+        run.window = SimpleNamespace(records=known)  # type: ignore[assignment]
+        found = run.records()
+        assert [len(each.alarms) for each in found] == [0] * (count - 1) + [expected]
+    run.window = SimpleNamespace(records=[])  # type: ignore[assignment]
+    assert run.records() == ()
 
 
 def test_a_budget_that_ends_more_than_half_of_the_solves_before_a_step_counts(
