@@ -61,7 +61,7 @@ def _pairs(problem: Problem) -> NDArray[np.int64]:
     point = problem.observation_point[near].astype(np.int64)
     order = np.lexsort((point, y, x, image))
     image, x, y, point = image[order], x[order], y[order], point[order]
-    codes = []
+    codes, seen_by = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
     size = max(problem.num_points, 1)
     for step in range(1, MOST_TWINS + 1):
         twins = np.flatnonzero(
@@ -74,14 +74,13 @@ def _pairs(problem: Problem) -> NDArray[np.int64]:
             break
         low = np.minimum(point[twins], point[twins + step])
         high = np.maximum(point[twins], point[twins + step])
-        code, seen_by = low * size + high, image[twins]
-        order = np.lexsort((seen_by, code))
-        code, seen_by = code[order], seen_by[order]
-        # Repeats in one image are one coincidence.
-        is_new = np.ones(len(code), np.bool_)
-        is_new[1:] = (code[1:] != code[:-1]) | (seen_by[1:] != seen_by[:-1])
-        codes.append(code[is_new])
-    if not codes:
-        return np.zeros((0, 2), np.int64)
-    code, count = np.unique(np.concatenate(codes), return_counts=True)
+        codes.append(low * size + high)
+        seen_by.append(image[twins])
+    code, image = np.concatenate(codes), np.concatenate(seen_by)
+    order = np.lexsort((image, code))
+    code, image = code[order], image[order]
+    # Repeats in one image are one coincidence.
+    is_new = np.ones(len(code), np.bool_)
+    is_new[1:] = (code[1:] != code[:-1]) | (image[1:] != image[:-1])
+    code, count = np.unique(code[is_new], return_counts=True)
     return np.stack(np.divmod(code[count >= 2], size), axis=1)
