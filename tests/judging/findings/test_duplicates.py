@@ -72,6 +72,7 @@ def test_pairs_are_those_of_two_images():
     assert pairs_of((0, 1), (0, 4), (1, 4), (1, 1)) == [[1, 4]]
     # Repeats in one image are one coincidence.
     assert pairs_of((0, 1), (0, 4), (0, 1), (0, 4)) == []
+    assert pairs_of((0, 1), (1, 4), (2, 1), (3, 4)) == []
     # Five points: each pair of them.
     five = [(image, point) for image in (0, 1) for point in (0, 2, 3, 5, 7)]
     assert len(pairs_of(*five)) == 10

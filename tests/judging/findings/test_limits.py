@@ -6,12 +6,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from bundle.judging.findings import images, larger_lens, lens_terms, systematic
+from bundle.judging.findings import images, larger_lens, lens_terms, minimum, systematic
 from bundle.judging.findings.images import between_images, image_residuals, motion
 from bundle.judging.findings.lens_terms import LENS_TERMS, fields_of_lenses, lens_model
+from bundle.judging.findings.measured import Measured
 from bundle.judging.findings.next_command import NextCommand
 from bundle.judging.findings.systematic import SystematicResiduals
 from tests.judging.findings.test_lens_terms import MEASURED, field
+from tests.scenes import make_problem
 
 
 def images_of(count):
@@ -268,3 +270,19 @@ def test_limits_of_an_absorbed_term(monkeypatch):
     assert absorbed(monkeypatch, 15.2, 0.99) is None
     assert absorbed(monkeypatch, 15.2, 1.01, present=500.0) is not None
     assert absorbed(monkeypatch, 15.1, 1.01, present=500.0) is None
+
+
+@pytest.mark.parametrize(("left", "is_found"), [(0.79, True), (0.81, False)])
+def test_a_model_is_not_refined_below_four_fifths(monkeypatch, left, is_found):
+    monkeypatch.setattr(
+        minimum, "_left", lambda _: iter([(left, "points", 0.2), (1.0, "poses", 0)])
+    )
+    measured = SimpleNamespace(scale=1.0, is_minimum=False, command=NextCommand())
+    assert (minimum.not_refined(measured) is not None) == is_found
+
+
+def test_poses_with_priors_are_not_moved_alone():
+    problem = make_problem(num_images=4, num_points=60)
+    for priors, expected in (((), ["points", "poses"]), (("prior",), ["points"])):
+        measured = Measured(whole=problem, command=NextCommand(), priors=priors)
+        assert [what for _, what, _ in minimum._left(measured)] == expected

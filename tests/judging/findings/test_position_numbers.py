@@ -1,6 +1,7 @@
 """Findings about measured positions on planted scenes with exact numbers."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from bundle import PositionPrior
 from bundle.judging.findings.measured import Measured
 from bundle.judging.findings.next_command import NextCommand
+from bundle.judging.findings.position_sigmas import _sums
 from bundle.judging.findings.positions import is_tense, measured_positions, scale_drift
 from tests.georeference.test_attitude_priors import upright_and_turned
 
@@ -83,3 +85,25 @@ def test_a_loss_accuses_no_single_position():
     assert measured_positions(robust) is None
     few = dataclasses.replace(robust, priors=robust.priors[:5])
     assert not is_tense(few) and measured_positions(few) is None
+
+
+def test_redundancies_are_those_of_the_antenna():
+    """The oracle moves the pose numerically."""
+    rng = np.random.default_rng(4)
+    turn, t, arm = Rotation.random(random_state=1), rng.normal(size=3), rng.normal(size=3)
+    root = 0.1 * rng.normal(size=(6, 6))
+    spread, sigma = root @ root.T, np.array([0.5, 0.7, 1.1])
+
+    def antenna(step):
+        moved = Rotation.from_rotvec(step[:3]) * turn
+        return moved.inv().apply(arm - t - step[3:])
+
+    jacobian = np.stack([(antenna(h) - antenna(-h)) / 2e-5 for h in 1e-5 * np.eye(6)], axis=1)
+    left = 1 - np.diag(jacobian @ spread @ jacobian.T) / sigma**2
+    offset = np.array([0.3, -0.2, 0.9])
+    prior = PositionPrior(1, antenna(np.zeros(6)) - offset, sigma, lever_arm=arm)
+    pose = np.concatenate([turn.as_quat(), t])[None]
+    found = _sums(SimpleNamespace(cam_from_world=pose), [0], [prior], spread[None])
+    squares = (offset / sigma) ** 2
+    np.testing.assert_allclose(found[0], [squares[:2].sum(), left[:2].sum()], rtol=1e-6)
+    np.testing.assert_allclose(found[1], [squares[2], left[2]], rtol=1e-6)
