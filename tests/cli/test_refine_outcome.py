@@ -1,4 +1,4 @@
-"""What `bundle refine` gives to the tests of its result, and the order of what they find."""
+"""Arguments of the tests of a result in `bundle refine`, and the order of what they find."""
 
 from types import SimpleNamespace
 
