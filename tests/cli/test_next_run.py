@@ -121,3 +121,10 @@ def test_a_resumed_run_begins_its_checkpoint_anew():
 def test_the_folder_of_photographs_stays_where_it_is_read(words, stays):
     found = followed(["refine", "M", "-o", "OUT", "--images", "photos", *words.split()])
     assert ("photos" in found) == stays
+
+
+def test_flags_of_files_and_of_the_terminal_are_not_repeated():
+    words = ["refine", "IN", "-o", "OUT", "--json", "a.json", "--html", "a.html", "--quiet"]
+    for more in (["--verbose"], ["--check-gradients"]):
+        given = command_parser().parse_args([*words, *more, "--loss", "huber"])
+        assert repeated_flags(given) == ("--loss", "huber")
