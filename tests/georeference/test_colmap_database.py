@@ -1,6 +1,7 @@
 """Positions of COLMAP's database, written by pycolmap, and of the older table."""
 
 import sqlite3
+from contextlib import closing
 
 import numpy as np
 import pytest
@@ -50,7 +51,7 @@ def test_positions_of_pycolmap(tmp_path) -> None:
 
 def test_the_older_table(tmp_path) -> None:
     path = tmp_path / "old.db"
-    with sqlite3.connect(path) as old:
+    with closing(sqlite3.connect(path)) as old, old:
         old.execute("CREATE TABLE images (image_id INTEGER PRIMARY KEY, name TEXT)")
         old.execute(
             "CREATE TABLE pose_priors (image_id INTEGER PRIMARY KEY, position BLOB, "
@@ -59,7 +60,6 @@ def test_the_older_table(tmp_path) -> None:
         old.execute("INSERT INTO images VALUES (7, 'a.jpg')")
         row = np.array([46.8, -91.9, 200.0]).tobytes()
         old.execute("INSERT INTO pose_priors VALUES (7, ?, 0, NULL)", (row,))
-    old.close()
     found = read_database_gps(path)
     assert found.names == ("a.jpg",) and np.isnan(found.accuracy).all()
     assert found.geodetic.tolist() == [[46.8, -91.9, 200.0]]
@@ -69,11 +69,10 @@ def test_cartesian_positions(tmp_path) -> None:
     made = blocks.block(num_targets=4, seed=5)
     path = tmp_path / "database.db"
     database(path, made, "CARTESIAN")
-    with sqlite3.connect(path) as changed:
+    with closing(sqlite3.connect(path)) as changed, changed:
         changed.execute(
             "UPDATE pose_priors SET position = ? WHERE pose_prior_id = 1", (np.zeros(3).tobytes(),)
         )
-    changed.close()
     found = read_database_gps(path)
     assert found.reference_system is None
     assert found.geodetic[0].tolist() == [0, 0, 0]  # a place like any other
@@ -90,21 +89,20 @@ def test_bad_databases(tmp_path) -> None:
             bundle.align(made.problem, gps=path)
         assert str(path) in str(caught.value) and "\n" not in str(caught.value)
 
-    with sqlite3.connect(path) as changed:
+    with closing(sqlite3.connect(path)) as changed, changed:
         changed.execute("UPDATE pose_priors SET coordinate_system = 0 WHERE pose_prior_id = 2")
     refused("expected Cartesian coordinates, found WGS84")
-    with sqlite3.connect(path) as changed:
+    with closing(sqlite3.connect(path)) as changed, changed:
         changed.execute("UPDATE pose_priors SET coordinate_system = -1")
     refused("expected WGS84 or Cartesian coordinates, found undefined")
-    with sqlite3.connect(path) as changed:
+    with closing(sqlite3.connect(path)) as changed, changed:
         changed.execute("UPDATE pose_priors SET position = x'00'")
     refused("position: expected 24 bytes, found 1 bytes")
-    with sqlite3.connect(path) as changed:
+    with closing(sqlite3.connect(path)) as changed, changed:
         changed.execute("DELETE FROM pose_priors")
     refused("expected positions in pose_priors, found 0")
-    with sqlite3.connect(path) as changed:
+    with closing(sqlite3.connect(path)) as changed, changed:
         changed.execute("DROP TABLE pose_priors")
-    changed.close()
     refused("expected COLMAP's table pose_priors")
     path.write_bytes(path.read_bytes()[:3000])
     refused("expected COLMAP's database, found")
