@@ -187,7 +187,7 @@ def test_the_statistic_is_that_of_a_solve_without_the_point():
 
 def test_a_check_point_is_tested_and_pulls_nothing():
     problem, positions, gcps, _ = block(wrong=(3, np.array([0.0, 0.0, 0.9])))
-    gcps[3] = dataclasses.replace(gcps[3], sigma=(1e4, 1e4))
+    gcps[3] = dataclasses.replace(gcps[3], role="check")
     result = solved(problem, positions, gcps)
     checks = result.survey_checks
     assert checks.points["t3"].is_suspect and checks.points["t3"].redundancy == 1

@@ -185,14 +185,10 @@ def test_no_output_replaces_what_is_read_or_written(
 
 
 def test_a_gap_of_the_imu_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    whole = sequence()
-    kept = np.r_[0:150, 300:401]  # three quarters of a second without a sample
-    holed = replace(
-        whole,
-        imu_timestamps_ns=whole.imu_timestamps_ns[kept],
-        gyro=whole.gyro[kept],
-        accel=whole.accel[kept],
-    )
+    stamps = sequence().imu_timestamps_ns.copy()
+    stamps[150:] += 2_000_000_000  # a gap just beyond 2 s, within the images
+    late = sequence().track_timestamps_ns + 2_000_000_000 * (np.arange(105) >= 60)
+    holed = sequence(imu_timestamps_ns=stamps, track_timestamps_ns=late)
     save_sequence(holed, tmp_path / "holed")
     target = tmp_path / "x.tum"
     assert main(["vio", str(tmp_path / "holed"), "-o", str(target), "--quiet"]) == 2
