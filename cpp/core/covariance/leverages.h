@@ -14,9 +14,9 @@
 ///
 ///   h = B V^-1 B^T + T C T^T,        T = A - B Y^T    (by the unknowns of the point's blocks).
 ///
-/// Of the two rays to a point seen twice, four residuals, three determine the point: I - h is
-/// nearly of rank 1. Along directions in which I - h is below kFullLeverage, the residual says
-/// nothing about its error; such a part is left out everywhere.
+/// Two rays to a point have four residuals, and three of them determine the point: I - h is nearly
+/// of rank 1. Along directions in which I - h is below kFullLeverage, the residual says nothing
+/// about its error. This part is left out of all sums.
 ///
 /// The variance of all residuals rho' r under the loss, for the points, is
 ///
