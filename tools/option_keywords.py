@@ -40,7 +40,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import TypedDict
 
-__all__ = [
+
 '''
 
 
@@ -69,9 +69,7 @@ def keywords_of(kind: type[Options]) -> str:
 
 def source() -> str:
     """Return the whole file."""
-    names = sorted(kind.__name__.replace("Options", "Keywords") for kind in CLASSES)
-    listed = "".join(f'    "{name}",\n' for name in names)
-    return HEAD + listed + "]\n\n\n" + "\n\n".join(keywords_of(kind) for kind in CLASSES)
+    return HEAD + "\n\n".join(keywords_of(kind) for kind in CLASSES)
 
 
 def main() -> int:

@@ -9,8 +9,6 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-__all__ = ["LIBRARIES", "PYCOLMAP", "require"]
-
 # Measured with 2 cores, plus a margin. LIBRARIES: NumPy, the C++ core, their threads and the first
 # matrix product on Debian 13, whose OpenBLAS takes 130 MB more than that of Debian 12. The second
 # constant: pycolmap. Each further core adds a stack and an arena of the heap.

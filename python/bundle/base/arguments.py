@@ -10,16 +10,6 @@ from numpy.typing import NDArray
 
 from bundle.errors import InputError, brief
 
-__all__ = [
-    "as_array",
-    "as_flag",
-    "as_integers",
-    "check_function",
-    "check_type",
-    "is_masked",
-    "real_numbers",
-]
-
 
 def as_array(name: str, value: Any) -> NDArray[np.float64]:
     """Convert real numbers to a C-contiguous array of doubles, if possible without a copy.

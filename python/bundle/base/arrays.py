@@ -19,8 +19,6 @@ import bundle._core as _core
 from bundle.base.arguments import real_numbers
 from bundle.errors import InputError, brief
 
-__all__ = ["FrozenArrays", "distinct", "filled", "freeze", "immutable", "median", "refrozen"]
-
 
 def freeze(array: NDArray[Any]) -> NDArray[Any]:
     """Return an immutable array on the memory of ``array``, which must have no other references."""

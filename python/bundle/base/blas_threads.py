@@ -27,8 +27,6 @@ TYPE_CHECKING = False  # as in typing, but without its slow import
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-__all__ = ["begin", "load_libraries", "load_numpy"]
-
 SLEEP = {"OPENBLAS_THREAD_TIMEOUT": "20"}
 SLEEP_BY_USER = ("OPENBLAS_THREAD_TIMEOUT", "GOTO_THREAD_TIMEOUT")
 ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1"}

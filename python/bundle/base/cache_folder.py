@@ -5,8 +5,6 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-__all__ = ["cache_folder", "write_cached"]
-
 
 def cache_folder() -> Path:
     """Return the folder, which may not exist."""

@@ -13,8 +13,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["component_roots"]
-
 
 def component_roots(
     images: NDArray[Any], starts: NDArray[np.int64], num_images: int

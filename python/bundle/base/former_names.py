@@ -12,8 +12,6 @@ from importlib.machinery import ModuleSpec
 from importlib.util import find_spec
 from types import ModuleType
 
-__all__ = ["FORMER", "spec_of"]
-
 FORMER = {
     "camera_bounds": "solving.constraints.camera_bounds",
     "camera_changes": "solving.camera_changes",

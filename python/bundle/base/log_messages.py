@@ -18,8 +18,6 @@ import sys
 from collections.abc import Callable, Mapping
 from typing import Any
 
-__all__ = ["NAME", "log", "logged_iterations"]
-
 NAME = "bundle"
 LEVELS = {"debug": 10, "info": 20, "warning": 30}
 """Levels of logging by name."""

@@ -7,8 +7,6 @@ import re
 
 from bundle.errors import InputError
 
-__all__ = ["SHARE_OF_FREE_MEMORY", "format_size", "parse_size"]
-
 SHARE_OF_FREE_MEMORY = 0.9
 """Fraction of the free memory that a solve may use."""
 

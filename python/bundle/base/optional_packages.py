@@ -12,8 +12,6 @@ from pathlib import Path
 
 from bundle.errors import InputError, shown
 
-__all__ = ["allow_heic", "has_pycolmap", "require_package", "require_pycolmap"]
-
 _HEIC = (".heic", ".heif", ".hif")
 
 

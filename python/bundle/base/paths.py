@@ -9,8 +9,6 @@ from typing import Any, TypeGuard
 
 from bundle.errors import InputError, brief, shown
 
-__all__ = ["UTF16", "as_path", "get_include", "is_path", "numbered_lines"]
-
 UTF16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 
 

@@ -16,24 +16,6 @@ from bundle.base.wrapped_text import clean, longest_line, longest_word, padded, 
 if TYPE_CHECKING:
     from rich.console import Console
 
-__all__ = [
-    "WIDEST",
-    "Bar",
-    "Block",
-    "Columns",
-    "Line",
-    "Paragraph",
-    "Piece",
-    "columns",
-    "facts",
-    "is_terminal",
-    "notes",
-    "print_styled",
-    "render",
-    "screen_width",
-    "terminal",
-]
-
 NARROWEST, WIDEST = 60, 100
 LABEL_WIDTH = 16
 GUTTER = 2

@@ -11,8 +11,6 @@ from __future__ import annotations
 
 import math
 
-__all__ = ["chi2_tail", "f_tail"]
-
 MOST_FREEDOM = 1e6
 """Degrees of freedom above which F is a chi-squared distribution to six digits."""
 

@@ -11,8 +11,6 @@ from pathlib import Path
 
 from bundle.base.records import dataclass
 
-__all__ = ["Waiting", "waiting_since"]
-
 
 @dataclass(frozen=True)
 class Waiting:

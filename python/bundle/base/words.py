@@ -6,28 +6,6 @@ import math
 from collections.abc import Iterable
 from typing import Any, Protocol
 
-__all__ = [
-    "FORMATS",
-    "Counts",
-    "amount",
-    "change",
-    "contents",
-    "distinct",
-    "duration",
-    "format_name",
-    "named",
-    "not_converged",
-    "noun",
-    "number",
-    "pixels",
-    "plural",
-    "rounded",
-    "seconds",
-    "sorted_ids",
-    "span",
-]
-
-
 _LISTED = 5
 """Ids that a sentence lists before it counts the others."""
 

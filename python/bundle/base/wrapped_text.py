@@ -11,8 +11,6 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 
-__all__ = ["cell_width", "clean", "longest_line", "longest_word", "padded", "wrap"]
-
 _WORD = re.compile(r"\s*\S+\s*")
 _CONTROL = dict.fromkeys((7, 8, 11, 12, 13))
 """Control characters without a width: they would move the cursor."""

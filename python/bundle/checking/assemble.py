@@ -18,8 +18,6 @@ from bundle.checking.gradient_report import (
 from bundle.checking.tally import EDGES, MOST_WORST, Tally, verdicts
 from bundle.interface.check_options import TOLERANCE
 
-__all__ = ["CHECKER_PRECISION", "make_report", "undecided_points"]
-
 REASONS = {
     "camera_center": "too close to the camera's center: "
     "the last digits of point and pose change the derivatives",

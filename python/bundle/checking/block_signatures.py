@@ -15,8 +15,6 @@ import numpy as np
 from bundle.checking.evidence import Evidence
 from bundle.checking.jacobian_deviation import Array
 
-__all__ = ["adjoint", "swapped_blocks"]
-
 WORST_CONDITION = 1e8
 """Largest condition number of a Jacobian that is inverted."""
 

@@ -11,8 +11,6 @@ from bundle.base.records import dataclass
 from bundle.checking.jacobian_deviation import Array, JacobianDeviation
 from bundle.checking.step_curve import Line, StepCurve
 
-__all__ = ["CheckDetails", "choose_entries", "curve_of", "make_details"]
-
 MOST_WRONG = 6
 """Number of curves of wrong entries, one per column."""
 MOST_RIGHT = 4

@@ -19,8 +19,6 @@ from bundle.checking import row_signatures as row
 from bundle.checking.evidence import KNOWN, Evidence, Finding
 from bundle.checking.jacobian_deviation import Array, JacobianDeviation, norm
 
-__all__ = ["MISTAKES", "classify", "float_precision", "is_single", "rounds_to_single", "stale"]
-
 MISTAKES = (
     "correct",
     "not_finite",

@@ -14,22 +14,6 @@ from numpy.typing import NDArray
 from bundle.checking.evidence import EXPLAINED, Evidence
 from bundle.checking.jacobian_deviation import Array
 
-__all__ = [
-    "column_major",
-    "factors",
-    "order",
-    "parameter_factors",
-    "rank_one",
-    "shifted",
-    "swapped",
-    "terms_of_a_parameter",
-    "transposed",
-    "varying_factors",
-    "zero_entries",
-    "zeros",
-]
-
-
 DEGREE = np.pi / 180
 
 NEGLIGIBLE = 1e-12

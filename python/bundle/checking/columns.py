@@ -8,8 +8,6 @@ from dataclasses import field
 from bundle.base.records import dataclass
 from bundle.checking.jacobian_deviation import Array
 
-__all__ = ["Block", "Column"]
-
 
 @dataclass(frozen=True)
 class Column:

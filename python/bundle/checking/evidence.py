@@ -13,8 +13,6 @@ from bundle.base.records import dataclass
 from bundle.checking.columns import Block, Column
 from bundle.checking.jacobian_deviation import Array, JacobianDeviation, norm
 
-__all__ = ["Evidence", "Finding"]
-
 EXPLAINED = 1e-5
 """Largest fraction of the deviation that an accepted hypothesis may leave unexplained."""
 

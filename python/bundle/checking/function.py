@@ -16,8 +16,6 @@ from bundle.base.words import plural
 from bundle.checking.jacobian_deviation import Array
 from bundle.errors import InputError
 
-__all__ = ["ResidualFunction", "UserFunction"]
-
 ResidualFunction = Callable[[list[Array]], tuple[Any, Sequence[Any]]]
 
 

@@ -16,22 +16,6 @@ from bundle.checking.check_details import CheckDetails
 from bundle.checking.evidence import Finding
 from bundle.interface.tabular import Tabular
 
-__all__ = [
-    "STYLES",
-    "GradientCheckerSummary",
-    "GradientReport",
-    "Offender",
-    "Undecided",
-    "Verdict",
-    "explanation",
-    "measurements",
-    "mistakes",
-    "outcome",
-    "subject",
-    "worst_entries",
-]
-
-
 STYLES = {"correct": "green", "wrong": "red", "undecided": "yellow"}
 
 SHOWN = 5

@@ -20,8 +20,6 @@ from bundle.errors import InputError, brief
 from bundle.interface.check_options import TOLERANCE
 from bundle.interface.option_fields import number
 
-__all__ = ["check_function_at"]
-
 
 def check_function_at(
     function: ResidualFunction,

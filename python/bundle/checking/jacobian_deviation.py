@@ -31,8 +31,6 @@ from numpy.typing import NDArray
 from bundle.base.records import dataclass
 from bundle.interface.check_options import TOLERANCE
 
-__all__ = ["JacobianDeviation", "norm"]
-
 Array = NDArray[np.float64]
 
 FLOOR = 1e-3

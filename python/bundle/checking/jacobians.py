@@ -28,8 +28,6 @@ from bundle.io.files import Source, as_problem
 from bundle.model.problem import Problem
 from bundle.model.reprojection import resolve_cheirality
 
-__all__ = ["check_problem"]
-
 CHUNK = 16384
 CENTER = 1e-3
 """Relative rounding error of the derivatives above which a point is not checked."""

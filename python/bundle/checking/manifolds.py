@@ -14,8 +14,6 @@ from bundle.checking.jacobian_deviation import Array
 from bundle.errors import InputError, brief
 from bundle.interface.option_fields import choice
 
-__all__ = ["Manifold", "ManifoldLike"]
-
 ManifoldLike = str | tuple[str, Sequence[int]] | None
 
 NAMES = (

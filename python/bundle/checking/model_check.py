@@ -14,8 +14,6 @@ from bundle.checking.jacobian_deviation import Array
 from bundle.checking.tally import MOST_KEPT, Tally
 from bundle.model.cameras import camera_models, param_kinds
 
-__all__ = ["ModelCheck"]
-
 POSE = tuple(f"{part} {axis}" for part in ("rotation", "translation") for axis in "xyz")
 TWIST = tuple(f"twist {part}{axis}" for part in "wv" for axis in "xyz")
 POINT = ("point x", "point y", "point z")

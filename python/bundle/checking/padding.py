@@ -13,8 +13,6 @@ from bundle.checking.evidence import EXPLAINED, Finding, join_names
 from bundle.checking.jacobian_deviation import Array, JacobianDeviation
 from bundle.checking.residual_blocks import Layout
 
-__all__ = ["padded"]
-
 SCALES = (1.0, 2.0, 0.5)
 """Scales of tangent coordinates: a rotation vector, or twice or half a quaternion's vector part."""
 

@@ -21,8 +21,6 @@ from bundle.model.rotations import (
     rotation_matrices,
 )
 
-__all__ = ["ReprojectionLines"]
-
 
 @dataclass(frozen=True, eq=False)
 class ReprojectionLines:

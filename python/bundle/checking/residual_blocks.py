@@ -15,8 +15,6 @@ from bundle.checking.jacobian_deviation import Array
 from bundle.checking.manifolds import Manifold, ManifoldLike
 from bundle.errors import InputError, brief
 
-__all__ = ["Layout", "Name", "sample"]
-
 Name = str | tuple[str, Sequence[str]]
 
 

@@ -17,8 +17,6 @@ from bundle.checking.columns import Block
 from bundle.checking.evidence import EXPLAINED, Evidence
 from bundle.checking.jacobian_deviation import Array
 
-__all__ = ["conventions", "quaternion_order", "rotation_vectors", "turned"]
-
 BY_LEFT = "the derivative by d of Exp(d) Exp(w), not by w: J_l is missing"
 BY_RIGHT = "the derivative by d of Exp(w) Exp(d), not by w: J_r is missing"
 

@@ -19,8 +19,6 @@ from numpy.typing import NDArray
 from bundle.checking.evidence import EXPLAINED, Evidence
 from bundle.checking.jacobian_deviation import Array
 
-__all__ = ["logarithm", "one_row", "rows", "whitening"]
-
 DEGREE = np.pi / 180
 
 

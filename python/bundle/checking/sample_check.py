@@ -23,8 +23,6 @@ from bundle.checking.sample_points import Probe, SampleLines, SamplePoint
 from bundle.checking.tally import Tally
 from bundle.interface.check_options import TOLERANCE
 
-__all__ = ["check_samples"]
-
 SAME_RESIDUAL = 1e-9
 """Largest difference between residuals of two calls at one point, relative to the largest entry."""
 

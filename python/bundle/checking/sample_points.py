@@ -16,8 +16,6 @@ from bundle.checking.jacobian_deviation import Array, JacobianDeviation
 from bundle.checking.residual_blocks import Layout
 from bundle.checking.step_curve import Line, acquitted, walk
 
-__all__ = ["Probe", "SampleLines", "SamplePoint"]
-
 Probe = tuple[bool, Array | None, Array | None, str]
 
 

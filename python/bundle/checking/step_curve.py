@@ -27,8 +27,6 @@ from numpy.typing import NDArray
 from bundle.base.records import dataclass
 from bundle.checking.jacobian_deviation import Array
 
-__all__ = ["Line", "StepCurve", "acquitted", "walk"]
-
 HALVINGS = 44
 """Least number of steps; the last is at the resolution of double precision, for parameters of 1."""
 MOST_HALVINGS = 1074

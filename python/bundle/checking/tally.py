@@ -13,8 +13,6 @@ from bundle.checking.columns import Column
 from bundle.checking.gradient_report import Verdict
 from bundle.checking.jacobian_deviation import Array, JacobianDeviation
 
-__all__ = ["EDGES", "MOST_KEPT", "Kept", "Tally", "Worst", "verdicts"]
-
 EDGES = (0.0, *(10.0**exponent for exponent in range(-14, 2)), np.inf)
 """Limits of the histogram's bins."""
 

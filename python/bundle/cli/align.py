@@ -16,8 +16,6 @@ from bundle.interface.georeference_options import GeoreferenceOptions
 from bundle.io.open import check_target, load, output_format, save
 from bundle.reports.terminal.align import alignment
 
-__all__ = ["run"]
-
 FLAGS = {
     **GEOREFERENCE_FLAGS,
     "to": "--reference",

@@ -18,17 +18,6 @@ from bundle.cli.shared_arguments import (
 )
 from bundle.interface.options import INFORMATION, LINEARIZATION, PATTERN, SolveOptions
 
-__all__ = [
-    "add_check",
-    "add_compare",
-    "add_covariance",
-    "add_diagnose",
-    "add_info",
-    "add_inspect",
-    "add_report",
-    "add_validate",
-]
-
 Parser = argparse.ArgumentParser
 
 

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from bundle.georeference.alignment_result import Alignment
     from bundle.georeference.georeferenced import Georeference
 
-__all__ = ["carry_georeference", "check_georeference", "georeference_at", "write_georeference"]
-
 IDENTITY = {
     "scale": 1.0,
     "rotation": [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],

@@ -17,8 +17,6 @@ from bundle.interface.check_options import CheckOptions
 from bundle.io.open import load
 from bundle.reports.terminal.check import checked
 
-__all__ = ["run"]
-
 
 def run(arguments: argparse.Namespace) -> int:
     """Check INPUT; return 0 if all is correct, 1 if anything is wrong, 3 if undecided."""

@@ -35,8 +35,6 @@ from bundle.reports.sections import Report
 from bundle.reports.terminal.check import checked_factors, checked_function
 from bundle.reports.terminal.inputs import about_graph, graph_facts
 
-__all__ = ["check_edges_of_file", "check_object"]
-
 FLAGS = ("samples_per_image", "all", "seed", "tolerance", "num_threads", "html")
 
 

@@ -9,8 +9,6 @@ from bundle.cli.standard_streams import complain
 from bundle.errors import InputError, shown
 from bundle.interface.options import SolveOptions
 
-__all__ = ["take_colmap_options"]
-
 SHORTEST_TRACK = 2
 """Length of the shortest tracks that COLMAP has."""
 

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from bundle.planning.comparison import work
     from bundle.planning.comparison.comparison_result import Comparison
 
-__all__ = ["run"]
-
 
 def run(arguments: argparse.Namespace) -> int:
     """Compare methods on INPUT; return 0 if one has a usable solution."""

@@ -11,8 +11,6 @@ from typing import Any
 
 from bundle.errors import InputError
 
-__all__ = ["SHELLS", "PrintCompletion"]
-
 SHELLS = ("bash", "zsh", "tcsh")
 
 

@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from bundle.editing.global_shutter import GlobalShutterModel
     from bundle.model.problem import Problem
 
-__all__ = ["run"]
-
 
 def run(arguments: argparse.Namespace) -> int:
     """Write INPUT in another format."""

@@ -25,8 +25,6 @@ from bundle.interface.options import INFORMATION, SolveOptions
 from bundle.io.open import load
 from bundle.reports.terminal.covariance import uncertainties
 
-__all__ = ["run"]
-
 FLAGS = {name: f"--{name}" for name in ("of", "relative", "gauge", "scale", "robust")}
 """Flags of the arguments of :func:`bundle.covariance`."""
 

@@ -15,8 +15,6 @@ from bundle.cli.error_lines import EXIT_DONE
 from bundle.cli.standard_streams import print_out
 from bundle.errors import InputError, shown
 
-__all__ = ["run"]
-
 _SCENE = Path(__file__).parent / "assets" / "street.zip"
 _REFINE = ("--loss", "cauchy", "--rounds", "3", "--overwrite")
 

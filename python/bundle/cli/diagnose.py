@@ -26,8 +26,6 @@ from bundle.io.open import load
 from bundle.judging.findings.find import find
 from bundle.reports.terminal.diagnose import diagnosed
 
-__all__ = ["run"]
-
 
 def run(arguments: argparse.Namespace) -> int:
     """Diagnose INPUT."""

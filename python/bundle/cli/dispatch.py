@@ -12,17 +12,6 @@ from typing import Any
 
 from bundle.io.recognition import Kind, recognize
 
-__all__ = [
-    "COMMANDS",
-    "FLIGHT",
-    "GRAPH_FILE",
-    "HANDLERS",
-    "SEVERAL",
-    "SHAPE",
-    "find_handler",
-    "kind_of_input",
-]
-
 COMMANDS = {
     "info": "counts, cameras, tracks, reprojection errors [px], and warnings",
     "inspect": "predict nonzeros, fill-in, flops, memory and time per step of each solver",

@@ -20,16 +20,6 @@ from pathlib import Path
 from bundle.cli import startup
 from bundle.errors import InputError, shown
 
-__all__ = [
-    "EXIT_BAD_INPUT",
-    "EXIT_DONE",
-    "EXIT_INTERRUPTED",
-    "EXIT_NO_SOLUTION",
-    "EXIT_UNDECIDED",
-    "describe_error",
-    "is_interruption",
-]
-
 # Messages of the dynamic loader about missing memory.
 _LACKS_MEMORY = re.compile("failed to map segment|cannot allocate memory", re.IGNORECASE)
 

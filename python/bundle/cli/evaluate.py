@@ -13,8 +13,6 @@ from bundle.interface.evaluate_options import EvaluateOptions
 from bundle.judging.evaluation.evaluate_models import evaluate
 from bundle.reports.terminal.evaluate import evaluated
 
-__all__ = ["run"]
-
 FLAGS = {"a": "A", "b": "--reference"}
 """Flags of the arguments of :func:`bundle.evaluate`."""
 

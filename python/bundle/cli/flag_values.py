@@ -12,8 +12,6 @@ from typing import Any
 from bundle.cli.path_checks import PathArgument, a_path
 from bundle.model.image_selection import MOST_IDS, id_range
 
-__all__ = ["READERS", "choice_word", "parse_ids", "parse_images", "parse_sensors"]
-
 
 def choice_word(text: str) -> str:
     """Return a choice in the spelling of the command line."""

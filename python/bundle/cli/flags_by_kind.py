@@ -14,15 +14,6 @@ from bundle.errors import InputError
 from bundle.interface.option_class import Options
 from bundle.interface.option_classes import option_class
 
-__all__ = [
-    "add_flight_flags",
-    "add_pose_graph_flags",
-    "refuse_flags_of_flights",
-    "refuse_flags_of_graphs",
-    "refuse_flags_of_reconstructions",
-    "refuse_flags_of_scenes",
-]
-
 _OF_ALL = (
     *("input", "inputs", "output", "json", "quiet", "verbose", "overwrite"),
     *("command", "kind", "flags", "taken"),

@@ -15,8 +15,6 @@ from bundle.io.sequences.sequence_folder import check_sequence_target
 from bundle.reports.terminal.synth import made_flight
 from bundle.synthetic.flight.synthetic_flight import save_flight, synthesize_flight
 
-__all__ = ["run"]
-
 
 def run(arguments: argparse.Namespace) -> int:
     """Generate a flight and write its measurements and ground truth."""

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from bundle.georeference.known_priors import KnownPriors
     from bundle.model.problem import Problem
 
-__all__ = ["GEOREFERENCE_FLAGS", "georeference_given", "main_flag", "priors_of", "settings_of"]
-
 GEOREFERENCE_FLAGS = {**flags_of(GeoreferenceOptions), "gcps": "--gcp"}
 """Flags of the arguments of ``gps_priors``, ``gcp_priors`` and :func:`bundle.align`."""
 

@@ -20,8 +20,6 @@ from bundle.model.sequence.sequence_findings import SequenceFinding
 if TYPE_CHECKING:
     from bundle.inertial.tracking.track_recording import Tracking
 
-__all__ = ["GivenSequence", "given_sequence"]
-
 
 class GivenSequence(NamedTuple):
     """Sequence from the command line; ``tracking`` is None if the input has tracks."""

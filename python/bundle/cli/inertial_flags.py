@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from bundle.model.problem import Problem
     from bundle.solving.placed_problem import Prior
 
-__all__ = ["InertialFiles", "add_inertial_flags", "adjusted_with_imu", "inertial_given"]
-
 ELSEWHERE = (
     *("only_images", "hold_out", "checkpoint", "resume", "loops", "rules", "constraints"),
     *("fixed_image_ids", "fixed_point_ids"),

@@ -19,8 +19,6 @@ from bundle.judging.findings.find import find, one_list
 from bundle.reports.sections import Report, several
 from bundle.reports.terminal.info import information
 
-__all__ = ["describe_reconstruction", "run"]
-
 
 def run(arguments: argparse.Namespace) -> int:
     """Describe every INPUT."""

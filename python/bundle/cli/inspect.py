@@ -17,8 +17,6 @@ from bundle.planning.inspection.problem_inspection import inspect
 from bundle.planning.inspection.rank_prediction import predict_ranks
 from bundle.reports.terminal.inspect import inspected
 
-__all__ = ["run"]
-
 
 def run(arguments: argparse.Namespace) -> int:
     """Inspect the reconstruction INPUT."""

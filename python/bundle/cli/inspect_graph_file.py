@@ -15,8 +15,6 @@ from bundle.planning.inspection.graph_input import load_graph
 from bundle.planning.inspection.graph_inspection import GraphInspection, inspect_graph
 from bundle.reports.terminal.inspect_graph import inspected
 
-__all__ = ["run"]
-
 
 def run(arguments: argparse.Namespace) -> int:
     """Inspect the graph in a file."""

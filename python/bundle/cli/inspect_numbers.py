@@ -16,8 +16,6 @@ from bundle.planning.inspection.problem_needs import needs_of
 from bundle.planning.inspection.schur_counts import count_schur
 from bundle.reports.terminal.inspect_shape import inspected
 
-__all__ = ["run"]
-
 
 def run(arguments: argparse.Namespace) -> int:
     """Count the flops of a shape."""

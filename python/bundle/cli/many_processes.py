@@ -18,8 +18,6 @@ from bundle.cli.standard_streams import complain
 from bundle.solving.ranks.end_by_mpirun import know_processes, speaks_for_all, take_the_word
 from bundle.solving.ranks.launch import rank_by_launcher, size_by_launcher, use
 
-__all__ = ["note_alone", "run_command"]
-
 DELIVERY = 0.5
 """Seconds that mpirun gets to forward a line of another process."""
 

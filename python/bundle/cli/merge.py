@@ -18,8 +18,6 @@ from bundle.errors import shown
 from bundle.io.open import check_target, load, output_format, save
 from bundle.reports.terminal.merge import merged_report
 
-__all__ = ["run"]
-
 FLAGS = {"a": "A", "b": "B", "max_error": "--max-error"}
 """Flags of the arguments of :func:`bundle.merge`."""
 

@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import argparse
 
-__all__ = ["repeated_flags"]
-
 DROPPED = ("output", "json", "html", "quiet", "verbose", "check_gradients")
 """Arguments about the files and the output of a run, which do not affect the model."""
 CHECKPOINTS = {"resume": "--checkpoint"}

@@ -22,8 +22,6 @@ from bundle.solving.slices.scratch_size import RESIDENT_BYTES
 if TYPE_CHECKING:
     from bundle.solving.slices.out_of_core import OutOfCoreRefinement
 
-__all__ = ["input_on_disk", "on_disk", "with_disk_use"]
-
 _FLAG = "--out-of-core"
 _SERVED = OF_PLAIN - {"checkpoints"}
 _FLAGS = {"page": "--html"}

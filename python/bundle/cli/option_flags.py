@@ -21,15 +21,6 @@ if TYPE_CHECKING:
     from bundle.interface.options import SolveOptions
     from bundle.model.problem import Problem
 
-__all__ = [
-    "add_fields",
-    "add_options",
-    "flags_of",
-    "naming_flags",
-    "options_given",
-    "with_named_images",
-]
-
 AnyOptions = TypeVar("AnyOptions", bound=Options)
 
 

@@ -21,8 +21,6 @@ from bundle.reports.terminal.screen import fitted, laid_out
 if TYPE_CHECKING:
     from bundle.model.problem import Problem
 
-__all__ = ["check_new", "check_replaced", "publish", "same_images", "show", "write_json"]
-
 
 def check_replaced(
     path: str, sources: Iterable[str], overwrite: bool, is_same: Callable[[Path], bool]

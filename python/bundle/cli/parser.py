@@ -12,8 +12,6 @@ from bundle.cli.standard_streams import print_out
 from bundle.cli.suggestions import unknown_command, unknown_value
 from bundle.errors import InputError, shown
 
-__all__ = ["Parser"]
-
 HELP_COLUMN, WIDEST = 28, 100
 
 

@@ -24,17 +24,6 @@ from bundle.io.file_names import PAGE, check_name
 from bundle.io.georeference_file import GEOREFERENCE
 from bundle.io.recognition import SEQUENCE_FILES, reconstruction_at
 
-__all__ = [
-    "PathArgument",
-    "a_path",
-    "check_paths",
-    "page_path",
-    "reconstruction",
-    "report_path",
-    "telemetry_path",
-    "trajectory_path",
-]
-
 _OF_SENSORS = [
     f"{each}/{name}" for each in ("cam0", "imu0") for name in ("data.csv", "sensor.yaml")
 ]

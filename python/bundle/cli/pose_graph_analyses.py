@@ -19,8 +19,6 @@ from bundle.io.g2o_files import load_g2o
 from bundle.reports.terminal.covariance import uncertainties_of_graph
 from bundle.reports.terminal.diagnose import diagnosed_graph
 
-__all__ = ["compute_covariance", "diagnose"]
-
 LINEARIZATION = ("error", "information", "loss", "loss_scale", "loss_on")
 """Options that affect the information of a graph at its poses."""
 

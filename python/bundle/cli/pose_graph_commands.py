@@ -28,8 +28,6 @@ from bundle.reports.terminal.timing import WallTime
 if TYPE_CHECKING:
     from bundle.model.pose_graph_arrays import PoseGraph
 
-__all__ = ["convert", "describe", "refine"]
-
 
 def refine(arguments: argparse.Namespace) -> int:
     """Refine the pose graph INPUT into OUTPUT."""

@@ -18,8 +18,6 @@ from bundle.planning.comparison.graph_comparison import compare_graph as compare
 from bundle.planning.inspection.problem_inspection import inspect
 from bundle.reports.terminal.graph_costs import compared_graph, inspected_graph
 
-__all__ = ["compare_graph", "inspect_graph"]
-
 OPTIONS = (
     *("error", "init", "information", "loss", "loss_scale", "loss_on", "max_num_iterations"),
     *("function_tolerance", "gradient_tolerance", "parameter_tolerance"),

@@ -14,8 +14,6 @@ from bundle.io.g2o_files import load_g2o
 from bundle.reports.page.graph_report import write_graph_report
 from bundle.reports.terminal.report import reported_graph
 
-__all__ = ["run"]
-
 
 def run(arguments: argparse.Namespace) -> int:
     """Write the report page of the pose graph INPUT."""

@@ -20,15 +20,6 @@ if TYPE_CHECKING:
     from bundle.model.problem import Problem
     from bundle.solving.constraints.rule_list import Constraints
 
-__all__ = [
-    "cameras_edited",
-    "loops_closed",
-    "rules_as_options",
-    "rules_of",
-    "with_rigs",
-    "with_shutters",
-]
-
 
 def with_rigs(problem: Problem, path: str | None) -> Problem:
     """Return the problem with the rigs of a file; unchanged without a file.

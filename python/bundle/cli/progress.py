@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from rich.live import Live
     from rich.text import Text
 
-__all__ = ["Progress"]
-
 _HEAD = (
     f"{'iteration':>9}  {'cost':>12}  {'change':>9}  {'gradient':>9}  {'radius':>9}  {'elapsed':>9}"
 )

@@ -22,8 +22,6 @@ import pytest
 if TYPE_CHECKING:
     from bundle.graphs.factors.factor_graph import FactorGraph
 
-__all__ = ["check_gradients", "pytest_addoption", "pytest_configure", "pytest_terminal_summary"]
-
 FLAG = "--bundle-gradients"
 
 Check = Callable[..., Any]

@@ -13,8 +13,6 @@ from bundle.cli.path_checks import a_path
 from bundle.errors import InputError
 from bundle.interface.tracking_options import TrackingOptions
 
-__all__ = ["RECORDING", "add_recording_flags", "refuse_recording_flags"]
-
 RECORDING = (
     "calibration",
     *("camera", "imu", "frame_times", "image_topic", "imu_topic"),

@@ -47,8 +47,6 @@ if TYPE_CHECKING:
     from bundle.inertial.offline.inertial_result import InertialAdjustment
     from bundle.solving.result import Result
 
-__all__ = ["run"]
-
 STAYED = "Refined again without positions, from where they had placed it."
 
 

@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from bundle.model.problem import Problem
     from bundle.solving.slices.sliced_refinement import SlicedRefinement
 
-__all__ = ["Opened", "open_input"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Opened:

@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from bundle.inertial.offline.inertial_result import InertialAdjustment
     from bundle.solving.result import Result
 
-__all__ = ["judge", "not_converged", "readout_sigmas", "write_page"]
-
 MORE_STEPS = 4
 """Factor on a limit of steps that did not suffice."""
 

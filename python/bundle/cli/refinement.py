@@ -33,8 +33,6 @@ from bundle.io.formats.read_options import ReadOptions
 if TYPE_CHECKING:
     from bundle.solving.constraints.rule_list import Constraints
 
-__all__ = ["OF_PLAIN", "Refinement"]
-
 OF_PLAIN = {"source", "target", "format", "overwrite", "json", "given", "verbose", "checkpoints"}
 OF_PLAIN |= {"options", "fixed_images", "constraints", "disk"}  # constraints: parsed rules
 """Fields that a refinement in slices serves, too; any other makes it more than plain."""

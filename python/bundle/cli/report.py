@@ -38,8 +38,6 @@ if TYPE_CHECKING:
     from bundle.solving.constraints.rule_list import Constraints
     from bundle.solving.placed_problem import Prior
 
-__all__ = ["run"]
-
 
 def placed(source: str) -> tuple[dict[str, Any] | None, tuple[str, ...]]:
     """Return the content of the georeference.json that `bundle refine` wrote, if it exists.

@@ -25,8 +25,6 @@ from bundle.reports.sections import Report
 from bundle.reports.terminal.convert import converted_sequence
 from bundle.reports.terminal.sequence_tables import described_sequence
 
-__all__ = ["convert", "describe"]
-
 
 def describe(path: str, arguments: argparse.Namespace, progress: Progress) -> Report:
     """Return the report of `bundle info` on a sequence."""

@@ -13,20 +13,6 @@ from bundle.io.formats.read_options import ORIGINS, ReadOptions
 from bundle.io.georeference_file import GEOREFERENCE
 from bundle.io.recognition import OUTPUT_FORMATS
 
-__all__ = [
-    "READING",
-    "add_common",
-    "add_format",
-    "add_georeference",
-    "add_input",
-    "add_input_format",
-    "add_output",
-    "add_rig_config",
-    "add_rules",
-    "given_of",
-    "read_options",
-]
-
 MOVED = (
     "The model is first moved into metres east, north, up about the middle of the control points, "
     "or of the positions where there are none, and stays there. "

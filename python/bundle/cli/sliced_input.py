@@ -14,8 +14,6 @@ from bundle.solving.ranks.launch import current
 if TYPE_CHECKING:
     from bundle.solving.slices.sliced_refinement import SlicedRefinement
 
-__all__ = ["has_copied_format", "sliceable_format", "sliced_input"]
-
 COMPRESSED = (".gz", ".bz2")
 
 

@@ -7,8 +7,6 @@ import errno
 import os
 import sys
 
-__all__ = ["complain", "open_missing_streams", "print_out", "release_broken_streams"]
-
 
 def open_missing_streams() -> None:
     """Open /dev/null in place of closed standard streams, and permit any file name in output.

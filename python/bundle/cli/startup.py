@@ -27,8 +27,6 @@ TYPE_CHECKING = False  # as in typing, but without its slow import
 if TYPE_CHECKING:
     from types import FrameType
 
-__all__ = ["begin", "done", "exit_code", "ignore_interrupts", "is_over"]
-
 EXIT_INTERRUPTED = 130
 
 OBJECTS_BETWEEN_COLLECTIONS = 100_000

@@ -6,8 +6,6 @@ from collections.abc import Iterable, Mapping
 
 from bundle.errors import nearest
 
-__all__ = ["unknown_command", "unknown_flag", "unknown_value"]
-
 
 def unknown_command(found: str, commands: Iterable[str]) -> str:
     """Return the message about an unknown command."""

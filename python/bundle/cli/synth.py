@@ -27,8 +27,6 @@ from bundle.synthetic.measured_attitudes import measured_attitudes
 from bundle.synthetic.streamed import SceneTally, write_bal_scene
 from bundle.synthetic.synthesis import SyntheticScene, assemble, filmed
 
-__all__ = ["run"]
-
 LOSSES = (LOST_ROLLING_SHUTTER,)
 """Losses of a format that a user who asked for a scene does not expect."""
 

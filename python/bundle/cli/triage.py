@@ -11,8 +11,6 @@ from bundle.interface.triage_options import TriageOptions
 from bundle.judging.triage.triage_reports import triage
 from bundle.reports.terminal.triage import triaged
 
-__all__ = ["run"]
-
 
 def run(arguments: argparse.Namespace) -> int:
     """Compare two reports; return 0 if nothing changed beyond noise, otherwise 1."""

@@ -27,8 +27,6 @@ from bundle.judging.validation.validate_problem import validate
 from bundle.judging.validation.validation_result import Validation
 from bundle.reports.terminal.validate import validated
 
-__all__ = ["run"]
-
 
 def run(arguments: argparse.Namespace) -> int:
     """Validate candidates for INPUT."""

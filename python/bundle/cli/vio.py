@@ -32,8 +32,6 @@ from bundle.model.sequence.sequence import Sequence
 from bundle.reports.terminal.two_loops_tables import with_loops
 from bundle.reports.terminal.vio import odometry_report, telemetry_lines
 
-__all__ = ["run"]
-
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the odometry over SEQUENCE."""

@@ -42,8 +42,6 @@ from bundle.model.rolling_shutter import RollingShutter
 from bundle.model.rotations import quaternion_rotate
 from bundle.model.shutter_motion import moved, project_each, read_positions
 
-__all__ = ["GlobalShutterModel", "to_global_shutter"]
-
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class GlobalShutterModel(Displayed):

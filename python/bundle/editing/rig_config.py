@@ -38,8 +38,6 @@ from bundle.model.rig_arrays import compose, placed
 from bundle.model.rigid_motions import inverse_poses, unit_poses
 from bundle.model.rotations import quaternion_rotate
 
-__all__ = ["RigConfig", "SensorConfig", "apply_rig_config", "read_rig_config"]
-
 _Pose = NDArray[np.float64]
 
 

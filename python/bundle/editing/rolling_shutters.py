@@ -12,8 +12,6 @@ from bundle.interface.rolling_shutter_options import ShutterOptions
 from bundle.model.problem import Problem
 from bundle.model.rolling_shutter import RollingShutter
 
-__all__ = ["ESTIMATE", "with_shutters"]
-
 ESTIMATE = "estimate"
 FIRST_READOUT = 0.5
 """Start of an estimated readout that the input does not have."""

@@ -7,8 +7,6 @@ from collections.abc import Iterable
 
 from bundle.base.records import dataclass
 
-__all__ = ["SHAPE", "Axis", "linear", "logarithmic", "round_down", "short", "square"]
-
 MOST_TICKS = 6
 LARGEST = 308
 """Exponent of the largest power of ten that a double can hold."""

@@ -22,8 +22,6 @@ from bundle.model.rotations import cross_matrices, rotation_matrices
 if TYPE_CHECKING:
     from bundle.analysis.uncertainty.covariance_result import Covariance
 
-__all__ = ["Certainty", "certainty", "correlation_figure", "largest_eigenvalues"]
-
 Array = NDArray[np.float64]
 Ids = NDArray[np.int64]
 

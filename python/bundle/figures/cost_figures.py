@@ -13,15 +13,6 @@ from bundle.figures.marks import Array, Bars, StackedBars, Steps
 from bundle.figures.series import cost_curve, labels, profile_curve, styles
 from bundle.planning.comparison.comparison_result import Comparison
 
-__all__ = [
-    "bar_figure",
-    "breakdown_figure",
-    "column_figure",
-    "iteration_figure",
-    "profile_figure",
-    "time_figure",
-]
-
 WIDE = 30.0
 """Ratio of costs above which the axis is logarithmic."""
 

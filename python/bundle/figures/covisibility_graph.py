@@ -17,8 +17,6 @@ from bundle.figures.marks import GREY, Dots, Mark, Vectors
 from bundle.interface.option_fields import number
 from bundle.model.problem import Problem
 
-__all__ = ["CovisibilityGraph", "covisibility_figure", "covisibility_graph"]
-
 STRONGEST_OF_EACH = 3
 NARROWEST = 0.2
 """Ratio of height to width below which a graph is stretched."""

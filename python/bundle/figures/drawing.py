@@ -18,8 +18,6 @@ from bundle.base.records import dataclass
 from bundle.figures.axes import SHAPE, Axis, linear, logarithmic, square
 from bundle.figures.marks import GREY, Line, Mark, Steps
 
-__all__ = ["NO_AXIS", "Figure", "LineFigure", "over_image"]
-
 Array = NDArray[np.float64]
 
 NO_AXIS = Axis(0.0, 1.0, ())

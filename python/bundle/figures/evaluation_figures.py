@@ -15,8 +15,6 @@ from bundle.judging.evaluation.evaluation_result import Evaluation
 from bundle.judging.evaluation.lens_difference import LensDifference
 from bundle.model.pose_errors import ErrorStatistics
 
-__all__ = ["error_figures", "lens_difference_figure", "paths_figure"]
-
 MOST_DOTS = 2000
 """Number of poses that a figure draws, in addition to those with the largest errors."""
 

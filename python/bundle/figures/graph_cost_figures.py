@@ -13,8 +13,6 @@ from bundle.figures.series import gaps_to
 from bundle.planning.comparison.graph_comparison import GraphComparison
 from bundle.planning.comparison.graph_runs import GraphRun, best_cost
 
-__all__ = ["graph_breakdown_figure", "graph_time_figure"]
-
 MOST_DRAWN = 8
 """Number of the fastest methods in a figure."""
 

@@ -14,8 +14,6 @@ from bundle.figures.axes import Axis, logarithmic, square
 from bundle.figures.drawing import Figure
 from bundle.figures.marks import GREY, Line, Mark, Vectors
 
-__all__ = ["DrawnGraph", "error_figure", "plan_figures"]
-
 Floats = NDArray[np.float64]
 
 MOST_EDGES = 6000

@@ -12,8 +12,6 @@ from bundle.model.problem import Problem
 from bundle.model.residuals import Residuals
 from bundle.model.worst_images import ImageError, worst_of_errors
 
-__all__ = ["ImageResiduals", "image_residuals", "worst_residuals"]
-
 MOST_IMAGES = 6
 MOST_ARROWS = 400
 

@@ -9,8 +9,6 @@ from bundle.figures.axes import logarithmic
 from bundle.figures.drawing import Figure
 from bundle.figures.marks import GREY, Line
 
-__all__ = ["step_figure"]
-
 SMALLEST = 1e-16
 """Smallest error drawn; a difference may equal the Jacobian to the last digit."""
 

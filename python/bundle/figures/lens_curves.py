@@ -28,8 +28,6 @@ from bundle.model.cameras import camera_models, project
 from bundle.model.lenses.exact_image import PERSPECTIVE, focal_and_center
 from bundle.model.problem import Problem
 
-__all__ = ["LensCurve", "lens_curve", "lens_curves", "most_observed_cameras"]
-
 STEPS = 400
 AROUND = 16
 WIDEST_PERSPECTIVE, WIDEST_FISHEYE = 85.0, 130.0

@@ -14,8 +14,6 @@ from bundle.figures.lens_curves import LensCurve
 from bundle.figures.marks import GREY, Array, Cells, Line, Places
 from bundle.figures.projection_uncertainty import ProjectionUncertainty, contour_levels
 
-__all__ = ["distance_figure", "focal_figure", "lens_figure", "sigma_figure", "top_sigma"]
-
 NONE = 1e-6
 """Limit in pixels below which distortion is a rounding error."""
 

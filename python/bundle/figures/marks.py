@@ -16,23 +16,6 @@ from numpy.typing import NDArray
 from bundle.base.records import dataclass
 from bundle.figures.axes import Axis, logarithmic
 
-__all__ = [
-    "GREY",
-    "Bars",
-    "Cells",
-    "Dots",
-    "Ellipses",
-    "Line",
-    "Mark",
-    "Matrix",
-    "Photo",
-    "Places",
-    "StackedBars",
-    "Steps",
-    "Vectors",
-    "direction_colours",
-]
-
 Array = NDArray[np.float64]
 
 GREY = 6

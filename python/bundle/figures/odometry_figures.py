@@ -22,8 +22,6 @@ from bundle.inertial.vio.trajectory_comparison import aligned_in_yaw
 from bundle.inertial.vio.window_alarms import LARGEST_ASYMMETRY, LARGEST_IMU_EXCESS, SMALLEST_RATIO
 from bundle.io.sequences.trajectory_files import Trajectory
 
-__all__ = ["odometry_figures"]
-
 Array = NDArray[np.float64]
 
 AXES = ("x", "y", "z")

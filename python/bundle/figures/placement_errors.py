@@ -13,8 +13,6 @@ from bundle.base.records import dataclass
 from bundle.errors import InputError
 from bundle.model.problem import Problem
 
-__all__ = ["PlacedImage", "PlacedTarget", "Placement", "placement"]
-
 
 @dataclass(frozen=True, eq=False)
 class PlacedImage:

@@ -11,8 +11,6 @@ from bundle.figures.drawing import Figure
 from bundle.figures.marks import GREY, Array, Dots, Ellipses, Vectors
 from bundle.figures.placement_errors import PlacedImage, PlacedTarget, Placement
 
-__all__ = ["plan_figure", "position_figure", "target_figure"]
-
 ROLES = {"control": 0, "check": 1}
 """Colour indices of targets by role; other targets are grey."""
 

@@ -45,8 +45,6 @@ from bundle.model.problem import Problem
 from bundle.model.residuals import Residuals, residuals
 from bundle.model.rotations import cross_matrices, rotation_matrices
 
-__all__ = ["ProjectionUncertainty", "contour_levels", "projection_uncertainty"]
-
 Array = NDArray[np.float64]
 
 MOST_CELLS = 25

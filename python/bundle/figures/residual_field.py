@@ -23,18 +23,6 @@ from bundle.model.cameras import param_kinds
 from bundle.model.problem import Problem
 from bundle.model.residuals import Residuals
 
-__all__ = [
-    "SIGNIFICANT",
-    "RadialProfile",
-    "ResidualField",
-    "by_observations",
-    "field_of",
-    "image_box",
-    "observations_of_cameras",
-    "principal_point",
-    "residual_fields",
-]
-
 MOST_CAMERAS = 6
 """Number of cameras with their own fields."""
 

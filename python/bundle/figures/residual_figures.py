@@ -17,21 +17,6 @@ from bundle.figures.residual_histogram import ResidualHistogram
 from bundle.model.problem import Problem
 from bundle.model.residuals import Residuals
 
-__all__ = [
-    "CELL_NUMBERS",
-    "cell_figure",
-    "coordinate_figure",
-    "direction_figure",
-    "field_figures",
-    "image_error_figure",
-    "image_figure",
-    "image_frame",
-    "image_name",
-    "length_figure",
-    "profile_figure",
-    "vector_figure",
-]
-
 MOST_IMAGES = 2000
 """Number of images with a dot each; of more images every k-th has one."""
 

@@ -8,8 +8,6 @@ from numpy.typing import NDArray
 from bundle.base.records import dataclass
 from bundle.model.residuals import Residuals
 
-__all__ = ["ResidualHistogram", "residual_histogram"]
-
 BINS = 61
 SHARE = 0.99
 WIDEST = 4.0

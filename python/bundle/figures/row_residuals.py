@@ -27,8 +27,6 @@ from bundle.figures.marks import GREY, Line
 from bundle.model.problem import Problem
 from bundle.model.residuals import Residuals
 
-__all__ = ["RowResiduals", "row_figure", "row_residuals", "rows_of_sets"]
-
 NUM_BANDS = 12
 FEWEST = 3
 FEWEST_IMAGES = 3

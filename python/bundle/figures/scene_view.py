@@ -19,8 +19,6 @@ from bundle.model.problem import Problem
 from bundle.model.residuals import Residuals
 from bundle.model.rotations import rotation_matrices
 
-__all__ = ["MOST_POINTS", "SceneView", "scene_before", "scene_view"]
-
 MOST_POINTS = 60_000
 FARTHEST = 50.0
 USUAL = 0.5

@@ -10,8 +10,6 @@ from bundle.planning.comparison.comparison_result import Comparison
 from bundle.planning.comparison.method import Method
 from bundle.planning.comparison.profiles import PerformanceProfile
 
-__all__ = ["Style", "cost_curve", "gaps_to", "labels", "profile_curve", "styles"]
-
 # Costs of different solvers agree to about this; smaller differences are due to chance.
 SMALLEST_GAP = 1e-9
 

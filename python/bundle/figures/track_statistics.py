@@ -14,8 +14,6 @@ from bundle.figures.marks import Bars
 from bundle.model.problem import Problem
 from bundle.model.ray_angles import enclose_angle
 
-__all__ = ["TrackStatistics", "angle_figure", "length_figure", "track_statistics"]
-
 ANGLES = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0)
 LONGEST = 20
 

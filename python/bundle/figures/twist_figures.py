@@ -10,8 +10,6 @@ from bundle.figures.drawing import Figure
 from bundle.figures.marks import GREY, Line
 from bundle.model.problem import Problem
 
-__all__ = ["twist_figures"]
-
 
 def twist_figures(problem: Problem) -> list[Figure]:
     """Return rotations and translations of the twists by image; empty without any.

@@ -11,8 +11,6 @@ from bundle.figures.drawing import Figure
 from bundle.figures.marks import GREY, Array, Dots, Line, Mark
 from bundle.judging.validation.validation_result import ValidatedCandidate, Validation
 
-__all__ = ["difference_figure", "distribution_figure", "error_figure", "image_figure"]
-
 MOST_CURVES = 4
 """Number of candidates in the distribution of errors."""
 

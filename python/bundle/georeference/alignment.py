@@ -44,8 +44,6 @@ from bundle.interface.options import LOSSES
 from bundle.io.files import Source, as_problem
 from bundle.model.problem import Problem
 
-__all__ = ["align"]
-
 FEWEST = 3
 LARGEST_SIGMA0 = 3.0
 """Threshold of sigma0 for a note that the sigmas are too small or the data contains an error."""

@@ -17,8 +17,6 @@ from bundle.georeference.similarity import Similarity
 from bundle.interface.tabular import Tabular
 from bundle.model.problem import Problem
 
-__all__ = ["Alignment", "ControlPointError", "ImageError", "as_triple", "root_mean_square"]
-
 Triple = tuple[float, float, float]
 
 DETECTABLE = 4.6

@@ -40,8 +40,6 @@ from bundle.georeference.attitude_priors import (
 from bundle.georeference.image_finder import ImageFinder
 from bundle.georeference.image_lines import content_lines, headed_rows, image_rows, row_numbers
 
-__all__ = ["gravity_text", "orientation_text", "read_gravity", "read_orientations"]
-
 SIGMAS = ("sigma_heading", "sigma_tilt")
 LAYOUTS = {
     ("yaw", "pitch", "roll"): SIGMAS,

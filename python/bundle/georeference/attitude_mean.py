@@ -29,8 +29,6 @@ from bundle.model.rotations import (
     vector_from_quaternion,
 )
 
-__all__ = ["MEDIAN", "TUKEY", "Agreement", "agree", "exp", "log"]
-
 Array = NDArray[np.float64]
 
 MEDIAN = {1: 0.6744897501960817, 2: 1.1774100225154747, 3: 1.5381722544550522}

@@ -49,15 +49,6 @@ from bundle.interface.option_fields import choice, number
 from bundle.interface.options import LOSSES
 from bundle.model.rotations import quaternion_from_matrix
 
-__all__ = [
-    "AttitudePrior",
-    "GravityPrior",
-    "HeadingPrior",
-    "OrientationPrior",
-    "as_sigma",
-    "quaternion_of_angles",
-]
-
 Array = NDArray[np.float64]
 
 LEAST_SIGMA, MOST_SIGMA = 1e-12, 1e12

@@ -30,8 +30,6 @@ from bundle.interface.options import LOSSES
 from bundle.model.problem import Problem
 from bundle.model.rotations import rotation_matrices
 
-__all__ = ["AttitudeErrors", "Attitudes", "ImageAttitude", "read_attitudes"]
-
 Array = NDArray[np.float64]
 
 MOST_NAMED = 3

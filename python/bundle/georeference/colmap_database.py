@@ -20,8 +20,6 @@ from bundle.errors import InputError, brief, shown
 from bundle.georeference.gps_positions import GpsPositions
 from bundle.io.database_images import open_database
 
-__all__ = ["read_database_gps"]
-
 _WGS84 = 0
 _CARTESIAN = 1
 _SYSTEMS = {-1: "undefined", _WGS84: "WGS84", _CARTESIAN: "Cartesian"}

@@ -25,8 +25,6 @@ from numpy.typing import NDArray
 from bundle.georeference.similarity import scale_and_rotation, umeyama
 from bundle.interface.georeference_options import ROBUST_SCALE
 
-__all__ = ["agreeing"]
-
 Array = NDArray[np.float64]
 
 MOST_TRIPLES = 1000

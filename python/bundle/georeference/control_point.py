@@ -12,17 +12,6 @@ from bundle.interface.georeference_options import ROBUST_SCALE
 from bundle.interface.option_fields import choice, number
 from bundle.interface.options import LOSSES
 
-__all__ = [
-    "GCP_PIXEL_SIGMA",
-    "GCP_SIGMA",
-    "ROLES",
-    "GroundControlPoint",
-    "Measurement",
-    "Sigma",
-    "parse_pixel_sigma",
-    "parse_sigma",
-]
-
 ROLES = ("control", "check")
 SMALLEST, LARGEST = 1e-9, 1e9
 """Standard deviations outside these limits lose their squares in rounding."""

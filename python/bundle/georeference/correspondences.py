@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from bundle.base.records import dataclass
 
-__all__ = ["Correspondences"]
-
 Array = NDArray[np.float64]
 
 

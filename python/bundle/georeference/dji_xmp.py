@@ -26,8 +26,6 @@ from xml.etree import ElementTree
 
 from bundle.georeference.attitude_priors import OrientationPrior
 
-__all__ = ["DjiRecord", "read_dji", "xmp_packet"]
-
 NAMESPACE = "http://www.dji.com/drone-dji/"
 _XMP = b"http://ns.adobe.com/xap/1.0/\0"
 _START, _SCAN, _APP1 = 0xD8, 0xDA, 0xE1

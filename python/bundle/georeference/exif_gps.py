@@ -30,8 +30,6 @@ from bundle.georeference.gps_positions import EXIF_TAGS, GpsPositions
 from bundle.georeference.image_index import last_part
 from bundle.georeference.reference_system import WGS84
 
-__all__ = ["counted_images", "files_of_images", "read_exif_gps"]
-
 _GPS = 0x8825
 """Tag of the directory of GPS tags."""
 _LATITUDE, _LONGITUDE, _ALTITUDE_REFERENCE, _ALTITUDE, _POSITIONING_ERROR = 2, 4, 5, 6, 31

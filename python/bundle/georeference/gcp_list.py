@@ -41,8 +41,6 @@ from bundle.georeference.control_point import (
 )
 from bundle.georeference.odm_lines import parse_number, read_lines
 
-__all__ = ["PIXEL_SHIFT", "read_gcp_list"]
-
 PIXEL_SHIFT = 0.5
 """Shift from pixel coordinates with origin at the centre of the first pixel to COLMAP's."""
 

@@ -45,8 +45,6 @@ from bundle.georeference.survey import Survey
 from bundle.interface.georeference_options import ROBUST_SCALE
 from bundle.model.problem import Problem
 
-__all__ = ["GcpPriors", "gcp_priors"]
-
 Array = NDArray[np.float64]
 
 

@@ -28,8 +28,6 @@ from bundle.errors import InputError, brief, shown
 from bundle.georeference.gps_positions import GpsPositions, no_fix_notes
 from bundle.georeference.odm_lines import parse_number, read_lines
 
-__all__ = ["read_geo_file"]
-
 _ANGLES = ("yaw", "pitch", "roll")
 _ACCURACIES = ("horizontal accuracy", "vertical accuracy")
 

@@ -15,8 +15,6 @@ from bundle.georeference.point_check import OffsetCheck, SurveyChecks
 from bundle.georeference.similarity import Similarity
 from bundle.model.problem import Problem
 
-__all__ = ["Georeference", "PositionError", "Solved", "origin_text", "rig_notes"]
-
 SAME_BASELINE = 1e-3
 """Relative change of a rig's baseline that is not worth a word."""
 LARGE = 3.0

@@ -23,15 +23,6 @@ from bundle.georeference.reference_system import ReferenceSystem
 from bundle.io.database_images import is_database
 from bundle.model.problem import Problem
 
-__all__ = [
-    "EXIF",
-    "Frame",
-    "given_control_points",
-    "given_gps",
-    "scaled_gps",
-    "with_check_points",
-]
-
 EXIF = "exif"
 
 

@@ -15,18 +15,6 @@ from bundle.errors import InputError, brief, shown
 from bundle.georeference.image_index import ImageIndex
 from bundle.model.problem import Problem
 
-__all__ = [
-    "EXIF_TAGS",
-    "GpsPositions",
-    "case_notes",
-    "matched",
-    "no_fix_notes",
-    "too_few",
-    "unmatched_notes",
-    "with_fix",
-]
-
-
 EXIF_TAGS = "EXIF tags"
 """Prefix of the source of positions that come from the images themselves."""
 

@@ -31,8 +31,6 @@ from bundle.georeference.survey import Survey
 from bundle.interface.georeference_options import ROBUST_SCALE
 from bundle.model.problem import Problem
 
-__all__ = ["GPS_SIGMA", "GpsPriors", "check_settings", "gps_priors"]
-
 GPS_SIGMA = (2.0, 5.0)
 """Default sigma, horizontal and vertical, in metres: a receiver without corrections, open sky."""
 FEWEST = 3

@@ -6,8 +6,6 @@ from bundle.errors import InputError, brief, nearest
 from bundle.georeference.image_index import ImageIndex, last_part
 from bundle.model.problem import Problem
 
-__all__ = ["ImageFinder"]
-
 
 class ImageFinder:
     """Finder of images by name, or by id if no image has this name.

@@ -5,8 +5,6 @@ from __future__ import annotations
 from bundle.errors import InputError, brief, shown
 from bundle.model.problem import Problem
 
-__all__ = ["ImageIndex", "last_part"]
-
 
 class ImageIndex:
     """Finder of images by name: the whole name, or its last part if that is unique.

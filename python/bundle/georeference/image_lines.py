@@ -16,8 +16,6 @@ from bundle.errors import InputError, brief, shown
 from bundle.georeference.image_finder import ImageFinder
 from bundle.georeference.odm_lines import parse_number, split_words
 
-__all__ = ["content_lines", "headed_rows", "image_rows", "row_numbers"]
-
 
 def headed_rows(
     path: str | os.PathLike[str],

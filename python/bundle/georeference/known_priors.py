@@ -14,8 +14,6 @@ from bundle.georeference.problem_velocities import VelocityErrors
 from bundle.georeference.velocities import Velocities
 from bundle.georeference.velocity_prior import VelocityPrior
 
-__all__ = ["KnownPriors"]
-
 
 @dataclass(frozen=True)
 class KnownPriors:

@@ -33,8 +33,6 @@ from bundle.errors import InputError
 from bundle.georeference.correspondences import Correspondences
 from bundle.georeference.similarity_fit import SimilarityFit, fit_similarity
 
-__all__ = ["LEVEL", "LeaveOneOut", "leave_one_out"]
-
 Array = NDArray[np.float64]
 
 LEVEL = 0.05

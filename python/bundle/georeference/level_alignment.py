@@ -23,8 +23,6 @@ from bundle.georeference.correspondences import Correspondences
 from bundle.georeference.similarity import Similarity
 from bundle.georeference.similarity_fit import WIDEST_ANGLE
 
-__all__ = ["level_similarity"]
-
 Array = NDArray[np.float64]
 
 

@@ -28,8 +28,6 @@ from bundle.interface.option_fields import number
 if TYPE_CHECKING:  # start-up: pyproj loads slowly
     from pyproj import Transformer
 
-__all__ = ["LocalFrame"]
-
 Array = NDArray[np.float64]
 
 LARGEST_HEIGHT = 1e9

@@ -17,8 +17,6 @@ from bundle.io.formats.json_fields import Node
 from bundle.model.problem import Problem
 from bundle.model.pycolmap.imported_source import imported_source
 
-__all__ = ["with_origin", "without_origin"]
-
 
 def without_origin(problem: Problem) -> Problem:
     """Return a moved problem whose OpenSfM data are no longer said to be in the old frame."""

@@ -15,9 +15,6 @@ from bundle.base.paths import numbered_lines
 from bundle.errors import InputError, brief, shown
 from bundle.georeference.reference_system import ReferenceSystem
 
-__all__ = ["parse_number", "read_lines", "split_words"]
-
-
 _COORDINATES = ("x", "y", "z")
 _QUOTES = "; put a name with blanks in quotes"
 _ENDS_AS_FILES_DO = re.compile(r"\.[A-Za-z]\w{1,4}$")

@@ -27,8 +27,6 @@ from bundle.georeference.local_frame import LocalFrame
 from bundle.io.formats.json_fields import Node, parsed, read_json
 from bundle.model.problem import Problem
 
-__all__ = ["frame_of", "is_opensfm", "read_opensfm_gcps", "read_opensfm_gps"]
-
 RECONSTRUCTION = "reconstruction.json"
 REFERENCE = "reference_lla.json"
 POINTS = "ground_control_points.json"

@@ -38,8 +38,6 @@ from bundle.model.rotations import rotation_matrices
 if TYPE_CHECKING:  # avoids a cycle: survey calls check_readings
     from bundle.georeference.survey import Survey
 
-__all__ = ["check_readings", "uprightness"]
-
 UPRIGHT = 0.5
 """Uprightness above which a model is upright; below its negative, the model is upside down."""
 NO_WORSE = 1.2

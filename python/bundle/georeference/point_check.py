@@ -28,8 +28,6 @@ from numpy.typing import NDArray
 from bundle.base.records import dataclass
 from bundle.base.tails import chi2_tail, f_tail
 
-__all__ = ["LEAST_REDUNDANCY", "OffsetCheck", "PointCheck", "SurveyChecks", "scaled_tail"]
-
 Array = NDArray[np.float64]
 Triple = tuple[float, float, float]
 

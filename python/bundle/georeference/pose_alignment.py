@@ -34,8 +34,6 @@ from bundle.georeference.similarity import Similarity, umeyama
 from bundle.georeference.similarity_fit import THINNEST
 from bundle.model.rotations import quaternion_from_matrix, quaternion_multiply
 
-__all__ = ["align_centers", "angle_about_line", "moved_poses"]
-
 SMALLEST = 1e-100
 """Length below which squares of coordinates lose digits."""
 

@@ -27,8 +27,6 @@ from bundle.graphs.factors.attitude_factors import RotationFactor
 from bundle.graphs.factors.factors import Factor, PositionFactor
 from bundle.model.problem import Problem
 
-__all__ = ["AXES", "PositionOffset"]
-
 AXES = {"none": (0.0, 0.0, 0.0), "up": (0.0, 0.0, 1.0), "all": (1.0, 1.0, 1.0)}
 LARGEST_ID = 2**63 - 1
 

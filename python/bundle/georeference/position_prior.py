@@ -22,8 +22,6 @@ from bundle.graphs.factors.factors import PositionFactor
 from bundle.interface.georeference_options import GPS_OFFSETS
 from bundle.interface.option_fields import choice
 
-__all__ = ["PositionPrior"]
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PositionPrior(VectorPrior):

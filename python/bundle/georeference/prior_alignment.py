@@ -30,8 +30,6 @@ from bundle.interface.georeference_options import ROBUST_SCALE
 from bundle.model.problem import Problem
 from bundle.model.rotations import rotation_matrices
 
-__all__ = ["ProblemPriors", "robust_similarity"]
-
 Array = NDArray[np.float64]
 
 NOT_COUNTING = 1e50

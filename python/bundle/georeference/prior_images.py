@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from bundle.errors import InputError, brief, nearest
 from bundle.model.problem import Problem
 
-__all__ = ["HasImage", "rows_of_images"]
-
 
 class HasImage(Protocol):
     """Prior of one image."""

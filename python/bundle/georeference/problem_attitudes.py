@@ -36,8 +36,6 @@ from bundle.graphs.factors.factors import Factor
 from bundle.model.problem import Problem
 from bundle.model.rotations import rotation_matrices
 
-__all__ = ["KINDS", "AttitudesOfKind", "ProblemAttitudes"]
-
 Array = NDArray[np.float64]
 
 KINDS = (OrientationPrior, GravityPrior, HeadingPrior)

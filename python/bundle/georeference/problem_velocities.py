@@ -18,8 +18,6 @@ from bundle.graphs.factors.velocity_factor import VelocityFactor
 from bundle.model.problem import Problem
 from bundle.model.rotations import rotation_matrices
 
-__all__ = ["ImageVelocity", "ProblemVelocities", "VelocityErrors"]
-
 Array = NDArray[np.float64]
 
 

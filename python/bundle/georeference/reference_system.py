@@ -39,8 +39,6 @@ from bundle.errors import InputError, brief, first_line
 if TYPE_CHECKING:  # start-up: pyproj loads slowly
     from pyproj import CRS, Transformer
 
-__all__ = ["FARTHEST", "MARGIN", "SURE", "WGS84", "AreaOfUse", "ReferenceSystem"]
-
 
 Array = NDArray[np.float64]
 

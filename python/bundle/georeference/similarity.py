@@ -38,9 +38,6 @@ from bundle.model.rotations import (
     rotation_matrices,
 )
 
-__all__ = ["Similarity", "moved", "scale_and_rotation", "umeyama"]
-
-
 Array = NDArray[np.float64]
 
 

@@ -34,8 +34,6 @@ from bundle.georeference.similarity import Similarity, umeyama
 from bundle.model.losses import evaluate_loss
 from bundle.model.rotations import quaternion_from_vector, rotation_matrices
 
-__all__ = ["SimilarityFit", "fit_similarity"]
-
 Array = NDArray[np.float64]
 
 THINNEST = 1e-6

@@ -21,8 +21,6 @@ from bundle.georeference.triangulated_targets import Triangulated, triangulate
 from bundle.model.problem import Problem
 from bundle.model.rotations import rotation_matrices
 
-__all__ = ["Survey", "control_point_error", "notes_on_targets", "surveyed"]
-
 Array = NDArray[np.float64]
 
 FEWEST = 3

@@ -31,8 +31,6 @@ from bundle.georeference.vector_prior import UNKNOWN
 from bundle.graphs.factors.factors import PriorFactor
 from bundle.model.problem import Problem
 
-__all__ = ["TargetPriors", "survey_sigmas"]
-
 Array = NDArray[np.float64]
 
 LARGEST_ID = 2**63 - 1

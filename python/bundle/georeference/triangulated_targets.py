@@ -24,8 +24,6 @@ from bundle.model.cameras import camera_models, project
 from bundle.model.problem import Problem
 from bundle.model.rotations import rotation_matrices
 
-__all__ = ["Triangulated", "direction_of", "triangulate"]
-
 Array = NDArray[np.float64]
 
 FEWEST_IMAGES = 2

@@ -17,8 +17,6 @@ from bundle.interface.georeference_options import ROBUST_SCALE
 from bundle.interface.option_fields import choice, number
 from bundle.interface.options import LOSSES
 
-__all__ = ["UNKNOWN", "VectorPrior"]
-
 Array = NDArray[np.float64]
 
 UNKNOWN = 1e100

@@ -38,8 +38,6 @@ from bundle.georeference.velocity_prior import VelocityPrior
 from bundle.interface.georeference_options import ROBUST_SCALE, VELOCITY_SIGMA
 from bundle.model.problem import Problem
 
-__all__ = ["Velocities", "read_velocities", "velocity_text"]
-
 SIGMAS = ("sigma_horizontal", "sigma_vertical")
 NORTH_EAST_DOWN = ("north", "east", "down")
 LAYOUTS: dict[tuple[str, ...], tuple[str, ...]] = dict.fromkeys(

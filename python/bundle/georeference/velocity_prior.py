@@ -17,8 +17,6 @@ from bundle.base.records import dataclass
 from bundle.georeference.vector_prior import VectorPrior
 from bundle.graphs.factors.velocity_factor import VelocityFactor
 
-__all__ = ["VelocityPrior"]
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class VelocityPrior(VectorPrior):

@@ -8,8 +8,6 @@ from bundle.base.records import dataclass
 from bundle.interface.option_class import Options, documented
 from bundle.interface.option_fields import option
 
-__all__ = ["SAMPLES_PER_IMAGE", "TOLERANCE", "CheckOptions"]
-
 SAMPLES_PER_IMAGE = 100
 """Number of observations to check per image."""
 TOLERANCE = 1e-7

@@ -20,8 +20,6 @@ from bundle.base.records import dataclass
 from bundle.errors import InputError, brief
 from bundle.interface.options import SolveOptions
 
-__all__ = ["ColmapAdjustment", "colmap_adjustment"]
-
 _REFINED = {
     "refine_rig_from_world": "poses",
     "refine_points3D": "points",

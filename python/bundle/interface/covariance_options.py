@@ -10,8 +10,6 @@ from bundle.errors import InputError, brief
 from bundle.interface.option_class import Options, documented
 from bundle.interface.option_fields import option
 
-__all__ = ["GAUGES", "PARTS", "ROBUST", "SCALES", "CovarianceOptions", "one_of", "parts_of"]
-
 PARTS = ("poses", "points", "intrinsics")
 GAUGES = ("inner", "two_cameras", "three_points", "none")
 SCALES = ("unit", "sigma0")

@@ -17,8 +17,6 @@ import bundle._core as _core
 from bundle.base.records import dataclass
 from bundle.base.words import plural
 
-__all__ = ["Environment", "cpu_model", "load_average"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Environment:

@@ -6,17 +6,6 @@ from bundle.base.records import dataclass
 from bundle.interface.option_class import Options, documented
 from bundle.interface.option_fields import option
 
-__all__ = [
-    "ALIGNMENTS",
-    "AUC_DEFINITIONS",
-    "DIRECTIONS",
-    "INPUT_FORMATS",
-    "POSE_FORMATS",
-    "REFERENCE_FORMATS",
-    "SIGMAS",
-    "EvaluateOptions",
-]
-
 ALIGNMENTS = ("similarity", "rigid", "yaw", "none")
 """Alignments of the poses of an estimate, the default first."""
 

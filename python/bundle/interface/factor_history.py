@@ -21,8 +21,6 @@ from bundle._core import __version__
 from bundle.base.cache_folder import cache_folder, write_cached
 from bundle.base.records import dataclass
 
-__all__ = ["MOST_ENTRIES", "PastFactor", "history_path", "recall"]
-
 MOST_ENTRIES = 200
 
 

@@ -8,8 +8,6 @@ from typing import Any
 
 from bundle.base.records import dataclass
 
-__all__ = ["DETAILS", "Finding"]
-
 DETAILS = ("duplicate_points",)
 """Kinds that terminals show with --verbose only: they matter little, and no command helps."""
 

@@ -10,8 +10,6 @@ from bundle.interface.option_class import Options, documented
 from bundle.interface.option_fields import option
 from bundle.interface.scene_options import outlier_share_option, pixel_noise_option
 
-__all__ = ["FlightOptions"]
-
 MOTIONS = ("loop", "room", "motorway", "hover", "rotation_only")
 SAMPLES = ("interval", "instant")
 MOST_SAMPLES = 2e8

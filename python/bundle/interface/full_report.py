@@ -12,8 +12,6 @@ from bundle.base.tables import columns, facts, notes, render
 if TYPE_CHECKING:
     from bundle.base.tables import Columns
 
-__all__ = ["full_report"]
-
 Iterations = Mapping[str, NDArray[Any]]
 
 TRACE = (*("iteration", "cost", "change", "gradient", "step", "quality", "radius", "lambda", ""),)

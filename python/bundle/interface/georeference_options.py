@@ -10,19 +10,6 @@ from bundle.interface.option_class import Options, documented
 from bundle.interface.option_fields import option
 from bundle.interface.options import LOSSES
 
-__all__ = [
-    "GCP_PIXEL_SIGMA",
-    "GCP_SIGMA",
-    "GPS_OFFSETS",
-    "GPS_SIGMA",
-    "GRAVITY_SIGMA",
-    "ORIENTATION_SIGMA",
-    "ROBUST_SCALE",
-    "ROBUST_SCALES",
-    "VELOCITY_SIGMA",
-    "GeoreferenceOptions",
-]
-
 GPS_SIGMA = "2/5"
 GPS_OFFSETS = ("none", "up", "all")
 GCP_SIGMA = "0.02"

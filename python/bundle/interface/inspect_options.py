@@ -7,8 +7,6 @@ from bundle.errors import InputError
 from bundle.interface.option_class import Options, documented
 from bundle.interface.option_fields import option
 
-__all__ = ["GRAPH_ORDERINGS", "GraphFileOptions", "RankOptions", "ShapeOptions"]
-
 GRAPH_ORDERINGS = (
     "natural",
     "reverse",

@@ -6,8 +6,6 @@ from bundle.base.records import dataclass
 from bundle.interface.option_class import Options, documented
 from bundle.interface.option_fields import option
 
-__all__ = ["LOOP_LOSSES", "LoopOptions"]
-
 LOOP_LOSSES = ("trivial", "huber", "soft_l1", "cauchy")
 """Losses whose gradient does not vanish for large errors. Before a loop is closed, the errors of
 all its closures are large."""

@@ -16,8 +16,6 @@ from typing import Any, NamedTuple, Self, TypeVar
 from bundle.errors import InputError, brief, check_keywords
 from bundle.interface.option_fields import checked, join, limits_of
 
-__all__ = ["Options", "documented", "spellings", "takes_options"]
-
 AnyOptions = TypeVar("AnyOptions", bound="Options")
 Function = TypeVar("Function", bound=Callable[..., Any])
 

@@ -10,8 +10,6 @@ import importlib
 
 from bundle.interface.option_class import Options
 
-__all__ = ["OPTION_CLASSES", "option_class"]
-
 OPTION_CLASSES = {
     "CheckOptions": "check_options",
     "CheckpointOptions": "round_options",

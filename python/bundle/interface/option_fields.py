@@ -16,8 +16,6 @@ from typing import Any, Literal, overload
 
 from bundle.errors import InputError, brief, nearest
 
-__all__ = ["checked", "choice", "join", "limits_of", "number", "option"]
-
 LARGEST_WHOLE = 2**31 - 1
 
 

@@ -9,14 +9,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import TypedDict
 
-__all__ = [
-    "FlightKeywords",
-    "PoseGraphKeywords",
-    "SceneKeywords",
-    "SolveKeywords",
-    "WindowKeywords",
-]
-
 
 class SolveKeywords(TypedDict, total=False):
     """Keywords of :class:`bundle.interface.options.SolveOptions`."""

@@ -8,8 +8,6 @@ from typing import Any
 from bundle.errors import InputError, brief
 from bundle.interface.option_fields import choice
 
-__all__ = ["REFINABLE", "SENSORS", "refined_names", "sensor_pairs", "two_sigmas", "whole_ids"]
-
 SENSORS = "sensor_from_rig"
 """Additional name in ``refine``, for ``refine_sensor_from_rig``."""
 REFINABLE = ("poses", "points", "focal", "principal_point", "extra")

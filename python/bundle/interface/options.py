@@ -24,8 +24,6 @@ from bundle.interface.option_lists import (
     whole_ids,
 )
 
-__all__ = ["GraphOptions", "SolveOptions"]
-
 BACKENDS = ("auto", "fused", "ceres")
 LINEAR_SOLVER_TYPES = (
     "auto",

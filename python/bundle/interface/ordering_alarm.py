@@ -27,8 +27,6 @@ from numpy.typing import NDArray
 from bundle.base.records import dataclass
 from bundle.base.words import amount, number
 
-__all__ = ["BestOrder", "checksum", "with_ordering_alarm"]
-
 LEAST_FLOPS = 1e7
 """Flops of all factorisations of a solve that another order must save: some milliseconds."""
 LEAST_FLOPS_OF_ENTRY = 20.0

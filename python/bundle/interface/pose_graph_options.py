@@ -7,8 +7,6 @@ from bundle.interface.option_class import Options, documented
 from bundle.interface.option_fields import option
 from bundle.interface.options import BACKENDS, LOSSES, TRUST_REGION_STRATEGIES
 
-__all__ = ["POSE_ERRORS", "PoseGraphOptions"]
-
 POSE_ERRORS = ("log", "g2o", "ceres")
 
 GRAPH_LOSSES = (*LOSSES, "geman_mcclure", "dcs", "switchable", "gnc_tls", "auto")

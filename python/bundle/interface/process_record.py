@@ -7,8 +7,6 @@ from typing import Any
 
 from bundle.base.records import dataclass
 
-__all__ = ["ProcessPart", "ProcessRecord", "Traffic"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class ProcessPart:

@@ -7,8 +7,6 @@ from typing import Any, Self
 
 from bundle.errors import InputError
 
-__all__ = ["ProgressBar"]
-
 
 class ProgressBar:
     """Progress function that shows the iterations of a solve with tqdm, also in notebooks.

@@ -6,14 +6,6 @@ from bundle.base.records import dataclass
 from bundle.interface.option_class import Options, documented
 from bundle.interface.option_fields import option
 
-__all__ = [
-    "CHECKPOINT_INTERVAL",
-    "RESTS",
-    "CheckpointOptions",
-    "LocalOptions",
-    "RoundOptions",
-]
-
 CHECKPOINT_INTERVAL = 20
 """Iterations from one checkpoint to the next within a round."""
 

@@ -16,8 +16,6 @@ from bundle.errors import InputError
 from bundle.interface.option_class import Options, documented
 from bundle.interface.option_fields import option
 
-__all__ = ["SceneOptions", "outlier_share_option", "pixel_noise_option"]
-
 SCENES = ("street", "orbit", "photo_collection", "drone_grid")
 # Models for which intrinsics.py can draw realistic parameters.
 CAMERA_MODELS = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV")

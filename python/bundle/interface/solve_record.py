@@ -15,8 +15,6 @@ from bundle.interface.summary import Summary
 from bundle.interface.tabular import Tabular
 from bundle.interface.termination import sentence
 
-__all__ = ["Progress", "SolveRecord", "record_fields", "with_warnings"]
-
 Progress = Callable[[dict[str, Any]], None]
 
 

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from bundle.base.tables import Columns
     from bundle.interface.process_record import ProcessRecord
 
-__all__ = ["Summary", "held_facts", "share", "sizes", "solver_phases", "solver_table"]
-
 
 # Methods written for all subclasses: a dataclass would compile its own, and with sixty fields that
 # takes as long as a small solve.

@@ -18,8 +18,6 @@ from bundle.interface.option_fields import choice
 if TYPE_CHECKING:
     import pandas
 
-__all__ = ["Tabular", "columns_of", "frame_of", "has_records"]
-
 _RECORDS = re.compile(r"tuple\[(?!(?:Key|Any)\b)[A-Z]\w+, \.\.\.\]")
 """Type of a field with one record per row; keys and ids are no records."""
 

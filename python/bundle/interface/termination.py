@@ -7,8 +7,6 @@ import re
 from bundle.base.words import plural
 from bundle.interface.summary import Summary
 
-__all__ = ["sentence", "short_outcome"]
-
 # First words of Ceres' messages (trust_region_minimizer.cc, solver.cc), identical in versions 1.14
 # to 2.2. "{limit}" is the tolerance at the end of the message.
 _REASONS = {

@@ -7,20 +7,6 @@ from typing import Any
 from bundle.errors import InputError
 from bundle.interface.option_fields import option
 
-__all__ = [
-    "CERES_ONLY",
-    "LARGEST_RADIUS",
-    "check_order",
-    "initial_radius",
-    "largest_radius",
-    "lm_diagonal",
-    "most_invalid_steps",
-    "most_nonmonotonic_steps",
-    "nonmonotonic_steps",
-    "relative_decrease",
-    "smallest_radius",
-]
-
 LARGEST_RADIUS = 1e16
 """Largest trust region radius of both backends, with negligible damping."""
 

@@ -6,8 +6,6 @@ from bundle.base.records import dataclass
 from bundle.interface.option_class import Options, documented
 from bundle.interface.option_fields import option
 
-__all__ = ["MOST_PERCENT", "HoldOutOptions", "ValidationOptions"]
-
 MOST_PERCENT = 50.0
 """Largest share of the observations that can be held out."""
 

@@ -6,8 +6,6 @@ from bundle.base.records import dataclass
 from bundle.interface.option_class import Options, documented
 from bundle.interface.option_fields import option
 
-__all__ = ["WindowOptions"]
-
 
 @documented
 @dataclass(frozen=True, kw_only=True, repr=False)

@@ -25,8 +25,6 @@ from bundle.model.problem import Problem
 from bundle.model.pycolmap import problem_source
 from bundle.model.pycolmap.problem_source import LOST_SIGMAS, BalSource
 
-__all__ = ["check_refined", "load", "losses", "problem_of", "radial_params", "save", "save_like"]
-
 
 class _Layout(NamedTuple):
     """Parameter columns of a camera model that BAL stores, and those that must be zero."""

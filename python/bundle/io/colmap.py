@@ -33,19 +33,6 @@ from bundle.model.problem import Problem
 from bundle.model.pycolmap.deferred_source import DeferredSource
 from bundle.model.pycolmap.problem_source import LOST_SIGMAS, is_colmap
 
-__all__ = [
-    "NO_PROJECTION",
-    "can_rewrite",
-    "check_save",
-    "load",
-    "point_errors",
-    "problem_of",
-    "problem_of_records",
-    "rewrite_like",
-    "save",
-    "write",
-]
-
 # Fields that a solve does not change.
 _SHARED_ARRAYS = (
     "image_ids",

@@ -21,8 +21,6 @@ from bundle.errors import InputError, brief, shown
 if TYPE_CHECKING:
     import sqlite3
 
-__all__ = ["database_sizes", "is_database", "open_database"]
-
 
 def is_database(path: Path) -> bool:
     """Return True for an SQLite file."""

@@ -10,8 +10,6 @@ from pathlib import PurePath
 
 from bundle.errors import InputError, shown
 
-__all__ = ["PAGE", "check_name", "format_of_name"]
-
 PAGE = ("a page (.html)", ".html .htm .xhtml")
 """Name of a page in messages, and the suffixes of its files."""
 

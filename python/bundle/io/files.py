@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 
     from bundle.model.pose_graph_arrays import PoseGraph
 
-__all__ = ["Source", "as_problem", "load", "reprojection_errors", "save"]
-
 Source: TypeAlias = "Problem | str | os.PathLike[str] | pycolmap.Reconstruction"
 """A problem, the path of a problem, or a reconstruction in memory."""
 

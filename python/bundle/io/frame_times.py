@@ -19,8 +19,6 @@ from numpy.typing import NDArray
 from bundle.errors import InputError, shown
 from bundle.model.problem import Problem
 
-__all__ = ["neighbours_in_time", "read_frame_times"]
-
 LONGEST_GAP = 4.0
 """Largest gap within a video, in median gaps."""
 

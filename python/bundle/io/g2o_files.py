@@ -15,8 +15,6 @@ from bundle.io.file_names import check_name
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.model.starts import start_without_poses
 
-__all__ = ["check_g2o_target", "load_g2o", "save_g2o"]
-
 _SUFFIXES = (".g2o", ".g2o.gz", ".g2o.bz2")
 
 

@@ -14,8 +14,6 @@ from typing import Any
 
 from bundle.io.atomic.model_files import missing_model_files
 
-__all__ = ["GEOREFERENCE", "georeference_of", "owner_of", "path_beside", "remove_georeference"]
-
 GEOREFERENCE = "georeference.json"
 OWNER = "model"
 

@@ -13,8 +13,6 @@ from bundle.io.formats.read_options import ReadOptions
 from bundle.io.formats.registry import file_at
 from bundle.io.recognition import imported_format
 
-__all__ = ["has_same_images"]
-
 _HEAD = struct.Struct("<I7dI")  # id, pose, camera
 _COUNT = struct.Struct("<Q")
 _KEYPOINT = 24  # bytes: x, y, point

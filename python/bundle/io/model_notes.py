@@ -13,8 +13,6 @@ from bundle.io.atomic.model_files import is_text_model, missing_model_files, mod
 from bundle.io.atomic.replaced_paths import NoteWarning
 from bundle.model.rig_arrays import pose_differences
 
-__all__ = ["check_is_model", "check_rig_files", "lacks_keypoint_lines", "note_contradiction"]
-
 MOST_HINTS = 5
 """Largest number of models inside a folder that an error lists."""
 

@@ -47,16 +47,6 @@ from bundle.io.rolling_shutter_file import LOST_ROLLING_SHUTTER, rolling_shutter
 from bundle.model.problem import Problem
 from bundle.model.pycolmap.deferred_source import DeferredSource
 
-__all__ = [
-    "check_target",
-    "is_folder_format",
-    "load",
-    "output_format",
-    "recover",
-    "save",
-    "save_model",
-]
-
 _WORD = re.compile(r"\.[A-Za-z]+")
 _BAL_SUFFIXES = (".txt", ".txt.gz", ".txt.bz2")
 

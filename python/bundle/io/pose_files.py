@@ -29,8 +29,6 @@ from bundle.model.pose_table import PoseTable
 from bundle.model.rigid_motions import inverse_poses, unit_poses
 from bundle.model.rotations import quaternion_from_matrix
 
-__all__ = ["first_line", "load_poses", "pose_format"]
-
 NORM = 0.01
 """Largest deviation of the norm of a quaternion from 1, and of R^T R from the identity."""
 

@@ -13,8 +13,6 @@ from bundle.base.paths import numbered_lines
 from bundle.errors import InputError, brief, shown
 from bundle.interface.colmap_options import ColmapAdjustment, colmap_adjustment
 
-__all__ = ["read_project_ini"]
-
 SECTIONS = ("BundleAdjustment", "BundleAdjustmentCeres")
 RENAMED = {"refine_extrinsics": "refine_rig_from_world"}
 """Names before COLMAP 3.13, by which a file may still call an option."""

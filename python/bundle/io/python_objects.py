@@ -17,8 +17,6 @@ from typing import Any
 from bundle.base.paths import as_path
 from bundle.errors import InputError, nearest, shown
 
-__all__ = ["is_python_object", "load_object", "user_error"]
-
 NAMES = ("make_graph", "graph")
 """Objects that are used if no name is given."""
 

@@ -15,22 +15,6 @@ from bundle.io.file_names import format_of_name
 from bundle.io.formats.registry import BUILT_IN, Format, format_at, format_written
 from bundle.io.python_objects import is_python_object
 
-__all__ = [
-    "OUTPUT_FORMATS",
-    "RECORDINGS",
-    "SEQUENCE_FILES",
-    "Kind",
-    "imported_format",
-    "is_pose_graph_file",
-    "is_recording",
-    "mav_root",
-    "other_format_at",
-    "recognize",
-    "reconstruction_at",
-    "sequence_at",
-    "sequence_format",
-]
-
 OUTPUT_FORMATS = (
     *(name for name in FORMATS if name in ("bal", "colmap")),
     "colmap-text",

@@ -33,14 +33,6 @@ from bundle.model.rolling_shutter import DIRECTIONS, ROW_TIMES, RollingShutter
 if TYPE_CHECKING:
     from bundle.io.formats.json_fields import Node
 
-__all__ = [
-    "LOST_ROLLING_SHUTTER",
-    "read_rolling_shutter",
-    "rolling_shutter_record",
-    "rolling_shutter_text",
-    "with_rolling_shutter",
-]
-
 LOST_ROLLING_SHUTTER = (
     "The rolling shutter is left out: a reader takes the observations for those of a camera that "
     "does not move (convert --global-shutter moves them)."

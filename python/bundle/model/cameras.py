@@ -12,8 +12,6 @@ from bundle.base.arguments import as_array, as_flag
 from bundle.errors import InputError
 from bundle.interface.option_fields import choice
 
-__all__ = ["CameraParam", "ProjectionResult", "camera_models", "param_kinds", "project"]
-
 
 class CameraParam(NamedTuple):
     """A parameter of a camera model.

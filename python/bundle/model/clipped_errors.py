@@ -17,8 +17,6 @@ from bundle.base.records import dataclass
 from bundle.model.problem import Problem
 from bundle.model.reprojection import counted_errors, reprojection_errors, resolve_cheirality
 
-__all__ = ["CLIP", "ClippedErrors", "HeldOut", "errors_or_nan", "summarize_clipped"]
-
 CLIP = 4.0
 """Clip in pixels: COLMAP's largest error of an inlier (``filter_max_reproj_error``)."""
 

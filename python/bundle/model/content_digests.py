@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from bundle.model.problem import Problem
     from bundle.model.sequence.sequence import Sequence
 
-__all__ = ["content_digests"]
-
 PARTS = {
     "Problem": {
         "structure": ("observation_image", "observation_point"),

@@ -19,16 +19,6 @@ from typing import Any, Literal, NamedTuple, Protocol, Self, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = [
-    "POSE_WIDTH",
-    "SHUTTER",
-    "VARIABLES",
-    "Variable",
-    "arrays_of",
-    "estimates",
-    "with_estimates",
-]
-
 SHUTTER = "rolling_shutter"
 
 

@@ -28,8 +28,6 @@ from numpy.typing import NDArray
 from bundle.interface.option_fields import number
 from bundle.model.problem import Problem
 
-__all__ = ["are_repeated", "folds_of", "keys", "measurement_numbers", "mix"]
-
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _FIRST, _SECOND = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
 

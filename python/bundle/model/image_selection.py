@@ -11,8 +11,6 @@ import numpy as np
 from bundle.errors import InputError, brief
 from bundle.model.problem import Problem
 
-__all__ = ["MOST_IDS", "ImageSelection", "find_images", "id_range", "named_images"]
-
 MOST_IDS = 10_000_000
 """Largest number of ids in a list. It prevents that a typing error in a range fills the memory."""
 

@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 
 from bundle.model.problem import Problem
 
-__all__ = ["part_of_observations"]
-
 
 def part_of_observations(
     problem: Problem, rows: NDArray[np.int64], most_images: int, most_points: int

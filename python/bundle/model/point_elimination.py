@@ -13,8 +13,6 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["SINGULAR", "eliminate_points"]
-
 SINGULAR = 1e-12
 """Eigenvalues below this share of the largest count as zero."""
 _CHUNK = 500

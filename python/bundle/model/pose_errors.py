@@ -19,8 +19,6 @@ from bundle.base.records import dataclass
 from bundle.model.rigid_motions import inverse_poses, multiply_poses
 from bundle.model.rotations import quaternion_inverse, quaternion_multiply
 
-__all__ = ["ErrorStatistics", "absolute_errors", "angles_of", "relative_errors"]
-
 Array = NDArray[np.float64]
 
 

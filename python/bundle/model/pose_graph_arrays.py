@@ -18,8 +18,6 @@ from bundle.base.words import plural
 from bundle.errors import InputError, brief
 from bundle.interface.tabular import Tabular
 
-__all__ = ["PoseGraph"]
-
 TANGENT = {3: 3, 7: 6}
 """Number of tangent coordinates of a pose, by the number of values that represent it."""
 _AXES = {3: ("x", "y", "angle"), 7: ("qx", "qy", "qz", "qw", "tx", "ty", "tz")}

@@ -19,8 +19,6 @@ from bundle.model.problem import Problem
 from bundle.model.problem_fields import strings
 from bundle.model.rigid_motions import inverse_poses, unit_poses
 
-__all__ = ["PoseTable"]
-
 Array = NDArray[np.float64]
 
 LARGEST = 1e100

@@ -37,8 +37,6 @@ if TYPE_CHECKING:
     from bundle.model.rolling_shutter import RollingShutter
     from bundle.model.selection import Selection
 
-__all__ = ["Problem"]
-
 
 def _by_default() -> Any:
     """Return None, a placeholder for the default until the number of images is known."""

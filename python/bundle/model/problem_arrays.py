@@ -11,8 +11,6 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["ProblemArrays"]
-
 _Doubles = NDArray[np.float64]
 _Ids = NDArray[np.int64]
 _Rows = NDArray[np.int32]

@@ -12,8 +12,6 @@ from bundle.errors import InputError
 from bundle.model import rig_arrays
 from bundle.model.problem_arrays import ProblemArrays
 
-__all__ = ["DTYPES", "check_values", "default", "sigmas_or_none", "strings"]
-
 # Fields without a default come first, because the defaults of others depend on their lengths.
 DTYPES: dict[str, type] = {
     "cam_from_world": np.float64,

@@ -15,8 +15,6 @@ from bundle.model.cameras import camera_models
 from bundle.model.estimates import SHUTTER, VARIABLES
 from bundle.model.problem import Problem
 
-__all__ = ["KINDS", "SHUTTER_KINDS", "ProblemKeys", "parameter_names", "touched_ids"]
-
 KINDS = tuple(one.kind for one in VARIABLES if not one.holder)
 SHUTTER_KINDS = tuple(one.kind for one in VARIABLES if one.holder == SHUTTER)
 """Kinds of keys of rolling shutters: the twist of an image, the readout of a camera."""

@@ -16,8 +16,6 @@ import bundle._core as _core
 from bundle.interface.option_fields import choice
 from bundle.model.cameras import camera_models
 
-__all__ = ["TABLES", "table"]
-
 Columns = dict[str, Any]
 _POSE = ("qx", "qy", "qz", "qw", "tx", "ty", "tz")
 

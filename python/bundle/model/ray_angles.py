@@ -24,8 +24,6 @@ from numpy.typing import NDArray
 from bundle.base.records import dataclass
 from bundle.model.problem import Problem
 
-__all__ = ["enclose_angle"]
-
 PAIRS_AT_ONCE = 1_000_000
 
 _Array = NDArray[np.float64]

@@ -15,17 +15,6 @@ from bundle.interface.options import CHEIRALITIES
 from bundle.model.cameras import reach
 from bundle.model.problem import Problem
 
-__all__ = [
-    "Linearization",
-    "ReprojectionError",
-    "linearize",
-    "quantiles",
-    "reprojection_error",
-    "reprojection_errors",
-    "resolve_cheirality",
-    "summarize_errors",
-]
-
 
 @dataclass(frozen=True, kw_only=True)
 class ReprojectionError:

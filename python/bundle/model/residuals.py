@@ -13,8 +13,6 @@ from bundle.base.records import dataclass
 from bundle.model.problem import Problem
 from bundle.model.reprojection import resolve_cheirality
 
-__all__ = ["Residuals", "residuals"]
-
 
 @dataclass(frozen=True, eq=False)
 class Residuals:

@@ -22,18 +22,6 @@ from bundle.model.problem_arrays import ProblemArrays
 from bundle.model.rigid_motions import inverse_poses, multiply_poses, unit_poses
 from bundle.model.rotations import rotation_matrices
 
-__all__ = [
-    "DTYPES",
-    "check",
-    "compose",
-    "default",
-    "placed",
-    "recomputed_poses",
-    "reference_cameras",
-    "rig_of_image",
-    "settle",
-]
-
 _Poses = NDArray[np.float64]
 _Rows = NDArray[np.int32]
 

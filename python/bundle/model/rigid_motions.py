@@ -13,14 +13,6 @@ from bundle.model.rotations import (
     vector_from_quaternion,
 )
 
-__all__ = [
-    "inverse_poses",
-    "log_of_poses",
-    "multiply_as_colmap",
-    "multiply_poses",
-    "unit_poses",
-]
-
 Array = NDArray[np.float64]
 
 

@@ -29,16 +29,6 @@ from bundle.errors import InputError, brief
 from bundle.interface.option_fields import choice, number
 from bundle.model.problem_arrays import ProblemArrays
 
-__all__ = [
-    "DIRECTIONS",
-    "ROW_TIMES",
-    "RollingShutter",
-    "check",
-    "check_counts",
-    "refuse",
-    "selected",
-]
-
 
 def _unknown() -> Any:
     """Return None, a placeholder for unknown readouts until the number of cameras is known."""

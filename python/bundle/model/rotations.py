@@ -9,21 +9,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = [
-    "cross_matrices",
-    "dot",
-    "inverse_jacobian_coefficient",
-    "look_along",
-    "quaternion_from_matrix",
-    "quaternion_from_vector",
-    "quaternion_inverse",
-    "quaternion_multiply",
-    "quaternion_rotate",
-    "rotate",
-    "rotation_matrices",
-    "vector_from_quaternion",
-]
-
 Array = NDArray[np.float64]
 
 

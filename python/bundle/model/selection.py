@@ -25,8 +25,6 @@ from bundle.model.estimates import VARIABLES, arrays_of, estimates, with_estimat
 from bundle.model.problem_arrays import ProblemArrays
 from bundle.model.rolling_shutter import RollingShutter, selected
 
-__all__ = ["Selection", "select", "with_frames"]
-
 _Indices = NDArray[np.int64]
 _Mask = NDArray[np.bool_]
 

@@ -9,8 +9,6 @@ from bundle.errors import InputError
 from bundle.model.problem import Problem
 from bundle.model.rolling_shutter import RollingShutter
 
-__all__ = ["can_roll", "check_same_shutter", "scaled", "shutter_of_cameras"]
-
 
 def scaled(shutter: RollingShutter | None, scale: ArrayLike) -> RollingShutter | None:
     """Return the rolling shutters after a change of the length unit.

@@ -31,8 +31,6 @@ from bundle.model.problem import Problem
 from bundle.model.rigid_motions import inverse_poses, log_of_poses, multiply_poses
 from bundle.model.rotations import dot
 
-__all__ = ["moved", "project_each", "read_positions", "twists_between"]
-
 Array = NDArray[np.float64]
 
 MOST_ITERATIONS = 60

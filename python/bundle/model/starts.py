@@ -15,11 +15,6 @@ from bundle.errors import InputError
 from bundle.interface.pose_graph_options import PoseGraphOptions
 from bundle.model.pose_graph_arrays import PoseGraph
 
-__all__ = [
-    "NAMES", "Start", "choose_lower", "choose_start", "lower_start", "start_without_poses",
-    "started",
-]  # fmt: skip
-
 FEW = 5
 """Number of solver steps after which the costs of starts are compared."""
 

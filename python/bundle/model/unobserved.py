@@ -16,8 +16,6 @@ from bundle.base.words import Counts, contents, plural
 from bundle.errors import InputError
 from bundle.model.problem_arrays import ProblemArrays
 
-__all__ = ["are_images_unrelated", "require_observations", "require_tracks", "unobserved"]
-
 _ADVICE = "; triangulate points first, for example with `colmap point_triangulator`"
 
 

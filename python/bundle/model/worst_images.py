@@ -9,14 +9,6 @@ from bundle.base.records import dataclass
 from bundle.model.problem import Problem
 from bundle.model.reprojection import counted_errors, reprojection_errors, resolve_cheirality
 
-__all__ = [
-    "ImageError",
-    "sums_of_images",
-    "worst_images",
-    "worst_of_errors",
-    "worst_of_sums",
-]
-
 WORST = 5
 """Default number of images to return."""
 

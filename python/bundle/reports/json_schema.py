@@ -19,8 +19,6 @@ from bundle.interface.option_class import Options
 from bundle.interface.option_classes import option_class
 from bundle.reports.sections import SCHEMA
 
-__all__ = ["described_entries", "report_schema"]
-
 Schema = dict[str, Any]
 
 _NUMBER: Schema = {"type": ["number", "null"]}

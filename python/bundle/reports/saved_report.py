@@ -21,8 +21,6 @@ from bundle.reports.terminal.inputs import about_graph, about_problem
 from bundle.reports.terminal.solve_data import solve_options
 from bundle.solving.result import Result
 
-__all__ = ["save_report"]
-
 
 def save_report(result: SolveRecord, path: str | os.PathLike[str], *, name: str = "") -> None:
     """Write the JSON report of a solve: input, options, summary, iterations, environment.

@@ -25,20 +25,6 @@ from bundle.interface.finding import Finding
 if TYPE_CHECKING:
     from bundle.figures.drawing import Figure
 
-__all__ = [
-    "SCHEMA",
-    "Column",
-    "Report",
-    "Section",
-    "Table",
-    "dumps",
-    "fields",
-    "heading",
-    "plain",
-    "records",
-    "several",
-]
-
 SCHEMA = 1
 
 

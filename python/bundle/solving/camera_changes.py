@@ -8,8 +8,6 @@ from bundle.base.records import dataclass
 from bundle.model.cameras import camera_models, param_kinds
 from bundle.solving.result import Result
 
-__all__ = ["CameraChange", "camera_changes"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class CameraChange:

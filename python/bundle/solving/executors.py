@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from bundle.model.problem import Problem
     from bundle.solving.rounds.run_state import State
 
-__all__ = ["KeptSolver", "ThisProcess", "finished", "solve_prepared"]
-
 
 class ThisProcess:
     """The core's solver in this process."""

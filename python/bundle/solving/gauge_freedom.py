@@ -59,8 +59,6 @@ if TYPE_CHECKING:
     from bundle.interface.option_keywords import SolveKeywords
     from bundle.solving.placed_problem import Prior
 
-__all__ = ["GaugeFreedom", "gauge_freedom"]
-
 RANK_TOLERANCE = 1e-9
 """Threshold for zero singular values of columns that had norm 1 before the projection."""
 

@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from bundle.solving.kept_errors import KeptErrors
     from bundle.solving.measured_result import MeasuredResult as Result
 
-__all__ = ["edit_facts", "headline", "is_at_minimum"]
-
 SMALLEST_DECREASE = 1e-4
 """Relative decrease of the cost at a minimum; the RMSE then changes by at most 0.005 %."""
 

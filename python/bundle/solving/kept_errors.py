@@ -30,18 +30,6 @@ from bundle.model.reprojection import (
     summarize_errors,
 )
 
-__all__ = [
-    "Deleted",
-    "Edit",
-    "Inliers",
-    "KeptErrors",
-    "Measured",
-    "PixelErrors",
-    "Totals",
-    "measure",
-    "outlier_limit",
-]
-
 OUTLIER = 3.0
 """Error of an outlier, in scales of the loss."""
 

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from bundle.solving.constraints.restrictions import Restrictions
     from bundle.solving.request import Bounds
 
-__all__ = ["Layout", "lay_out", "refuse_shrinking", "resolve_defaults"]
-
 
 class Layout(NamedTuple):
     """Arguments of the core in addition to the problem.

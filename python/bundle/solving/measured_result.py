@@ -38,8 +38,6 @@ if TYPE_CHECKING:
     from bundle.solving.placed_problem import Prior
     from bundle.solving.round_record import PartRecord, Round
 
-__all__ = ["MeasuredResult"]
-
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class MeasuredResult(SolveRecord):

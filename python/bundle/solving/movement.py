@@ -22,8 +22,6 @@ from bundle.model.rotations import rotation_matrices
 if TYPE_CHECKING:
     from bundle.georeference.similarity import Similarity
 
-__all__ = ["Movement", "movement"]
-
 MOST_POINTS = 100_000
 """Number of points, taken at equal steps, from which the size of a scene is computed."""
 

@@ -25,8 +25,6 @@ if TYPE_CHECKING:
 
     Prior = PositionPrior | GroundControlPoint | AttitudePrior | VelocityPrior
 
-__all__ = ["PlacedProblem", "place_at_priors", "sorted_priors"]
-
 FEWEST = 3
 
 

@@ -18,8 +18,6 @@ from bundle.interface.options import SolveOptions
 from bundle.interface.ordering_alarm import BestOrder, with_ordering_alarm
 from bundle.model.problem import Problem
 
-__all__ = ["with_model_alarm"]
-
 ADVICE = "Leave --ordering (linear_solver_ordering) at points-first."
 
 

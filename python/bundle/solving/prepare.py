@@ -39,8 +39,6 @@ if TYPE_CHECKING:
     from bundle.solving.rounds.rest_prior import RestPrior
     from bundle.solving.rounds.run_state import State
 
-__all__ = ["Executor", "Prepared", "prepare"]
-
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Prepared:

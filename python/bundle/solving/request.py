@@ -30,8 +30,6 @@ if TYPE_CHECKING:
 
     Rules: TypeAlias = Constraints | Iterable[str | Rule] | Applied
 
-__all__ = ["Bounds", "PartRequest", "RunPlan", "SolveRequest"]
-
 T = TypeVar("T")
 
 Bounds = Mapping[tuple[str, int], tuple[ArrayLike, ArrayLike]]

@@ -14,8 +14,6 @@ from bundle.solving.measured_result import MeasuredResult
 if TYPE_CHECKING:
     import pandas
 
-__all__ = ["Result"]
-
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class Result(MeasuredResult):

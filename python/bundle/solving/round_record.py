@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from bundle.base.records import dataclass
 
-__all__ = ["PartRecord", "RestRecord", "Round"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Round:

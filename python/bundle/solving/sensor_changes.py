@@ -17,8 +17,6 @@ from bundle.model.rotations import rotation_matrices
 if TYPE_CHECKING:
     from bundle.solving.result import Result
 
-__all__ = ["SensorChange", "sensor_changes", "weak_baseline"]
-
 WEAK_CHANGE = 0.02
 """Smallest common relative change of a focal length and a baseline that causes a warning."""
 

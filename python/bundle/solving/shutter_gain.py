@@ -11,8 +11,6 @@ if TYPE_CHECKING:
     from bundle.model.problem import Problem
     from bundle.solving.measured_result import MeasuredResult as Result
 
-__all__ = ["ShutterGain", "known_readouts", "shutter_gain"]
-
 
 class ShutterGain(NamedTuple):
     """RMSE before and after, and the size of the twists.

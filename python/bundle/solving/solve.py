@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     from bundle.solving.placed_problem import Prior
     from bundle.solving.result import Result
 
-__all__ = ["solve"]
-
 
 @overload
 def solve(

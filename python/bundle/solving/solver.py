@@ -30,8 +30,6 @@ if TYPE_CHECKING:
     from bundle.solving.constraints.rule_list import Constraints
     from bundle.solving.constraints.rules import Rule
 
-__all__ = ["Solver"]
-
 
 class Solver(Displayed):
     """Bundle adjustment of one structure, set up once for repeated solves.

@@ -49,8 +49,6 @@ from bundle.model.rotations import rotation_matrices
 if TYPE_CHECKING:
     from bundle.solving.prepare import Prepared
 
-__all__ = ["check_survey", "solve_without_attitudes"]
-
 Array = NDArray[np.float64]
 
 LEVEL_OF_POINTS = 0.01

@@ -30,8 +30,6 @@ from bundle.synthetic.street import Street
 from bundle.synthetic.tracks import select_observations, wanted_lengths
 from bundle.synthetic.visibility import Visibility
 
-__all__ = ["Block", "SceneInBlocks"]
-
 Array = NDArray[np.float64]
 
 

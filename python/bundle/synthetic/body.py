@@ -19,8 +19,6 @@ from numpy.typing import NDArray
 
 from bundle.model.rotations import dot
 
-__all__ = ["Body", "random_directions"]
-
 Array = NDArray[np.float64]
 _NUM_WAVES = 12
 

@@ -10,8 +10,6 @@ from bundle.model.cameras import camera_models
 from bundle.model.problem import Problem
 from bundle.synthetic.scene import Images
 
-__all__ = ["FOCAL_PARAMS", "RADIAL_PARAMS", "TANGENTIAL_PARAMS", "Intrinsics", "draw_intrinsics"]
-
 FOCAL_PARAMS = ("f", "fx", "fy")
 RADIAL_PARAMS = ("k", "k1", "k2")
 TANGENTIAL_PARAMS = ("p1", "p2")

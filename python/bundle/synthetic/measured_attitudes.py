@@ -22,8 +22,6 @@ from bundle.model.rotations import (
     rotation_matrices,
 )
 
-__all__ = ["measured_attitudes"]
-
 Array = NDArray[np.float64]
 
 STREAM = 0x617474

@@ -18,8 +18,6 @@ from bundle.model.rotations import dot, look_along
 from bundle.synthetic.body import Body, random_directions
 from bundle.synthetic.scene import Images, Pairs, Points, Scene
 
-__all__ = ["Orbit"]
-
 Array = NDArray[np.float64]
 
 DISTANCE = 3.6

@@ -19,8 +19,6 @@ from bundle.model.rotations import dot, look_along
 from bundle.synthetic.body import Body
 from bundle.synthetic.scene import Images, Pairs, Points, Scene
 
-__all__ = ["PhotoCollection"]
-
 Array = NDArray[np.float64]
 
 MEDIAN_RADIUS = 12.0

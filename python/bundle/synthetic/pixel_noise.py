@@ -7,8 +7,6 @@ from numpy.typing import NDArray
 
 from bundle.interface.scene_options import SceneOptions
 
-__all__ = ["measure"]
-
 Array = NDArray[np.float64]
 
 

@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 
 from bundle.base.records import dataclass
 
-__all__ = ["Images", "Pairs", "Points", "Scene"]
-
 Array = NDArray[np.float64]
 
 

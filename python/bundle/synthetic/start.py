@@ -21,8 +21,6 @@ from bundle.model.rotations import (
 )
 from bundle.synthetic.intrinsics import FOCAL_PARAMS, RADIAL_PARAMS, TANGENTIAL_PARAMS, Intrinsics
 
-__all__ = ["Start", "median_distance"]
-
 Array = NDArray[np.float64]
 
 # Number of random numbers to draw and discard at a time.

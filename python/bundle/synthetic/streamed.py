@@ -28,9 +28,6 @@ from bundle.model.reprojection import ReprojectionError, counted_errors, reproje
 from bundle.synthetic.blocks import SceneInBlocks
 from bundle.synthetic.start import Start, median_distance
 
-__all__ = ["ErrorTally", "SceneTally", "write_bal_scene"]
-
-
 # Number of low bits of a nonnegative float32 that are dropped. The other bits preserve the order of
 # numbers and resolve 2^-12 of their size.
 _DROPPED_BITS = 11

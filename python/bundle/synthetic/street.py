@@ -21,9 +21,6 @@ from bundle.interface.scene_options import SceneOptions
 from bundle.model.rotations import look_along
 from bundle.synthetic.scene import Images, Pairs, Points, Scene
 
-__all__ = ["Street", "drive_laps", "drive_one_way", "waypoints"]
-
-
 Array = NDArray[np.float64]
 Step = tuple[int, int]
 _POINTS_PER_CORNER = 12

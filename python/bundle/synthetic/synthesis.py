@@ -20,8 +20,6 @@ from bundle.synthetic.measured_attitudes import measured_attitudes
 from bundle.synthetic.start import Start, median_distance
 from bundle.synthetic.video.video_scene import film
 
-__all__ = ["SyntheticScene", "assemble", "filmed", "synthesize"]
-
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class SyntheticScene(Displayed):

@@ -12,8 +12,6 @@ from bundle.errors import InputError
 from bundle.interface.scene_options import MIN_OBSERVATIONS_PER_IMAGE, MIN_TRACK_LENGTH
 from bundle.synthetic.scene import Pairs
 
-__all__ = ["check_images", "components", "select_observations", "wanted_lengths"]
-
 Array = NDArray[np.float64]
 
 _REQUIRED_OBSERVATIONS = 4

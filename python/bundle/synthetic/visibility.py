@@ -19,9 +19,6 @@ from bundle.interface.scene_options import MIN_OBSERVATIONS_PER_IMAGE
 from bundle.synthetic.intrinsics import Intrinsics
 from bundle.synthetic.scene import Pairs, Points, Scene
 
-__all__ = ["Cells", "Visibility"]
-
-
 Array = NDArray[np.float64]
 
 

@@ -32,8 +32,6 @@ from bundle.graphs.factors.same_problem import pose_graph_of
 from bundle.graphs.pose_graphs.chi2_quantiles import chi2_interval, chi2_median
 from bundle.graphs.pose_graphs.edge_weights import WeightedGraph, is_graph, weighted_graph
 
-__all__ = ["Chi2Kind", "chi2_kinds", "information_sentence", "kinds_data"]
-
 Floats = NDArray[np.float64]
 
 LEAST_DEGREES = 10.0

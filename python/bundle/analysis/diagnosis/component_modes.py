@@ -11,8 +11,6 @@ from bundle.analysis.diagnosis.viewing import viewing
 from bundle.base.words import named, plural
 from bundle.model.problem import Problem
 
-__all__ = ["component_modes", "rotation_modes"]
-
 MOST_IMAGES = 200
 """Largest number of images of a component that the search for the nearest pair uses."""
 MOST_PIECES = 100

@@ -7,8 +7,6 @@ import math
 from bundle.base.words import plural
 from bundle.interface.finding import Finding
 
-__all__ = ["Conditioned", "Finding"]
-
 DIGITS = 16
 """Decimal digits of a double, rounded up as in the table of condition numbers."""
 

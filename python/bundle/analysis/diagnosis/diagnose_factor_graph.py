@@ -48,8 +48,6 @@ from bundle.graphs.factors.null_space import NullSpace, find_null_space
 from bundle.graphs.factors.same_problem import AsPoseGraph
 from bundle.interface.finding import Finding
 
-__all__ = ["diagnose_factor_graph", "with_keys"]
-
 WEAK, GAP = 1e-6, 1e3
 
 SHARE = 0.1

@@ -34,8 +34,6 @@ from bundle.interface.finding import Finding
 from bundle.interface.pose_graph_options import PoseGraphOptions
 from bundle.model.pose_graph_arrays import PoseGraph
 
-__all__ = ["diagnose_graph"]
-
 
 def diagnose_graph(
     source: Any, options: PoseGraphOptions | None = None, **changes: Any

@@ -46,8 +46,6 @@ if TYPE_CHECKING:
     from bundle.solving.constraints.rules import Rule
     from bundle.solving.placed_problem import Prior
 
-__all__ = ["diagnose"]
-
 FEW_OBSERVATIONS = 10
 """Number of observations below which the pose of an image is poorly determined."""
 

@@ -14,8 +14,6 @@ from bundle.base.words import number
 from bundle.interface.finding import Finding
 from bundle.interface.tabular import Tabular
 
-__all__ = ["CollapsedCluster", "Component", "Diagnosis", "Finding", "WeakMode"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class WeakMode:

@@ -16,8 +16,6 @@ from bundle.analysis.diagnosis.unknowns import Unknowns
 from bundle.base.records import dataclass
 from bundle.base.words import named, plural, sorted_ids
 
-__all__ = ["EquationCounts"]
-
 _GAUGE = 7
 
 

@@ -16,8 +16,6 @@ from bundle.base.words import named, noun, plural
 from bundle.interface.finding import Finding
 from bundle.model.problem import Problem
 
-__all__ = ["findings"]
-
 MOST_COMPONENTS = 5
 """Number of components that get a sentence of their own."""
 SAID = ("points_seen_once",)

@@ -15,8 +15,6 @@ from bundle.errors import brief
 from bundle.interface.finding import Finding
 from bundle.interface.tabular import Tabular
 
-__all__ = ["GraphComponent", "GraphDiagnosis", "GraphWeakMode", "SuspiciousEdge"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class GraphComponent:

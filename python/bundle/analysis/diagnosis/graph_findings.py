@@ -12,18 +12,6 @@ from bundle.base.words import number, plural
 from bundle.graphs.pose_graphs.chi2_quantiles import chi2_limit, chi2_median
 from bundle.interface.finding import Finding
 
-__all__ = [
-    "about_conditioning",
-    "about_edges",
-    "about_minimum",
-    "about_noise",
-    "is_at_minimum",
-    "noise_scale",
-    "note",
-    "problem",
-    "worst_first",
-]
-
 AT_MINIMUM = 1e-4
 """Relative decrease of the cost by one more step, below which a state counts as a minimum."""
 

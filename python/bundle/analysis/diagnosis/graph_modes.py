@@ -12,8 +12,6 @@ from bundle.base.words import named, number, plural, sorted_ids
 from bundle.graphs.pose_graphs.joints import Joint, Joints
 from bundle.model.pose_graph_arrays import PoseGraph
 
-__all__ = ["component_modes_of_graph", "joint_modes"]
-
 COORDINATES = {
     3: ("x", "y", "angle"),
     6: ("rotation x", "rotation y", "rotation z", "x", "y", "z"),

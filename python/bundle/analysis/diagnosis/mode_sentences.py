@@ -11,15 +11,6 @@ from bundle.analysis.diagnosis.unknowns import CameraPart, Unknowns
 from bundle.analysis.diagnosis.viewing import Viewing
 from bundle.base.words import named, plural, sorted_ids
 
-__all__ = [
-    "camera_ids",
-    "dominant_parts",
-    "mode_against_poses",
-    "mode_of_poses",
-    "part_names",
-    "sorted_ids",
-]
-
 DOMINANT = 0.3
 """Share of the largest effect on pixels, below which parameters are not named."""
 

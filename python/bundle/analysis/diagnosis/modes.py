@@ -32,8 +32,6 @@ from bundle.base.records import dataclass
 from bundle.base.words import named, plural, sorted_ids
 from bundle.model.problem import Problem
 
-__all__ = ["null_modes", "weak_modes"]
-
 COUPLED = 1e-3
 """Entries of the projector below this limit count as zero."""
 WEAK = 1e-4

@@ -21,8 +21,6 @@ from bundle.base.records import dataclass
 from bundle.base.words import sorted_ids
 from bundle.model.problem import Problem
 
-__all__ = ["PointChecks", "check_points", "collapsed_clusters"]
-
 AT_CAMERA = 1e-6
 """Share of the median distance of points from their cameras."""
 PARALLEL = 1e-4

@@ -19,8 +19,6 @@ from bundle.model.problem import Problem
 from bundle.model.rotations import quaternion_inverse, quaternion_rotate
 from bundle.solving.result import Result
 
-__all__ = ["ScaleDrift", "rigs_without_baseline", "scale_drift"]
-
 NO_BASELINE = 1e-4
 """Share of the points' distance, below which sensors count as being at the same position."""
 

@@ -26,8 +26,6 @@ from bundle.base.words import named, plural, sorted_ids
 from bundle.model.problem import Problem
 from bundle.model.rotations import quaternion_inverse, quaternion_rotate
 
-__all__ = ["shutter_modes"]
-
 Floats = NDArray[np.float64]
 
 WEAK = 1e-5

@@ -41,8 +41,6 @@ from bundle.model.rotations import (
 )
 from bundle.model.shutter_motion import moved, read_positions
 
-__all__ = ["MOST_IMAGES", "ShutterSpectrum", "shutter_jacobians", "shutter_spectrum"]
-
 Floats = NDArray[np.float64]
 Rows = NDArray[np.int64]
 

@@ -12,8 +12,6 @@ from bundle.base.arrays import distinct
 from bundle.base.components import component_roots
 from bundle.model.problem import Problem
 
-__all__ = ["FEW_SHARED", "TrackTable"]
-
 FEW_SHARED = 5
 """Number of common points below which two images leave their relative pose undetermined."""
 

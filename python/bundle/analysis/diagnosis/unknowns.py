@@ -11,8 +11,6 @@ from bundle.base.records import dataclass
 from bundle.model.cameras import camera_models, param_kinds, project
 from bundle.model.problem import Problem
 
-__all__ = ["CameraPart", "Unknowns"]
-
 _IMAGE, _FRAME, _SENSOR, _CAMERA = range(4)
 
 Floats = NDArray[np.float64]

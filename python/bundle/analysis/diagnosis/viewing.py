@@ -17,8 +17,6 @@ from bundle.base.records import dataclass
 from bundle.model.problem import Problem
 from bundle.model.rotations import quaternion_inverse, quaternion_rotate
 
-__all__ = ["Viewing", "plane", "viewing"]
-
 ONE_PLACE = 1e-3
 """Spread of images, relative to the distance of their points, that counts as pure rotation."""
 PARALLEL_DEGREES = 12.0

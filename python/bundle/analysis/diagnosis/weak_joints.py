@@ -25,8 +25,6 @@ from bundle.base.words import named, plural
 from bundle.interface.finding import Finding
 from bundle.model.problem import Problem
 
-__all__ = ["weak_joint"]
-
 FEW = 15
 SMALL = 50_000
 MOST_EDGES_TRIED = 20

@@ -15,8 +15,6 @@ from bundle.base.components import component_roots
 from bundle.base.records import dataclass
 from bundle.model.problem import Problem
 
-__all__ = ["Covisibility", "components", "covisibility", "shared_points"]
-
 # Entries of the adjacency matrix in memory at once: 128 MB of booleans.
 _CELLS = 2**27
 

@@ -14,8 +14,6 @@ from bundle.base.arrays import median
 from bundle.base.records import dataclass
 from bundle.model.problem import Problem
 
-__all__ = ["COLLAPSED", "Depths", "collapsed_observations", "depths_of_observations", "summarize"]
-
 COLLAPSED = 1e-4
 """Share of the median below which a depth is not determined by images."""
 

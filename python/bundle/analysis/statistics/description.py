@@ -26,8 +26,6 @@ from bundle.model.reprojection import (
 )
 from bundle.model.worst_images import ImageError, worst_of_errors
 
-__all__ = ["CameraGroup", "Description", "Distribution", "describe"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Distribution:

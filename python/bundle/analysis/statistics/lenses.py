@@ -19,8 +19,6 @@ from bundle.base.records import dataclass
 from bundle.model.cameras import camera_models, param_kinds
 from bundle.model.problem import Problem
 
-__all__ = ["Lens", "fold_radius", "lenses"]
-
 # Columns of k1 and of k2, if any, for models with this radial part.
 _COEFFICIENTS = {"SIMPLE_RADIAL": (3, None), "RADIAL": (3, 4), "OPENCV": (4, 5)}
 

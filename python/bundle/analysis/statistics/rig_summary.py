@@ -8,8 +8,6 @@ from bundle.base.records import dataclass
 from bundle.model.problem import Problem
 from bundle.model.rig_arrays import reference_cameras, rig_of_image
 
-__all__ = ["RigSummary", "SensorSummary", "rig_summaries"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class SensorSummary:

@@ -22,8 +22,6 @@ from bundle.model.cameras import camera_models
 from bundle.model.problem import Problem
 from bundle.model.unobserved import unobserved
 
-__all__ = ["broken_parts", "count_repeated", "suspicions"]
-
 FEW_OBSERVATIONS = 10
 """Number of observations below which the pose of an image is poorly determined."""
 GROSS_ERROR_PIXELS, GROSS_ERROR_MEDIANS = 10.0, 20.0

@@ -37,8 +37,6 @@ if TYPE_CHECKING:
     from bundle.solving.placed_problem import Prior
     from bundle.solving.request import Rules
 
-__all__ = ["intrinsics_covariance", "problem_covariance"]
-
 AT_MINIMUM = 1e-4
 """Relative decrease of the cost by one more step, below which a state counts as a minimum."""
 

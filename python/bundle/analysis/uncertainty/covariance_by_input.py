@@ -29,8 +29,6 @@ if TYPE_CHECKING:
     from bundle.solving.constraints.rules import Rule
     from bundle.solving.placed_problem import Prior
 
-__all__ = ["covariance"]
-
 
 @overload
 def covariance(

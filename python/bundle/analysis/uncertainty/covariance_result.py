@@ -22,8 +22,6 @@ from bundle.io.atomic import atomic_write as atomic
 if TYPE_CHECKING:
     import pandas
 
-__all__ = ["Covariance"]
-
 _ID_COLUMNS = {"sensor": ("rig_id", "camera_id"), "relative": ("image_id_a", "image_id_b")}
 _AXES = {3: ("x", "y", "z"), 6: ("wx", "wy", "wz", "tx", "ty", "tz")}
 

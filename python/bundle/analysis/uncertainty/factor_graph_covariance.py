@@ -29,8 +29,6 @@ from bundle.interface.covariance_options import SCALES, one_of
 from bundle.interface.tabular import Tabular
 from bundle.io.atomic import atomic_write as atomic
 
-__all__ = ["FactorGraphCovariance", "factor_graph_covariance"]
-
 GAUGES = ("first", "inner", "none")
 
 AT_MINIMUM = 1e-4

@@ -28,8 +28,6 @@ from bundle.interface.tabular import Tabular
 from bundle.io.atomic import atomic_write as atomic
 from bundle.model.pose_graph_arrays import PoseGraph
 
-__all__ = ["GRAPH_GAUGES", "GraphCovariance", "graph_covariance"]
-
 GRAPH_GAUGES = ("first", "inner", "none")
 
 AT_MINIMUM = 1e-4

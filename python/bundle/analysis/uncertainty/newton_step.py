@@ -11,8 +11,6 @@ import bundle._core as _core
 from bundle.interface.options import SolveOptions
 from bundle.model.problem import Problem
 
-__all__ = ["newton_step"]
-
 
 def newton_step(
     problem: Problem,

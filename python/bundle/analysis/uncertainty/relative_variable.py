@@ -20,8 +20,6 @@ from bundle.graphs.factors.variables import Key, Variable
 from bundle.graphs.pose_graphs.lie_groups import adjoint_between, adjoints
 from bundle.model.rotations import rotation_matrices
 
-__all__ = ["relative_covariance"]
-
 FROM_WORLD = (PositionFactor, RelativePoseFactor, ReprojectionFactor)
 """Factors whose poses are cam_from_world."""
 

@@ -22,8 +22,6 @@ from bundle.errors import InputError, brief
 from bundle.model.problem import Problem
 from bundle.solving.result import Result
 
-__all__ = ["check_same_factors", "note_on_far_points", "refuse_huge", "refuse_rounding", "rows_of"]
-
 LARGEST = 1e50
 """Limit of coordinates; gauges need fourth powers, which would exceed the range of doubles."""
 

@@ -23,8 +23,6 @@ from bundle.model.problem import Problem
 from bundle.model.rotations import quaternion_rotate
 from bundle.model.shutter_changes import check_same_shutter, shutter_of_cameras
 
-__all__ = ["cameras_by_size", "share_cameras", "split_cameras"]
-
 MAX_ID = 2**32 - 2
 """COLMAP's largest camera id."""
 

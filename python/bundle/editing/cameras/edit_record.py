@@ -17,8 +17,6 @@ from bundle.errors import InputError
 from bundle.model.problem import Problem
 from bundle.model.reprojection import ReprojectionError, reprojection_error
 
-__all__ = ["CameraEdits", "edit_cameras"]
-
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class CameraEdits:

@@ -23,8 +23,6 @@ from bundle.model.lenses.exact_image import exact_params
 from bundle.model.lenses.lens_fit import fit_lens, lens_region
 from bundle.model.problem import Problem
 
-__all__ = ["CameraModelChange", "ChangedModels", "change_camera_model"]
-
 BAD_FIT = 1.0
 """Largest error in pixels of an observation without a warning."""
 

@@ -34,8 +34,6 @@ from bundle.georeference.similarity_fit import fit_similarity
 from bundle.model.problem import Problem
 from bundle.model.rotations import rotation_matrices
 
-__all__ = ["DEGREES", "find_similarity"]
-
 DEGREES = 7
 MOST_CANDIDATES = 50
 SAME_PLACE = 1e-9

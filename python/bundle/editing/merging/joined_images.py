@@ -16,8 +16,6 @@ from bundle.base.records import dataclass
 from bundle.model.colmap.model_records import ModelRecords
 from bundle.model.colmap.source_records import CAMERA, Sensor, frame_of_image, is_trivial
 
-__all__ = ["AddedImages", "added_images"]
-
 _Indices = NDArray[np.int64]
 
 

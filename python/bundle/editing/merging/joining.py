@@ -25,8 +25,6 @@ from bundle.editing.merging.joined_images import AddedImages
 from bundle.editing.merging.shared_keypoints import Meetings, SharedKeypoints
 from bundle.model.colmap.model_records import NO_POINT, ModelRecords
 
-__all__ = ["Joined", "join"]
-
 FEWEST = 2
 """Minimum observations left of a point of B that meets points of A but agrees with none."""
 

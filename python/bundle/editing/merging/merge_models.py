@@ -37,9 +37,6 @@ from bundle.model.colmap.model_records import ModelRecords, model_records
 from bundle.model.problem import Problem
 from bundle.model.rotations import rotation_matrices
 
-__all__ = ["MAX_ERROR", "disagreements", "merge"]
-
-
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 

@@ -12,8 +12,6 @@ from bundle.editing.merging.joining import Joined
 from bundle.georeference.similarity import Similarity
 from bundle.model.problem import Problem
 
-__all__ = ["Merge"]
-
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class Merge(Displayed):

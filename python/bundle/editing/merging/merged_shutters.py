@@ -16,8 +16,6 @@ from bundle.model.colmap.model_records import ModelRecords
 from bundle.model.problem import Problem
 from bundle.model.rolling_shutter import RollingShutter
 
-__all__ = ["shutter_of", "with_shutters"]
-
 
 def shutter_of(problem: Problem) -> RollingShutter:
     """Return the shutters of a problem, global ones if it has none."""

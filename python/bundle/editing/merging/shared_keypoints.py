@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 from bundle.base.records import dataclass
 from bundle.model.colmap.model_records import NO_POINT, ModelRecords
 
-__all__ = ["SAME_KEYPOINT", "Meetings", "SharedKeypoints", "shared_keypoints"]
-
 SAME_KEYPOINT = 0.01
 """Largest difference in x and y, in pixels, of keypoints with the same index: single precision and
 text files round coordinates."""

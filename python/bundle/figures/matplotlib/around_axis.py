@@ -10,8 +10,6 @@ import numpy as np
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["WIDE", "Place", "keep_room", "legend_below", "name_rows", "note_below", "show_title"]
-
 Place = Literal["center", "right"]
 AT: dict[Place, float] = {"center": 0.5, "right": 1.0}
 

@@ -22,14 +22,6 @@ from bundle.planning.comparison.comparison_result import Comparison
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = [
-    "draw_breakdown",
-    "draw_column_counts",
-    "draw_cost_against_time",
-    "draw_flops",
-    "draw_performance_profile",
-]
-
 
 def draw_flops(ax: Axes, flops: Mapping[str, float], *, impossible: Collection[str] = ()) -> None:
     """Draw the predicted flops of a step as bars on a log scale.

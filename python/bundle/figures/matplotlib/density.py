@@ -18,8 +18,6 @@ from numpy.typing import ArrayLike, NDArray
 from bundle.base.records import dataclass
 from bundle.figures.matplotlib.matrix_pattern import MatrixPattern, factor_columns
 
-__all__ = ["FILL_COLOUR", "Density", "factor_density", "matrix_density"]
-
 # Darkness of a pixel with a single nonzero among many cells; a full pixel has 1.
 FAINTEST = 0.28
 FILL_COLOUR = (217, 72, 15)

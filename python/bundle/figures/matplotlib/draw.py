@@ -38,8 +38,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure as MatplotlibFigure
 
-__all__ = ["COLOURS", "DASHES", "draw", "figure"]
-
 # Okabe and Ito's colours, which colour-blind readers can distinguish, then three tinted greys, as
 # dark as on a page with a white background.
 COLOURS = (

@@ -14,8 +14,6 @@ from bundle.base.records import dataclass
 from bundle.errors import InputError, brief
 from bundle.interface.option_fields import number
 
-__all__ = ["MatrixPattern", "factor_columns"]
-
 
 @dataclass(frozen=True, eq=False)
 class MatrixPattern:

@@ -13,8 +13,6 @@ from bundle.interface.options import SolveOptions
 from bundle.model.problem import Problem
 from bundle.solving.layout import resolve_defaults
 
-__all__ = ["ORDERINGS", "information_pattern", "order_blocks", "reduced_pattern"]
-
 ORDERINGS = ("natural", "amd", "colamd", "metis", "nesdis")
 """Orders of the blocks of S; all but the first are CHOLMOD's."""
 

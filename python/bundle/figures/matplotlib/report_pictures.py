@@ -29,28 +29,6 @@ from bundle.model.problem import Problem
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = [
-    "draw_correlations",
-    "draw_covisibility",
-    "draw_image_residuals",
-    "draw_lens_curves",
-    "draw_lines",
-    "draw_position_errors",
-    "draw_projection_uncertainty",
-    "draw_radial_profile",
-    "draw_residual_cells",
-    "draw_residual_directions",
-    "draw_residual_histogram",
-    "draw_residual_lengths",
-    "draw_residual_vectors",
-    "draw_row_residuals",
-    "draw_scene",
-    "draw_target_errors",
-    "draw_track_lengths",
-    "draw_triangulation_angles",
-    "draw_uncertainty_against_distance",
-]
-
 CELLS = {"count": "count", "rms": "magnitude", "significance": "significance"}
 
 

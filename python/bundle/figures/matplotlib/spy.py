@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["draw_orderings", "spy", "spy_factor"]
-
 
 def spy(
     ax: Axes,

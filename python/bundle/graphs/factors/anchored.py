@@ -18,8 +18,6 @@ from bundle.graphs.factors.spectrum import PriorSpectrum
 from bundle.graphs.factors.variables import MANIFOLDS, Array, Key, as_keys, as_row, variable_name
 from bundle.interface.option_fields import choice
 
-__all__ = ["AnchoredFactor"]
-
 
 class AnchoredFactor(Factor):
     """Factor of d = Log(X*^-1 X) over several variables, about linearization points X*."""

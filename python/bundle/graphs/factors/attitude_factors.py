@@ -18,8 +18,6 @@ from bundle.graphs.factors.factors import Factor, as_information
 from bundle.graphs.factors.variables import Key
 from bundle.interface.option_fields import number
 
-__all__ = ["DirectionFactor", "HeadingFactor", "RotationFactor"]
-
 DOWN = (0.0, 0.0, -1.0)
 """Direction of gravity in a world whose third axis points up."""
 FORWARD = (0.0, 0.0, 1.0)

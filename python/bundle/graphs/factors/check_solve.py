@@ -23,19 +23,6 @@ from bundle.graphs.factors.spot_check import Candidate, Kind, code_of, spot_chec
 from bundle.graphs.factors.variables import Array, Key, Variable
 from bundle.interface.solve_record import with_warnings
 
-__all__ = [
-    "Conditioning",
-    "SolvedGraph",
-    "about_free_directions",
-    "about_parts",
-    "about_priors",
-    "checked",
-    "find_parts",
-    "spot_checked",
-    "time_for_checks",
-]
-
-
 RELATIVE = {"between", "relative_pose", "reprojection"}
 """Kinds of factors that are invariant under a motion of everything."""
 

@@ -30,8 +30,6 @@ from bundle.model.pose_graph_arrays import PoseGraph
 if TYPE_CHECKING:
     import os
 
-__all__ = ["check_gradients", "check_jacobians"]
-
 AnySource: TypeAlias = "Source | PoseGraph | FactorGraph | str | os.PathLike[str]"
 
 

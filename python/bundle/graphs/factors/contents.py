@@ -25,8 +25,6 @@ from bundle.graphs.factors.variables import (
     variable_name,
 )
 
-__all__ = ["GraphContents", "factor_name"]
-
 
 class GraphContents(Displayed):
     """Variables and factors, without computations on them (:class:`bundle.FactorGraph`)."""

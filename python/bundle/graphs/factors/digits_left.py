@@ -9,8 +9,6 @@ from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
 from bundle.base.words import plural
 
-__all__ = ["DigitsLeft"]
-
 DIGITS = 16
 ENOUGH = 4
 

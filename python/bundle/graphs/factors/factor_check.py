@@ -37,9 +37,6 @@ from bundle.graphs.factors.variables import Array, Variable
 from bundle.interface.check_options import TOLERANCE
 from bundle.interface.option_fields import choice, number
 
-__all__ = ["CheckedFactor", "check_each"]
-
-
 _SETTINGS = {
     "num_samples": 3,
     "radius": 0.1,

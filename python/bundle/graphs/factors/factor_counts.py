@@ -20,8 +20,6 @@ from bundle.graphs.factors.factors import Factor
 from bundle.graphs.factors.variables import Key, Variable
 from bundle.interface.ordering_alarm import BestOrder, with_ordering_alarm
 
-__all__ = ["FreePattern", "free_pattern", "with_counts"]
-
 LEAST_FLOPS = 2e9
 """Flops of all factorisations, about a second, of which a look takes a small share."""
 

@@ -29,8 +29,6 @@ from bundle.interface.trust_region_fields import CERES_ONLY
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.model.problem import Problem
 
-__all__ = ["FactorGraph", "GraphResult"]
-
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class GraphResult(SolveRecord):

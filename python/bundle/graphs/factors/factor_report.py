@@ -18,8 +18,6 @@ from bundle.base.words import plural
 from bundle.checking.evidence import Finding
 from bundle.checking.gradient_report import STYLES, GradientReport, Offender, worst_entries
 
-__all__ = ["FactorCheck", "FactorFinding", "FactorKind", "Member", "explanation", "outcome"]
-
 SHOWN = 10
 """Number of findings in the repr; printing a check shows all."""
 

@@ -24,16 +24,6 @@ from bundle.interface.option_fields import choice, number
 from bundle.interface.options import LOSSES
 from bundle.model.cameras import camera_models
 
-__all__ = [
-    "BetweenFactor",
-    "Factor",
-    "PositionFactor",
-    "PriorFactor",
-    "RelativePoseFactor",
-    "ReprojectionFactor",
-    "ScalarPriorFactor",
-]
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Factor(FrozenArrays, Displayed):

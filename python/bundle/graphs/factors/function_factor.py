@@ -15,8 +15,6 @@ from bundle.errors import InputError, brief
 from bundle.graphs.factors.factors import Factor
 from bundle.graphs.factors.variables import Array, Key, as_keys, variable_name
 
-__all__ = ["FunctionFactor"]
-
 FactorFunction = Callable[[list[Array]], tuple[Any, Sequence[Any]]]
 
 

@@ -15,8 +15,6 @@ from bundle.graphs.factors.spot_check import code_of
 from bundle.graphs.factors.variables import Variable
 from bundle.interface.option_fields import number
 
-__all__ = ["check_graph", "choose", "kind_of"]
-
 
 def check_graph(
     graph: GraphContents,

@@ -28,8 +28,6 @@ from bundle.graphs.factors.factors import BetweenFactor, Factor, PriorFactor, as
 from bundle.graphs.factors.variables import Array, Key, variable_name
 from bundle.interface.option_fields import number
 
-__all__ = ["IncrementalSmoother", "IncrementalUpdate"]
-
 _TYPES = {"euclidean": "Vector", "so2": "Rot2", "so3": "Rot3", "se2": "Pose2", "se3": "Pose3"}
 _LOSSES = {"huber": "Huber", "cauchy": "Cauchy", "tukey": "Tukey"}
 

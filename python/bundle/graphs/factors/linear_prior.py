@@ -19,8 +19,6 @@ from bundle.graphs.factors.anchored import AnchoredFactor
 from bundle.graphs.factors.spectrum import PriorSpectrum
 from bundle.graphs.factors.variables import Array, Key
 
-__all__ = ["LinearPrior", "SquareRootPrior"]
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class LinearPrior(AnchoredFactor):

@@ -30,8 +30,6 @@ from bundle.graphs.factors.linear_prior import LinearPrior, SquareRootPrior
 from bundle.graphs.factors.variables import Array, Key, as_keys, variable_name
 from bundle.interface.option_fields import choice
 
-__all__ = ["GraphMarginals", "UndeterminedError", "schur_complement", "square_root_of_marginal"]
-
 
 class UndeterminedError(Exception):
     """Error for an eliminated column that depends on earlier columns; the argument is its index."""

@@ -32,8 +32,6 @@ from bundle.graphs.factors.variables import Variable
 from bundle.graphs.pose_graphs.lie_groups import adjoint_between
 from bundle.model.rotations import rotation_matrices
 
-__all__ = ["NullSpace", "components_of", "find_null_space"]
-
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 

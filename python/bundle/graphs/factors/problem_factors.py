@@ -34,8 +34,6 @@ from bundle.model.estimates import POSE_WIDTH, VARIABLES, estimates
 from bundle.model.problem import Problem
 from bundle.model.problem_keys import KINDS, SHUTTER_KINDS, ProblemKeys, parameter_names
 
-__all__ = ["ProblemFactors", "check_factors", "wrong_factor"]
-
 _ARRAYS = {one.kind: one for one in VARIABLES}
 
 

@@ -35,8 +35,6 @@ OF_GRAPH = (
 )
 """Options of a problem that a factor graph decides."""
 
-__all__ = ["AsPoseGraph", "AsProblem", "options_of_graph", "pose_graph_of", "problem_of"]
-
 
 class AsPoseGraph(NamedTuple):
     """Pose graph with the poses and edges of a factor graph, in their order there."""

@@ -8,8 +8,6 @@ from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
 from bundle.graphs.factors.variables import Array
 
-__all__ = ["PriorSpectrum"]
-
 ASYMMETRY_LIMIT = 1e-9
 CONDITION_LIMIT = 1e8
 

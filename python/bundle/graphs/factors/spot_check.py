@@ -39,8 +39,6 @@ from bundle.base.records import dataclass
 from bundle.base.words import plural
 from bundle.graphs.factors.variables import Array
 
-__all__ = ["Candidate", "Kind", "code_of", "spot_check"]
-
 MOVES = (1e-4, 1e-6, 1e-8, 1e-10, 1e-2)
 CONCLUSIVE = 0.01
 TOLERANCE = 1e-3

@@ -40,8 +40,6 @@ from bundle.base.records import dataclass
 from bundle.graphs.factors.variables import Array
 from bundle.model.rotations import rotation_matrices
 
-__all__ = ["TANGENTS", "Conventions", "Tangent", "other_coordinates", "tangent_of"]
-
 Conventions = dict[tuple[str, str], Array]
 
 TANGENTS = ("gtsam", "manif", "g2o", "g2o_expmap")

@@ -18,8 +18,6 @@ from bundle.graphs.factors.factors import Factor
 from bundle.graphs.factors.variables import Key
 from bundle.model.problem import Problem
 
-__all__ = ["TwistTieFactor", "twist_ties"]
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class TwistTieFactor(Factor):

@@ -18,19 +18,6 @@ from bundle.base.words import plural
 from bundle.errors import InputError, brief
 from bundle.interface.option_fields import choice
 
-__all__ = [
-    "MANIFOLDS",
-    "Array",
-    "Key",
-    "Values",
-    "Variable",
-    "as_keys",
-    "as_list",
-    "as_row",
-    "check_key",
-    "variable_name",
-]
-
 Key = Hashable
 Array = NDArray[np.float64]
 

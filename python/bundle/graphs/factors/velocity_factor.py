@@ -15,8 +15,6 @@ from bundle.base.records import dataclass
 from bundle.graphs.factors.factors import Factor, as_information
 from bundle.graphs.factors.variables import Key
 
-__all__ = ["VelocityFactor"]
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class VelocityFactor(Factor):

@@ -20,8 +20,6 @@ from bundle.model.rigid_motions import inverse_poses, unit_poses
 from bundle.model.rotations import quaternion_rotate
 from bundle.model.shutter_changes import scaled
 
-__all__ = ["carry"]
-
 Array = NDArray[np.float64]
 
 

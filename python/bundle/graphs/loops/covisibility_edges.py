@@ -43,8 +43,6 @@ from bundle.model.pycolmap.lens import pixel_directions
 from bundle.model.reprojection import reprojection_errors
 from bundle.model.rotations import cross_matrices, dot, quaternion_inverse, quaternion_rotate
 
-__all__ = ["MIN_SHARED", "CovisibilityEdges", "covisibility_edges", "fitting_observations"]
-
 Array = NDArray[np.float64]
 
 MIN_SHARED = 6

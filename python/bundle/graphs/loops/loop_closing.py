@@ -21,8 +21,6 @@ from bundle.io.g2o_files import load_g2o
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.model.problem import Problem
 
-__all__ = ["Closures", "LoopClosing", "LoopClosure", "as_closures", "images_of"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class LoopClosure:

@@ -58,8 +58,6 @@ from bundle.model.problem import Problem
 from bundle.model.rigid_motions import inverse_poses, multiply_poses, unit_poses
 from bundle.model.rotations import cross_matrices, rotation_matrices
 
-__all__ = ["close_loops"]
-
 Array = NDArray[np.float64]
 
 VARIANCE_FACTORS = tuple(10.0**power for power in range(7))

@@ -52,8 +52,6 @@ from bundle.model.rotations import (
     vector_from_quaternion,
 )
 
-__all__ = ["Nodes", "SimilarityGraph"]
-
 Array = NDArray[np.float64]
 Weigh = Callable[[Array], tuple[Array, Array]]
 

@@ -10,8 +10,6 @@ from bundle.base.records import dataclass
 from bundle.base.words import number, plural
 from bundle.model.pose_graph_arrays import PoseGraph
 
-__all__ = ["Certificate", "Staircase"]
-
 CERTIFIED, NOT_CERTIFIED, NOT_A_MINIMUM = "certified", "not-certified", "not-a-minimum"
 
 

@@ -13,8 +13,6 @@ from bundle.interface.pose_graph_options import PoseGraphOptions
 from bundle.interface.solve_record import Progress
 from bundle.model.pose_graph_arrays import PoseGraph
 
-__all__ = ["CHORDAL_MINIMUM", "ESCAPES", "STAIRCASE", "certified"]
-
 STAIRCASE, CHORDAL_MINIMUM = ESCAPES = ("staircase", "chordal_minimum")
 """Names of the starts of second solves."""
 

@@ -46,8 +46,6 @@ from bundle.interface.solve_record import Progress
 from bundle.io.g2o_files import load_g2o
 from bundle.model.pose_graph_arrays import PoseGraph
 
-__all__ = ["certify", "check_certifiable"]
-
 Floats = NDArray[np.float64]
 
 MOST_RANK = 10

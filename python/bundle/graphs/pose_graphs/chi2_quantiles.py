@@ -7,16 +7,6 @@ is nearly normal, with mean 1 - 2 / (9 k) and variance 2 / (9 k).
 
 from __future__ import annotations
 
-__all__ = [
-    "ONE_IN_2000",
-    "ONE_IN_A_MILLION",
-    "chi2_bound",
-    "chi2_interval",
-    "chi2_limit",
-    "chi2_median",
-    "chi2_quantile",
-]
-
 ONE_IN_2000 = {3: 17.72999622894616, 6: 24.102798994983747}
 """99.95 % quantiles: limit of a squared error that one correct edge in 2000 exceeds."""
 

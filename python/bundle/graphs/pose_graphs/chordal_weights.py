@@ -37,8 +37,6 @@ from bundle.base.records import dataclass
 from bundle.errors import InputError
 from bundle.model.pose_graph_arrays import PoseGraph
 
-__all__ = ["CHORDAL_WEIGHTS", "ChordalWeights", "bound_weights", "chordal_weights"]
-
 CHORDAL_WEIGHTS = ("mean", "se-sync")
 
 ISOTROPIC = 1e-9

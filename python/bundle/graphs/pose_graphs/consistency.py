@@ -45,13 +45,6 @@ from bundle.graphs.pose_graphs.lie_groups import adjoints, compose, inverse, log
 from bundle.graphs.pose_graphs.odometry_chain import OdometryChain, edge_covariance, odometry_chain
 from bundle.model.pose_graph_arrays import PoseGraph
 
-__all__ = [
-    "ClosureConsistency",
-    "LeftOutEdge",
-    "closure_consistency",
-    "pair_chi2",
-]
-
 PAIRS_AT_ONCE = 20_000
 
 MOST_CLOSURES = 10_000

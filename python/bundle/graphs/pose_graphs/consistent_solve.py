@@ -18,8 +18,6 @@ from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
 from bundle.interface.pose_graph_options import PoseGraphOptions
 from bundle.model.pose_graph_arrays import PoseGraph
 
-__all__ = ["solve_consistent"]
-
 UNPROVEN_SET = "unproven_set"
 MOST_LEFT_OUT = "most_left_out"
 

@@ -11,8 +11,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["densest_set"]
-
 
 def densest_set(edges: NDArray[np.integer]) -> int:
     """Return the largest d for which d vertices have d - 1 neighbours or more.

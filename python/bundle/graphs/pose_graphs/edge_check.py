@@ -18,8 +18,6 @@ from bundle.interface.option_fields import choice, number
 from bundle.interface.pose_graph_options import POSE_ERRORS
 from bundle.model.pose_graph_arrays import PoseGraph
 
-__all__ = ["check_edges"]
-
 
 def check_edges(
     graph: PoseGraph,

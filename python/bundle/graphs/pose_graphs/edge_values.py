@@ -13,8 +13,6 @@ from bundle.interface.pose_graph_options import POSE_ERRORS
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.model.starts import started
 
-__all__ = ["initial_poses", "pose_graph_chi2"]
-
 
 def initial_poses(graph: PoseGraph, init: str = "chordal") -> NDArray[np.float64]:
     """Return poses from edges alone, relative to the fixed or first pose of each component.

@@ -21,16 +21,6 @@ from bundle.io.g2o_files import load_g2o
 from bundle.io.recognition import is_pose_graph_file
 from bundle.model.pose_graph_arrays import PoseGraph
 
-__all__ = [
-    "WeightedGraph",
-    "check_edges_exist",
-    "check_free_pose",
-    "check_information_exists",
-    "is_graph",
-    "refuse_for_graphs",
-    "weighted_graph",
-]
-
 
 @dataclass(frozen=True)
 class WeightedGraph:

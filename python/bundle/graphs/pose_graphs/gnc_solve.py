@@ -45,9 +45,6 @@ from bundle.interface.pose_graph_options import PoseGraphOptions
 from bundle.interface.solve_record import Progress
 from bundle.model.pose_graph_arrays import PoseGraph
 
-__all__ = ["Proposal", "graduate", "solve_gnc", "tls_weights"]
-
-
 GROWTH = 1.4
 """Factor of mu from one solve to the next, as in the paper."""
 

@@ -8,8 +8,6 @@ from bundle.base.words import distinct, plural
 from bundle.errors import InputError
 from bundle.model.pose_graph_arrays import PoseGraph
 
-__all__ = ["bad_information", "checked_information", "describe_information", "isotropic"]
-
 ORDERS = {
     "g2o": ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)),
     "toro": ((0, 0), (0, 1), (1, 1), (2, 2), (0, 2), (1, 2)),

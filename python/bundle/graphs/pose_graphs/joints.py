@@ -31,8 +31,6 @@ from bundle.base.records import dataclass
 from bundle.graphs.pose_graphs.lie_groups import adjoint_between
 from bundle.model.pose_graph_arrays import PoseGraph
 
-__all__ = ["Joint", "Joints", "find_joints", "typical_sigmas"]
-
 WEAK = 1e-4
 """Weak information relative to that of a typical edge: sigmas are 100 times as large."""
 

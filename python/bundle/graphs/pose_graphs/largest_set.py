@@ -22,8 +22,6 @@ from numpy.typing import NDArray
 
 from bundle.errors import InputError
 
-__all__ = ["largest_set"]
-
 TIME_LIMIT = 30.0
 """Time limit in seconds for the vertices that the relaxation leaves undecided."""
 

@@ -15,8 +15,6 @@ from bundle.model.rotations import (
     rotation_matrices,
 )
 
-__all__ = ["adjoint_between", "adjoints", "compose", "inverse", "logarithm"]
-
 Floats = NDArray[np.float64]
 
 

@@ -26,8 +26,6 @@ import bundle._core as _core
 from bundle.base.words import number
 from bundle.interface.pose_graph_options import PoseGraphOptions
 
-__all__ = ["TRIED", "choose_loss", "loss_cost", "truncated_cost"]
-
 TRIED = ("dcs", "gnc_tls")
 """Losses for wrong closures that ``auto`` tries."""
 

@@ -26,8 +26,6 @@ from bundle.errors import InputError
 from bundle.graphs.pose_graphs.lie_groups import adjoints
 from bundle.model.pose_graph_arrays import PoseGraph
 
-__all__ = ["OdometryChain", "edge_covariance", "odometry_chain"]
-
 Floats = NDArray[np.float64]
 
 SINGULAR = 1e-14

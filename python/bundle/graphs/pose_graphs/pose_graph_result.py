@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from bundle.graphs.pose_graphs.certificate import Certificate
     from bundle.graphs.pose_graphs.consistency import LeftOutEdge
 
-__all__ = ["PoseGraphResult", "PoseGraphSummary"]
-
 
 @dataclass(frozen=True, kw_only=True, repr=False, init=False, eq=False)
 class PoseGraphSummary(Summary):

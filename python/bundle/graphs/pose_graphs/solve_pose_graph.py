@@ -26,8 +26,6 @@ if TYPE_CHECKING:
 # Functions import the modules of robust, consistent and certified solves: together with those of a
 # plain one they would take longer than its first call.
 
-__all__ = ["solve_pose_graph"]
-
 Floats = NDArray[np.float64]
 
 SUSPICIOUS_STEPS = "suspicious_steps"

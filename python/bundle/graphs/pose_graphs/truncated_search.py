@@ -32,8 +32,6 @@ from bundle.base.words import number, plural
 from bundle.graphs.pose_graphs.chi2_quantiles import chi2_quantile
 from bundle.model.pose_graph_arrays import PoseGraph
 
-__all__ = ["Settled", "TruncatedSearch", "find_doubt", "flip_gains"]
-
 MOST_SETTLES = 10
 MOST_FLIPS = 20
 MOST_TRIES = 4

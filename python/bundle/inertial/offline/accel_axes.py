@@ -18,8 +18,6 @@ from bundle.inertial.offline.inertial_start import InertialStart, gyro_bias, sol
 from bundle.inertial.vio.window_frame import ImuInterval
 from bundle.model.sequence.imu_noise import ImuNoise
 
-__all__ = ["accel_axes"]
-
 Array = NDArray[np.float64]
 
 EXPLAINED = 0.5

@@ -26,8 +26,6 @@ from numpy.typing import NDArray
 from bundle.inertial.preintegration.preintegration import Preintegration
 from bundle.model.rotations import quaternion_from_matrix, vector_from_quaternion
 
-__all__ = ["ClockOffset", "clock_offset"]
-
 Array = NDArray[np.float64]
 
 STEPS = 10

@@ -22,8 +22,6 @@ from bundle.model.sequence.imu_noise import ImuNoise
 from bundle.model.sequence.sequence import check_imu
 from bundle.model.sequence.stamp_units import other_unit
 
-__all__ = ["RULES", "ImageIntervals", "likely_kinds"]
-
 Array = NDArray[np.float64]
 
 RULES = {"instant": "midpoint", "interval": "zero_order_hold"}

@@ -17,8 +17,6 @@ from bundle.base.words import plural
 from bundle.errors import InputError, brief, shown
 from bundle.model.problem import Problem
 
-__all__ = ["read_image_times"]
-
 LIMIT = 2**63
 
 

@@ -65,8 +65,6 @@ from bundle.solving.rounds.solve_rounds import solve_rounds
 if TYPE_CHECKING:
     from bundle.solving.placed_problem import Prior
 
-__all__ = ["adjust_with_imu"]
-
 Array = NDArray[np.float64]
 
 NOISE_SCALE, AT_INTERVAL = 5.0, 0.25

@@ -31,8 +31,6 @@ from bundle.graphs.pose_graphs.chi2_quantiles import chi2_bound, chi2_median
 from bundle.model.sequence.imu_noise import ImuNoise
 from bundle.model.sequence.sequence_findings import quietest_noise
 
-__all__ = ["Agreement", "ClockErrors", "noise_ratios", "quietest_ratio"]
-
 Array = NDArray[np.float64]
 
 FREEDOM, MOST_FREEDOM = 6, 15

@@ -13,8 +13,6 @@ from bundle.errors import InputError
 from bundle.model.problem import Problem
 from bundle.model.rotations import rotation_matrices
 
-__all__ = ["ImuBodies"]
-
 Array = NDArray[np.float64]
 
 

@@ -29,8 +29,6 @@ from bundle.model.rotations import (
 from bundle.model.sequence.bad_samples import LONGEST_BRIDGE, BadStretch
 from bundle.model.sequence.sequence_findings import UNDERSTATED
 
-__all__ = ["LONG_ARM", "Evidence", "ImuFinding", "imu_findings"]
-
 Array = NDArray[np.float64]
 
 OUTLIERS = 4.0

@@ -18,8 +18,6 @@ from bundle.inertial.offline.imu_findings import ImuFinding
 from bundle.inertial.offline.inertial_start import InertialStart
 from bundle.solving.result import Result
 
-__all__ = ["ImuSamples", "InertialAdjustment"]
-
 Array = NDArray[np.float64]
 
 

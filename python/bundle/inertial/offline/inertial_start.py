@@ -35,15 +35,6 @@ from bundle.model.rotations import (
 )
 from bundle.model.sequence.imu_noise import ImuNoise
 
-__all__ = [
-    "InertialStart",
-    "gyro_bias",
-    "preintegrated",
-    "segment_rows",
-    "segments",
-    "solve_inertial_start",
-]
-
 Array = NDArray[np.float64]
 
 SEGMENT = 4.0

@@ -29,8 +29,6 @@ from bundle.solving.rounds.solve_rounds import solve_rounds
 if TYPE_CHECKING:
     from bundle.solving.placed_problem import Prior
 
-__all__ = ["GRAVITY", "MotionState", "solved_with_motions"]
-
 Array = NDArray[np.float64]
 
 GRAVITY = 9.81

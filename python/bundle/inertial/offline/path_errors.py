@@ -36,8 +36,6 @@ from bundle.inertial.offline.motion_solve import ACCEL_BIAS_SIGMA, GRAVITY
 from bundle.inertial.vio.window_frame import ImuInterval
 from bundle.model.sequence.imu_noise import ImuNoise
 
-__all__ = ["PathErrors", "path_errors"]
-
 Array = NDArray[np.float64]
 
 POSITION_SIGMA = 1e-3

@@ -30,8 +30,6 @@ from bundle.model.rotations import (
     vector_from_quaternion,
 )
 
-__all__ = ["RotationMap", "axes_sentence", "signed_axes"]
-
 Array = NDArray[np.float64]
 
 STEPS = 20

@@ -32,8 +32,6 @@ from bundle.solving.placed_problem import sorted_priors
 if TYPE_CHECKING:
     from bundle.solving.placed_problem import Prior
 
-__all__ = ["to_priors", "upright_start"]
-
 Array = NDArray[np.float64]
 
 LEAST_POSITIONS = 2

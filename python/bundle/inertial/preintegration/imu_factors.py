@@ -20,8 +20,6 @@ from bundle.inertial.preintegration.preintegration import Preintegration, as_vec
 from bundle.interface.option_fields import number
 from bundle.model.sequence.imu_noise import ImuNoise
 
-__all__ = ["BiasWalkFactor", "ImageImuFactor", "ImuFactor"]
-
 
 class _MotionFactor(Factor):
     """Base of factors of a preintegrated motion, of which they store a copy."""

@@ -15,8 +15,6 @@ from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
 from bundle.errors import InputError
 
-__all__ = ["HEALTHY", "UNOBSERVABLE", "Excitation", "excitation"]
-
 HEALTHY, UNOBSERVABLE = 0.5, 0.05  # m/s^2
 
 

@@ -15,9 +15,6 @@ from bundle.inertial.preintegration.repropagation import Repropagation
 from bundle.interface.option_fields import choice, number
 from bundle.model.sequence.imu_noise import ImuNoise
 
-__all__ = ["RULES", "Preintegration", "as_vector", "propagate"]
-
-
 Array = NDArray[np.float64]
 
 RULES = ("zero_order_hold", "midpoint")

@@ -19,8 +19,6 @@ import math
 from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
 
-__all__ = ["Repropagation", "first_order_error"]
-
 GRAVITY = 9.81  # m/s^2
 
 

@@ -27,8 +27,6 @@ from bundle.model.cameras import project
 from bundle.model.pycolmap.lens import normalized
 from bundle.model.sequence.calibration import Calibration
 
-__all__ = ["CHECKS", "FeatureTracker", "Turn"]
-
 Array = np.ndarray[Any, Any]
 
 CHECKS = ("not found", "backward", "crowded", "epipolar")

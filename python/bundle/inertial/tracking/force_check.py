@@ -20,8 +20,6 @@ import numpy as np
 from bundle.inertial.vio.initialize import SPAN, Span, find_span, objection_to, span_start
 from bundle.inertial.vio.sequence_images import SequenceImages
 
-__all__ = ["is_reversed", "right_signs"]
-
 BEHIND, BEFORE = 0.95, 0.5  # shares of points behind the camera: reversed above, right below
 SPANS = 6
 AGREE = 2  # spans that decide

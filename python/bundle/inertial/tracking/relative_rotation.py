@@ -19,8 +19,6 @@ import numpy as np
 
 from bundle.model.rotations import cross_matrices, quaternion_from_vector, rotation_matrices
 
-__all__ = ["refined_rotation"]
-
 Array = np.ndarray[Any, Any]
 
 STEPS = 6

@@ -37,8 +37,6 @@ from bundle.model.rotations import (
 )
 from bundle.model.sequence.recording import Recording
 
-__all__ = ["RotationCheck", "check_rotations", "kabsch", "share_unexplained"]
-
 Array = np.ndarray[Any, Any]
 
 BIAS = 0.1  # rad/s: largest bias of a gyroscope that is no error

@@ -20,8 +20,6 @@ from bundle.model.sequence.bad_samples import bad_stretches, is_bridged
 from bundle.model.sequence.recording import Recording
 from bundle.model.sequence.sequence import Sequence
 
-__all__ = ["axes_findings", "explanations"]
-
 FEW, MANY = 40, 200  # pairs of images
 SUSPICIOUS = 0.3  # share of the rotation that the gyroscope does not explain; 0.2 if clean
 REVERSED = "accelerometer axes"

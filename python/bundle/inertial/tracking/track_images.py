@@ -14,8 +14,6 @@ from bundle.io.sequences.recordings import RecordingSource, read_recording
 from bundle.model.sequence.sequence import Sequence as Tracks
 from bundle.model.sequence.sequence_findings import SequenceFinding, sequence_findings
 
-__all__ = ["TrackedImages", "track_images"]
-
 
 class TrackedImages(NamedTuple):
     """Sequence with the tracks of its images, statistics of tracking, and findings."""

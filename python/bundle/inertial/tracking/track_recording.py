@@ -19,8 +19,6 @@ from bundle.model.rotations import rotation_matrices
 from bundle.model.sequence.recording import Recording, check_recording
 from bundle.model.sequence.sequence import Sequence
 
-__all__ = ["Tracking", "track_recording"]
-
 Array = np.ndarray[Any, Any]
 
 

@@ -17,8 +17,6 @@ from bundle.inertial.tracking.relative_rotation import refined_rotation
 from bundle.inertial.tracking.rotation_check import kabsch
 from bundle.inertial.vio.sequence_images import SequenceImages
 
-__all__ = ["turns_of_tracks"]
-
 Array = np.ndarray[Any, Any]
 
 APART = 0.25  # s between the images of a pair

@@ -8,8 +8,6 @@ from bundle.inertial.tracking.rotation_check import RotationCheck
 from bundle.interface.finding import Finding
 from bundle.model.sequence.recording import Recording
 
-__all__ = ["tracking_findings"]
-
 SIGMAS = 4.0
 LEAST_SHIFT = 3e-3  # s
 LEAST_ANGLE = 2.0  # degrees

@@ -20,8 +20,6 @@ from bundle.model.cameras import project
 from bundle.model.pycolmap.lens import normalized
 from bundle.model.sequence.calibration import Calibration
 
-__all__ = ["usable_pixels"]
-
 Array = np.ndarray[Any, Any]
 
 MOST_STRETCH = 3.0

@@ -18,8 +18,6 @@ from bundle.io.g2o_files import load_g2o
 from bundle.io.recognition import is_pose_graph_file
 from bundle.io.sequences.csv_tables import read_csv
 
-__all__ = ["load_closures"]
-
 _STAMPS = ("first_timestamp_ns", "second_timestamp_ns")
 _NUMBERS = ("tx", "ty", "tz", "qx", "qy", "qz", "qw", "sigma_position", "sigma_rotation")
 

@@ -26,8 +26,6 @@ from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.model.rigid_motions import inverse_poses, multiply_poses, unit_poses
 from bundle.solving.solve import solve
 
-__all__ = ["Closure", "ClosureLoop", "Keyframe", "solved_on_one_thread"]
-
 Array = NDArray[np.float64]
 
 _FIRST_ROWS = 64

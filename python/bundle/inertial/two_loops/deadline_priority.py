@@ -18,8 +18,6 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-__all__ = ["deadline_priority"]
-
 PRIORITY = 5  # 1 is the lowest
 SWITCH_INTERVAL = 1e-3  # s; Python's default is 5 ms
 

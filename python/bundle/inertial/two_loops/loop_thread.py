@@ -8,8 +8,6 @@ from collections.abc import Callable
 
 from bundle.base.display import Displayed
 
-__all__ = ["LoopThread", "SolveLoop"]
-
 
 class LoopThread:
     """Thread that calls a function whenever there is new work.

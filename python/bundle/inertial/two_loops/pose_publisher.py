@@ -33,8 +33,6 @@ from bundle.inertial.two_loops.ring import Ring
 from bundle.inertial.two_loops.yaw_motion import Correction, YawMotion
 from bundle.interface.option_fields import number
 
-__all__ = ["PosePublisher", "PublishedPose", "Solution"]
-
 Array = NDArray[np.float64]
 
 _RULE = "zero_order_hold"

@@ -22,8 +22,6 @@ from bundle.base.arguments import check_type
 from bundle.inertial.two_loops.closure_loop import solved_on_one_thread
 from bundle.model.pose_graph_arrays import PoseGraph
 
-__all__ = ["ProcessSolver", "serve"]
-
 Array = NDArray[np.float64]
 
 _FIELDS = ("poses", "edges", "measurements", "information", "fixed")

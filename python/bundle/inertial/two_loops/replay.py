@@ -37,8 +37,6 @@ from bundle.interface.window_options import WindowOptions
 from bundle.io.sequences.trajectory_files import Trajectory
 from bundle.model.sequence.sequence import Sequence
 
-__all__ = ["LATE", "LoopStatistics", "TwoLoopsResult", "run_two_loops"]
-
 Array = NDArray[np.float64]
 
 LATE = 5e-3

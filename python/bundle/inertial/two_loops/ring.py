@@ -7,8 +7,6 @@ from typing import Generic, TypeVar
 
 from bundle.interface.option_fields import number
 
-__all__ = ["Ring"]
-
 Record = TypeVar("Record")
 
 

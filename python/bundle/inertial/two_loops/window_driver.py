@@ -27,8 +27,6 @@ from bundle.inertial.vio.trajectory_comparison import states_at
 from bundle.inertial.vio.window_run import WindowRun
 from bundle.model.rigid_motions import inverse_poses, multiply_poses
 
-__all__ = ["WindowDriver"]
-
 EDGE_TURN = np.radians(0.1)
 EDGE_SHIFT, EDGE_SHARE = 2e-3, 0.01  # m; share of the length
 

@@ -13,8 +13,6 @@ from bundle.inertial.two_loops.pose_publisher import Solution
 from bundle.inertial.two_loops.ring import Ring
 from bundle.interface.option_fields import number
 
-__all__ = ["WindowLoop"]
-
 
 class WindowLoop(SolveLoop):
     """Solver of a window for arriving frames, on its own thread.

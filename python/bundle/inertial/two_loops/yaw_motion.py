@@ -19,8 +19,6 @@ from bundle.errors import InputError
 from bundle.interface.option_fields import number
 from bundle.model.rotations import quaternion_multiply
 
-__all__ = ["Correction", "YawMotion", "twist_about_z"]
-
 Array = NDArray[np.float64]
 
 

@@ -37,17 +37,6 @@ from bundle.model.rotations import (
 from bundle.model.sequence.calibration import Calibration
 from bundle.model.sequence.sequence import Sequence
 
-__all__ = [
-    "SPAN",
-    "Span",
-    "VioStart",
-    "find_span",
-    "find_start",
-    "initialize_vio",
-    "objection_to",
-    "span_start",
-]
-
 Array = np.ndarray[Any, Any]
 
 # s: length of a span, step between spans, start of the last span

@@ -18,8 +18,6 @@ from bundle.base.records import dataclass
 from bundle.inertial.vio.landmark_table import FrameTracks
 from bundle.interface.window_options import WindowOptions
 
-__all__ = ["KeyframeRecord", "alarms_by_kind", "keyframe_reason"]
-
 
 @dataclass(frozen=True)
 class KeyframeRecord:

@@ -23,9 +23,6 @@ from bundle.inertial.vio.landmark_table import LandmarkTable
 from bundle.inertial.vio.window_frame import WindowFrame
 from bundle.model.rotations import rotation_matrices
 
-__all__ = ["LandmarkDepths", "Triangulation", "camera_poses", "reanchored"]
-
-
 Array = np.ndarray[Any, Any]
 
 

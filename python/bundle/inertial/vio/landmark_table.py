@@ -19,9 +19,6 @@ import numpy as np
 
 from bundle.errors import InputError
 
-__all__ = ["FrameTracks", "LandmarkTable", "TrackNumbers", "landmark_table", "sight_numbers"]
-
-
 Array = np.ndarray[Any, Any]
 
 

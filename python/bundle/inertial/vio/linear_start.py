@@ -32,8 +32,6 @@ from bundle.inertial.vio.window_frame import ImuInterval
 from bundle.model.rotations import rotation_matrices
 from bundle.model.sequence.imu_noise import ImuNoise
 
-__all__ = ["LinearStart", "Observations", "solve_linear_start"]
-
 Array = np.ndarray[Any, Any]
 
 PLAIN_ROUNDS, ROUNDS, SPHERE_STEPS, COPLANAR_STEPS = 4, 12, 3, 6

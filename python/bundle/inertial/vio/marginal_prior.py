@@ -33,9 +33,6 @@ from bundle.base.records import dataclass
 from bundle.inertial.vio.window_frame import WindowFrame
 from bundle.model.rotations import rotation_matrices
 
-__all__ = ["MarginalPrior", "start_prior", "steady_speed"]
-
-
 Array = np.ndarray[Any, Any]
 
 POSE, MOTION = 0, 1

@@ -41,9 +41,6 @@ from bundle.errors import InputError
 from bundle.interface.option_fields import number
 from bundle.model.rotations import cross_matrices, rotation_matrices
 
-__all__ = ["MsckfUpdate", "TrackRows", "msckf_update", "track_rows"]
-
-
 Array = NDArray[np.float64]
 
 _STEPS = 10  # Gauss-Newton steps for the landmark

@@ -19,8 +19,6 @@ from bundle.interface.window_options import WindowOptions
 from bundle.io.sequences.trajectory_files import Trajectory
 from bundle.model.sequence.sequence import Sequence
 
-__all__ = ["OdometryResult", "run_odometry"]
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class OdometryResult(Displayed, Tabular):

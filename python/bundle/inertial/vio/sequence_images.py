@@ -26,9 +26,6 @@ from bundle.model.sequence.bad_samples import bad_stretches, is_bridged
 from bundle.model.sequence.sequence import Sequence
 from bundle.model.sequence.sequence_findings import GAP
 
-__all__ = ["ImuSlices", "SequenceImages"]
-
-
 Array = np.ndarray[Any, Any]
 
 AROUND = 2  # lengths of a gap on each side of it

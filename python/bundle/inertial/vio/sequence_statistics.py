@@ -16,8 +16,6 @@ from bundle.inertial.vio.static_start import rest_at_start
 from bundle.model.sequence.sequence import Sequence
 from bundle.model.sequence.sequence_findings import GAP
 
-__all__ = ["SequenceStatistics", "sequence_statistics"]
-
 Array = NDArray[np.float64]
 
 

@@ -36,8 +36,6 @@ from bundle.interface.option_keywords import WindowKeywords
 from bundle.interface.window_options import WindowOptions
 from bundle.model.sequence.imu_noise import ImuNoise
 
-__all__ = ["SlidingWindow"]
-
 Array = np.ndarray[Any, Any]
 
 # Sigmas beyond which a whole track is an outlier.

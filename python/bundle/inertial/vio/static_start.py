@@ -19,9 +19,6 @@ import numpy as np
 
 from bundle.inertial.vio.sequence_images import SequenceImages
 
-__all__ = ["StaticStart", "find_static_start", "level_quaternion", "rest_at_start"]
-
-
 REST_SIGMAS = 3.0  # median displacement of the tracks; noise alone gives 1.7
 FEWEST_TRACKS = 4
 REST_RATE = 0.03  # rad/s: change of the mean rate

@@ -28,14 +28,6 @@ from bundle.model.rotations import (
 )
 from bundle.model.sequence.stamp_units import other_unit
 
-__all__ = [
-    "TrajectoryError",
-    "aligned_in_yaw",
-    "compare_trajectories",
-    "covered_by",
-    "states_at",
-]
-
 Array = NDArray[np.float64]
 
 LEAST_POSES = 3

@@ -19,8 +19,6 @@ import numpy as np
 
 from bundle.interface.window_options import WindowOptions
 
-__all__ = ["DISAGREEMENT", "INDEFINITE", "WindowAlarms", "walks_down", "yaw_falls"]
-
 Array = np.ndarray[Any, Any]
 
 LARGEST_ASYMMETRY = 1e-9

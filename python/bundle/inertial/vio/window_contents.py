@@ -12,9 +12,6 @@ from bundle.inertial.vio.window_frame import WindowFrame
 from bundle.interface.window_options import WindowOptions
 from bundle.model.sequence.imu_noise import ImuNoise
 
-__all__ = ["WindowContents", "window_arrays"]
-
-
 Array = np.ndarray[Any, Any]
 
 

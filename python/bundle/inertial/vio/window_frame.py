@@ -14,8 +14,6 @@ from bundle.inertial.preintegration.preintegration import Preintegration
 from bundle.inertial.vio.landmark_table import FrameTracks
 from bundle.model.sequence.imu_noise import ImuNoise
 
-__all__ = ["ImuInterval", "WindowFrame", "repropagate"]
-
 Array = np.ndarray[Any, Any]
 
 NEGLIGIBLE_ANGLE = 0.02  # rad: the first-order correction is accurate to 6e-5 rad

@@ -35,9 +35,6 @@ from bundle.interface.window_options import WindowOptions
 from bundle.io.sequences.trajectory_files import Trajectory
 from bundle.model.sequence.sequence import Sequence
 
-__all__ = ["PathSanity", "WindowRun"]
-
-
 Array = np.ndarray[Any, Any]
 
 FASTEST = 340.0  # m/s: about the speed of sound

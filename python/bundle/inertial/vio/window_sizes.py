@@ -13,8 +13,6 @@ import numpy as np
 
 from bundle.inertial.vio.landmark_table import LandmarkTable
 
-__all__ = ["window_sizes"]
-
 Array = np.ndarray[Any, Any]
 
 BLOCKS = (6, 9)

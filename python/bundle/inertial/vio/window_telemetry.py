@@ -21,8 +21,6 @@ from bundle.model.rotations import (
     vector_from_quaternion,
 )
 
-__all__ = ["WindowTelemetry"]
-
 Array = np.ndarray[Any, Any]
 
 FREE_DEGREES = 4  # position and yaw: neither camera nor IMU measures them

@@ -47,16 +47,6 @@ from bundle.io.atomic.temporary import (
     temporary_folder,
 )
 
-__all__ = [
-    "check_file",
-    "check_folder",
-    "made_folder",
-    "recover",
-    "replace_file",
-    "replace_folder",
-    "write_text",
-]
-
 
 def recover(path: Path) -> tuple[str, ...]:
     """Complete interrupted replacements in a folder; return one sentence for each.

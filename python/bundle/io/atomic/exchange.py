@@ -27,8 +27,6 @@ from bundle.io.atomic.model_files import MODEL_FILES
 from bundle.io.atomic.special_paths import mount_points
 from bundle.io.atomic.temporary import is_temporary
 
-__all__ = ["can_exchange", "exchange_folder", "move_new_folder", "take_over_folder"]
-
 MAX_LINKS = 20_000
 """Largest number of non-model files to link. Linking more would take seconds."""
 

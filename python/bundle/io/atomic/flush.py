@@ -7,8 +7,6 @@ import os
 import threading
 from pathlib import Path
 
-__all__ = ["flush", "flush_folder", "flush_with_files"]
-
 
 def flush(path: Path) -> None:
     """Wait until a file is on the disk; the error of a full disk may appear only here."""

@@ -24,8 +24,6 @@ from bundle.io.atomic.flush import flush_folder
 from bundle.io.atomic.model_files import MODEL_FILES
 from bundle.io.atomic.temporary import NEW, OLD, Temporary, lock, temporaries_in
 
-__all__ = ["recover", "replace_in_place"]
-
 WHOLE = "whole"
 ENTERING = "entering"
 

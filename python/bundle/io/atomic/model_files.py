@@ -5,8 +5,6 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-__all__ = ["MODEL_FILES", "ROLLING_SHUTTER", "is_text_model", "missing_model_files", "models_below"]
-
 DEPTH = 3
 """Depth of the search for models below a folder: projects store them in dense/0/sparse/."""
 MOST_FOLDERS = 1000

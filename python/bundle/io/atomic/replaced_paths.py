@@ -10,8 +10,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-__all__ = ["NoteWarning", "RecoveryWarning", "note_replaced", "recording"]
-
 
 class NoteWarning(UserWarning):
     """Warning that a user should read once; a command prints it as a note."""

@@ -10,8 +10,6 @@ import os
 import re
 from pathlib import Path
 
-__all__ = ["append", "is_stream", "mount_points"]
-
 _DESCRIPTOR = re.compile(r"/dev/(stdin|stdout|stderr|fd/\d+)|/proc/(self|thread-self|\d+)/fd/\d+")
 _TABLE = Path("/proc/self/mountinfo")
 

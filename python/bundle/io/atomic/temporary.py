@@ -20,20 +20,6 @@ from pathlib import Path
 
 from bundle.io.atomic.model_files import MODEL_FILES
 
-__all__ = [
-    "NEW",
-    "OLD",
-    "Temporary",
-    "holds_only_copies",
-    "is_same",
-    "is_temporary",
-    "lock",
-    "remove_leftovers",
-    "temporaries_in",
-    "temporary_file",
-    "temporary_folder",
-]
-
 NEW = "new"  # inside a temporary folder: the new model; after an exchange, the old model
 OLD = "old"  # inside a temporary folder: old files that were moved away one by one
 

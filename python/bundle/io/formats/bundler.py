@@ -36,8 +36,6 @@ from bundle.io.formats.read_options import ReadOptions
 from bundle.io.formats.text_numbers import Head
 from bundle.model.problem import Problem
 
-__all__ = ["FLIP", "LIST", "image_names", "read"]
-
 LIST = "list.txt"
 FLIP = np.array([1.0, -1.0, -1.0])
 """Diagonal of S, COLMAP's camera frame from Bundler's."""

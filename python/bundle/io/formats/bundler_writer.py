@@ -21,8 +21,6 @@ from bundle.model.problem import Problem
 from bundle.model.pycolmap.imported_source import imported_source
 from bundle.model.rotations import rotation_matrices
 
-__all__ = ["check", "moved_centers", "write", "write_beside"]
-
 
 def check(problem: Problem, path: Path) -> None:
     """Raise the error that :func:`write` would raise, or that list.txt would replace another's.

@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 from bundle.model.cameras import project
 from bundle.model.lenses.lens_fit import fit_lens
 
-__all__ = ["NUM_DIRECTIONS", "NUM_RADII", "FittedLens", "fitted_lens", "fitted_to_rays"]
-
 NUM_RADII = 48
 NUM_DIRECTIONS = 8
 

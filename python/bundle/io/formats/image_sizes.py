@@ -13,8 +13,6 @@ from bundle.errors import InputError, shown
 from bundle.io.database_images import database_sizes
 from bundle.io.formats.read_options import UNKNOWN, ReadOptions
 
-__all__ = ["HINT", "UNKNOWN_SIZES", "image_sizes"]
-
 HINT = f"give --image-size W,H, or --image-size {UNKNOWN}"
 UNKNOWN_SIZES = (
     "Image sizes are unknown: positions are relative to the principal point. "

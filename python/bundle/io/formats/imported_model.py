@@ -28,16 +28,6 @@ from bundle.model.problem import Problem
 from bundle.model.pycolmap.imported_source import ImportedSource
 from bundle.model.rotations import quaternion_from_matrix
 
-__all__ = [
-    "Imported",
-    "all_differ",
-    "by_camera",
-    "checked_rotations",
-    "pixels",
-    "poses_of",
-    "unique_keys",
-]
-
 Array = NDArray[np.float64]
 
 AGREEMENT = 1e-6

@@ -14,8 +14,6 @@ from bundle.base.records import dataclass
 from bundle.errors import InputError, brief, shown
 from bundle.io.formats.text_numbers import open_binary
 
-__all__ = ["Node", "parsed", "read_json"]
-
 
 @dataclass(frozen=True, slots=True)
 class Node:

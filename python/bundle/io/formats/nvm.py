@@ -45,8 +45,6 @@ from bundle.io.formats.text_numbers import Head, number_of
 from bundle.model.problem import Problem
 from bundle.model.rotations import quaternion_from_matrix, quaternion_rotate, rotation_matrices
 
-__all__ = ["SPACE", "read", "undistorted_scale"]
-
 _FIELDS = "f qw qx qy qz cx cy cz r 0"
 _FIELDS_R9T = "f r11 r12 r13 r21 r22 r23 r31 r32 r33 t1 t2 t3 r 0"
 _UNKNOWN_CENTER = (

@@ -27,8 +27,6 @@ from bundle.io.formats.written_tracks import (
 from bundle.model.problem import Problem
 from bundle.model.pycolmap.imported_source import imported_source
 
-__all__ = ["check", "write"]
-
 _NUM_RADII = 64
 
 

@@ -35,8 +35,6 @@ from bundle.io.formats.openmvg_cameras import KINDS, MvgCamera, as_model, projec
 from bundle.io.formats.read_options import ReadOptions
 from bundle.model.problem import Problem
 
-__all__ = ["FIRST", "read"]
-
 Array = NDArray[np.float64]
 FIRST = 1 << 31
 """Added to the number of a polymorphic type where its name is written."""

@@ -23,8 +23,6 @@ from numpy.typing import NDArray
 from bundle.base.records import dataclass
 from bundle.io.formats.json_fields import Node
 
-__all__ = ["KINDS", "MvgCamera", "as_model", "project", "read_camera"]
-
 Array = NDArray[np.float64]
 
 KINDS = {

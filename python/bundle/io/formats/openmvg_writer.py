@@ -17,8 +17,6 @@ from bundle.model.problem import Problem
 from bundle.model.pycolmap.imported_source import imported_source
 from bundle.model.rotations import rotation_matrices
 
-__all__ = ["check", "write"]
-
 _BLOCK = 1 << 14
 _TARGETS = {
     "SIMPLE_PINHOLE": "pinhole",

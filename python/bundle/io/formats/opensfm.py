@@ -36,8 +36,6 @@ from bundle.io.formats.read_options import ReadOptions
 from bundle.model.problem import Problem
 from bundle.model.rotations import quaternion_from_vector, quaternion_rotate
 
-__all__ = ["TRACKS", "chosen_reconstruction", "read"]
-
 TRACKS = "tracks.csv"
 Array = NDArray[np.float64]
 

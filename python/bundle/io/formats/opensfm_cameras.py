@@ -36,8 +36,6 @@ from bundle.errors import InputError
 from bundle.io.formats.fitted_lens import NUM_DIRECTIONS, NUM_RADII, fitted_lens, fitted_to_rays
 from bundle.io.formats.json_fields import Node
 
-__all__ = ["PRISM", "RADIAL", "Camera", "SfmCamera", "as_model", "project", "read_camera"]
-
 Array = NDArray[np.float64]
 
 _TWO_FOCALS = ("focal_x", "focal_y", "c_x", "c_y")

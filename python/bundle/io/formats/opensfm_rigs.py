@@ -28,8 +28,6 @@ from bundle.model.rig_arrays import placed, pose_differences
 from bundle.model.rigid_motions import inverse_poses, multiply_poses
 from bundle.model.rotations import quaternion_from_vector
 
-__all__ = ["RigFields", "rig_fields"]
-
 Array = NDArray[np.float64]
 _TOLERANCE = 1e-6
 

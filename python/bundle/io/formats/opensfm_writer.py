@@ -29,8 +29,6 @@ from bundle.model.problem import Problem
 from bundle.model.pycolmap.imported_source import imported_source
 from bundle.model.rotations import vector_from_quaternion
 
-__all__ = ["check", "write"]
-
 _SCALE = 0.004
 """Scale of a feature, relative to the image, where it is unknown."""
 

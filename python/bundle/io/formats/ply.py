@@ -18,8 +18,6 @@ from bundle.io.formats.written_tracks import colors_of
 from bundle.model.problem import Problem
 from bundle.model.rotations import rotate, rotation_matrices
 
-__all__ = ["write"]
-
 DEPTH = 0.05
 """Length of a frustum, relative to the median distance of points from the images."""
 

@@ -15,8 +15,6 @@ from bundle.errors import InputError, brief
 from bundle.interface.option_fields import choice
 from bundle.io.database_images import is_database
 
-__all__ = ["ORIGINS", "UNKNOWN", "ReadOptions"]
-
 UNKNOWN = "unknown"
 ORIGINS = ("center", "corner")
 

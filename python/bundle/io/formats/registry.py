@@ -23,16 +23,6 @@ from typing import Any
 from bundle.base.records import dataclass
 from bundle.errors import InputError, shown
 
-__all__ = [
-    "FOLDERS",
-    "Format",
-    "file_at",
-    "find_format",
-    "format_at",
-    "format_for_name",
-    "format_written",
-]
-
 GROUP = "bundle.formats"
 
 

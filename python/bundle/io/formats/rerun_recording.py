@@ -24,8 +24,6 @@ from bundle.io.formats.written_tracks import colors_of, names_of
 from bundle.model.lenses.exact_image import focal_and_center
 from bundle.model.problem import Problem
 
-__all__ = ["check", "write"]
-
 _STRAIGHT = {"SIMPLE_PINHOLE", "PINHOLE"}
 
 

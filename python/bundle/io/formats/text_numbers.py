@@ -12,8 +12,6 @@ from typing import BinaryIO, NoReturn, cast
 
 from bundle.errors import InputError, brief, shown
 
-__all__ = ["Head", "open_binary"]
-
 _BLOCK = 1 << 16
 _NUMBER = re.compile(rb"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
 _TOKEN = re.compile(rb"\S+")

@@ -22,8 +22,6 @@ from bundle.model.lenses.exact_image import exact_params
 from bundle.model.problem import Problem
 from bundle.model.rotations import rotation_matrices
 
-__all__ = ["check", "write"]
-
 _OPENGL = np.array([1.0, -1.0, -1.0])
 _TARGETS = ("OPENCV", "FULL_OPENCV", "OPENCV_FISHEYE")
 

@@ -21,17 +21,6 @@ from bundle.model.pycolmap.problem_source import (
     source_records,
 )
 
-__all__ = [
-    "camera_error",
-    "check_names",
-    "colors_of",
-    "common_losses",
-    "keys_of",
-    "names_of",
-    "write_rows",
-    "write_tracks",
-]
-
 Array = NDArray[np.float64]
 _BLOCK = 1 << 16
 

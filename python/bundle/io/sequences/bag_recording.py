@@ -23,8 +23,6 @@ from bundle.io.sequences.sensor_yaml import rostopic
 from bundle.model.sequence.recording import Recording
 from bundle.model.sequence.yaml_files import read_yaml
 
-__all__ = ["read_bag"]
-
 IMU = "sensor_msgs/msg/Imu"
 IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 # encodings with the number of their channels, and OpenCV's conversion to grey

@@ -17,8 +17,6 @@ from bundle.base.paths import numbered_lines
 from bundle.base.records import dataclass
 from bundle.errors import InputError, brief, shown
 
-__all__ = ["CsvTable", "csv_lines", "read_csv"]
-
 
 @dataclass(frozen=True, eq=False)
 class CsvTable:

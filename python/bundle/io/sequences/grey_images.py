@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 from bundle.base.optional_packages import require_package
 from bundle.errors import InputError, shown
 
-__all__ = ["GreyScale", "check_size", "decoded", "grey_images", "require_opencv"]
-
 # first bytes, and bytes near the end of a whole file
 _WHOLE = {b"\x89PNG": b"IEND", b"\xff\xd8\xff": b"\xff\xd9"}
 _TAIL = 4096  # bytes; cameras append data after the end of an image

@@ -27,8 +27,6 @@ from bundle.io.sequences.grey_images import grey_images
 from bundle.io.sequences.recording_calibration import find_calibration
 from bundle.model.sequence.recording import Recording
 
-__all__ = ["read_imu_csv", "read_mav"]
-
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".pgm", ".tif", ".tiff")
 
 

@@ -25,8 +25,6 @@ from bundle.model.rotations import quaternion_from_matrix
 from bundle.model.sequence.calibration import Calibration, load_calibration
 from bundle.model.sequence.yaml_files import read_yaml
 
-__all__ = ["FoundCalibration", "find_calibration"]
-
 RATES = {"camera": 20.0, "imu": 200.0}  # Hz, where stamps and files give no plausible rate
 
 

@@ -14,8 +14,6 @@ from bundle.io.sequences.mav_folder import read_mav
 from bundle.io.sequences.video_recording import read_video
 from bundle.model.sequence.recording import Recording
 
-__all__ = ["RecordingSource", "read_recording"]
-
 
 @dataclass(frozen=True)
 class RecordingSource:

@@ -29,8 +29,6 @@ from bundle.model.sequence.calibration import pose_numbers
 from bundle.model.sequence.imu_noise import ImuNoise
 from bundle.model.sequence.yaml_files import finite_numbers, one_number
 
-__all__ = ["CameraSensor", "ImuSensor", "camera_sensor", "imu_sensor", "kind_of_yaml", "rostopic"]
-
 Table = Mapping[Any, Any]
 
 _NOISE = {

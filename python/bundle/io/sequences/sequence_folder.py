@@ -35,14 +35,6 @@ from bundle.model.sequence.sequence import (
 )
 from bundle.model.sequence.sequence_findings import SequenceFinding, sequence_findings
 
-__all__ = [
-    "check_sequence_target",
-    "load_sequence",
-    "read_sequence",
-    "refuse_fatal",
-    "save_sequence",
-]
-
 IMU_HEAD = (
     "#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1],"
     "a_RS_S_x [m s^-2],a_RS_S_y [m s^-2],a_RS_S_z [m s^-2]"

@@ -25,8 +25,6 @@ from bundle.model.sequence.imu_noise import ImuNoise
 from bundle.model.sequence.sequence import Sequence
 from bundle.model.sequence.stamp_units import LATEST
 
-__all__ = ["read_track_csv"]
-
 _POSE = ("T_ci_qx", "T_ci_qy", "T_ci_qz", "T_ci_qw", "T_ci_tx", "T_ci_ty", "T_ci_tz")
 _FILTER_NOISE = ("gyr", "acc", "gyr_bias_walk", "acc_bias_walk")
 _ADIS16448 = ImuNoise(1.6968e-4, 2.0e-3, 1.9393e-5, 3.0e-3)

@@ -21,15 +21,6 @@ from bundle.io.atomic import atomic_write as atomic
 from bundle.io.sequences.csv_tables import csv_lines, read_csv
 from bundle.model.sequence.stamp_units import stamp_of_seconds
 
-__all__ = [
-    "Trajectory",
-    "load_ground_truth",
-    "load_trajectory",
-    "load_tum",
-    "save_ground_truth",
-    "save_tum",
-]
-
 _POSITION, _QUATERNION = ["px", "py", "pz"], ["qw", "qx", "qy", "qz"]
 _MOTION = ["vx", "vy", "vz", "bwx", "bwy", "bwz", "bax", "bay", "baz"]
 _GROUND_TRUTH_HEAD = "#timestamp [ns]," + ",".join([*_POSITION, *_QUATERNION, *_MOTION])

@@ -21,8 +21,6 @@ from bundle.io.sequences.grey_images import GreyScale, check_size
 from bundle.io.sequences.recording_calibration import find_calibration
 from bundle.model.sequence.recording import Recording
 
-__all__ = ["read_video"]
-
 COLUMNS = ["wx", "wy", "wz", "ax", "ay", "az"]
 SLACK = 2  # frames that a container may count and not hold
 

@@ -31,8 +31,6 @@ from bundle.georeference.image_index import last_part
 from bundle.model.pose_table import PoseTable
 from bundle.model.sequence.stamp_units import other_unit
 
-__all__ = ["FEWEST", "Association", "associate"]
-
 FEWEST = 3
 """Number of shared poses that an alignment needs."""
 

@@ -32,8 +32,6 @@ from bundle.io.pose_files import first_line
 from bundle.model.pose_errors import ErrorStatistics
 from bundle.model.problem import Problem
 
-__all__ = ["CheckPointEvaluation", "check_points_of"]
-
 KINDS = {
     "check": "check points, which had no influence on the alignment",
     "left_out": "control points, each left out in turn",

@@ -44,8 +44,6 @@ from bundle.model.pose_errors import (
 from bundle.model.pose_table import PoseTable
 from bundle.model.problem import Problem
 
-__all__ = ["Compare", "evaluate", "open_input"]
-
 MOST_IMAGES = 300
 """Number of images up to which sigmas "auto" computes the covariance of A."""
 

@@ -23,8 +23,6 @@ from bundle.judging.evaluation.pair_errors import PairErrors
 from bundle.judging.evaluation.shared_points import PointDifference
 from bundle.model.pose_errors import ErrorStatistics
 
-__all__ = ["Evaluation", "RelativeErrors", "SharedImage"]
-
 Array = NDArray[np.float64]
 
 

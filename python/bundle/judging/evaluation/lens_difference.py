@@ -33,8 +33,6 @@ from bundle.model.rotations import (
     rotation_matrices,
 )
 
-__all__ = ["LensDifference", "lens_differences"]
-
 COLUMNS = 24
 MOST_ITERATIONS = 30
 SMALLEST_STEP = 1e-14

@@ -54,8 +54,6 @@ from bundle.solving.gauge_freedom import gauge_freedom
 from bundle.solving.prepare import prepare
 from bundle.solving.request import SolveRequest
 
-__all__ = ["SigmaMovement", "movement_in_sigmas"]
-
 ANCHORS = 5
 RANK = 1e-12
 """Eigenvalues of a scaled covariance below this are rounding errors."""

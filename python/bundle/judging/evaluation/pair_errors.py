@@ -44,8 +44,6 @@ from numpy.typing import NDArray
 from bundle.base.records import dataclass
 from bundle.model.rotations import quaternion_inverse, quaternion_multiply, rotation_matrices
 
-__all__ = ["MOST_IMAGES", "THRESHOLDS", "PairErrors", "pair_errors"]
-
 Array = NDArray[np.float64]
 
 THRESHOLDS = (1, 3, 5, 10, 30)

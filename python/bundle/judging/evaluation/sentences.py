@@ -11,8 +11,6 @@ from bundle.base.words import number, plural
 from bundle.judging.evaluation.lens_difference import LensDifference
 from bundle.judging.evaluation.movement_in_sigmas import SigmaMovement
 
-__all__ = ["headline_of"]
-
 FAR = 3
 """Sigmas beyond which a movement is not explained by the uncertainty."""
 

@@ -17,8 +17,6 @@ from bundle.georeference.similarity import Similarity
 from bundle.model.pose_errors import ErrorStatistics
 from bundle.model.problem import Problem
 
-__all__ = ["PointDifference", "point_difference", "shared_points"]
-
 SAME_KEYPOINT = 0.01
 """Largest difference in x and y, in pixels, of keypoints with the same index."""
 

@@ -44,8 +44,6 @@ from bundle.model.pose_errors import ErrorStatistics, absolute_errors, angles_of
 from bundle.model.rigid_motions import inverse_poses
 from bundle.model.rotations import quaternion_inverse, quaternion_multiply
 
-__all__ = ["Compared", "findings_of", "size_of", "word_of"]
-
 IDENTICAL = (1e-9, 1e-12, 1e-6)
 AGREES, CLOSE, CONTRADICTS = (0.01, 1.0), (0.05, 5.0), (0.5, 45.0)
 """Limits of the position error relative to the size, and of the rotation error in degrees."""

@@ -24,8 +24,6 @@ from bundle.interface.finding import Finding
 from bundle.judging.findings.measured import Measured
 from bundle.model.problem import Problem
 
-__all__ = ["duplicate_points"]
-
 TENTHS = 10.0
 SHARE = 0.1
 FEWEST_PAIRS = 5

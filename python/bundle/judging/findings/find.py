@@ -42,8 +42,6 @@ if TYPE_CHECKING:
     from bundle.analysis.uncertainty.covariance_result import Covariance
     from bundle.georeference.point_check import SurveyChecks
 
-__all__ = ["find", "one_list"]
-
 IMPORTANCE = (
     *("shifted_pixels", "not_refined", "outliers", "lens_model", "weak_joint"),
     *("undetermined_intrinsics", "motion"),

@@ -45,8 +45,6 @@ from bundle.judging.findings.measured import Measured
 from bundle.model.cameras import camera_models, param_kinds
 from bundle.model.problem import Problem
 
-__all__ = ["focal_drift", "focal_lengths", "shared_lens", "undetermined_intrinsics"]
-
 UNDETERMINED = 0.05
 EQUAL, PAYS = 2.0, 4.0
 MOST_FUNCTIONS = 600

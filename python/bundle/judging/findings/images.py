@@ -59,8 +59,6 @@ from bundle.judging.findings.systematic import SystematicResiduals
 from bundle.model.problem import Problem
 from bundle.model.shutter_changes import can_roll
 
-__all__ = ["image_residuals", "motion"]
-
 RATIO, SIZE, LENS_SIZES = 4.0, 0.45, 8.0
 ROWS_AGAINST_COLUMNS = 1.5
 EXPLAINED = 0.5

@@ -46,8 +46,6 @@ from bundle.model.lenses.exact_image import exact_params
 from bundle.model.problem import Problem
 from bundle.model.rotations import cross_matrices, rotation_matrices
 
-__all__ = ["Step", "absorbed_lens", "chi2_tail", "is_cheap", "rms"]
-
 SIGNIFICANT = 1e-4
 """Probability of so large a T if the lens model is right."""
 LARGEST_MODELS = ("OPENCV", "OPENCV_FISHEYE")

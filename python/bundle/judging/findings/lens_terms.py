@@ -33,8 +33,6 @@ from bundle.interface.finding import Finding
 from bundle.judging.findings.measured import Measured
 from bundle.judging.findings.systematic import LEFT, LENS_TERMS, SystematicResiduals
 
-__all__ = ["LensField", "fields_of_lenses", "larger_models", "lens_model"]
-
 SIZE = 0.13
 FEWEST_ROWS = 100
 FEWEST_IMAGES_FOR_CLUSTERS = 10

@@ -30,8 +30,6 @@ if TYPE_CHECKING:
     from bundle.analysis.uncertainty.covariance_result import Covariance
     from bundle.georeference.point_check import SurveyChecks
 
-__all__ = ["SMALLEST_SCALE", "Measured", "median_by_group"]
-
 RAYLEIGH_MEDIAN = 1.1774100225154747
 SMALLEST_SCALE = 0.01
 MOST_OBSERVATIONS = 200_000

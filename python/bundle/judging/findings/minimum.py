@@ -25,8 +25,6 @@ from bundle.judging.findings.measured import SMALLEST_SCALE, Measured
 from bundle.model.losses import evaluate_loss
 from bundle.model.reprojection import linearize
 
-__all__ = ["not_refined", "shifted_pixels"]
-
 LEFT = 0.8
 SMALLEST_SHIFT, ALIKE = 10.0, 0.9
 MOST_OBSERVATIONS = 20_000

@@ -13,8 +13,6 @@ from collections.abc import Iterator, Sequence
 from bundle.base.records import dataclass
 from bundle.interface.camera_edit_options import RuleOptions
 
-__all__ = ["NextCommand"]
-
 REPEATED = {
     str(field.metadata["flag"])
     for field in dataclasses.fields(RuleOptions)

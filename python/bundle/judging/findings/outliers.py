@@ -23,8 +23,6 @@ from bundle.base.words import number, plural
 from bundle.interface.finding import Finding
 from bundle.judging.findings.measured import Measured
 
-__all__ = ["outliers"]
-
 BEYOND = 6.0
 COST_SHARE = 0.2
 GAP = 2.0

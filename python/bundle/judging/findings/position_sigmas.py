@@ -29,8 +29,6 @@ from bundle.judging.findings.measured import Measured
 from bundle.model.problem import Problem
 from bundle.model.rotations import cross_matrices, rotation_matrices
 
-__all__ = ["sigma_factors"]
-
 FEWEST_REDUNDANT = 10.0
 MOST_ROUNDS = 8
 TOO_LARGE = 10.0

@@ -40,8 +40,6 @@ from bundle.judging.findings.repaired import is_affordable
 from bundle.model.problem import Problem
 from bundle.model.rotations import quaternion_inverse, quaternion_rotate
 
-__all__ = ["is_tense", "measured_positions", "position_offset", "scale_drift"]
-
 GROUPS = ((slice(0, 2), 1.3863, 0.72), (slice(2, 3), 0.4549, 1.17))
 """Axes of a group, the median of their chi^2, and the relative standard error of the median length
 of n residuals, times the root of n."""

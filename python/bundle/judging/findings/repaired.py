@@ -24,8 +24,6 @@ import dataclasses
 from bundle.errors import InputError
 from bundle.judging.findings.measured import Measured
 
-__all__ = ["is_affordable", "repaired"]
-
 MOST_OBSERVATIONS, MOST_IMAGES = 50_000, 100
 MOST_STEPS = 50
 TOLERANCE = 1e-4

@@ -44,8 +44,6 @@ from bundle.model.cameras import param_kinds
 from bundle.model.problem import Problem
 from bundle.model.reprojection import linearize
 
-__all__ = ["LEFT", "LENS_TERMS", "ImageRows", "SystematicResiduals"]
-
 LENS_TERMS = ("r2", "r4", "r6", "t1", "t2", "a")
 IMAGE_TERMS = ("s", "a", "h")
 MOST_IMAGES = 100

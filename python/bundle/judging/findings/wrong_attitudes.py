@@ -30,8 +30,6 @@ from bundle.judging.findings.measured import Measured
 if TYPE_CHECKING:
     from bundle.georeference.attitudes import AttitudeErrors
 
-__all__ = ["wrong_attitudes"]
-
 RATIO = 2.0
 ERRORS = 3.0
 SPREAD = {"heading": 1.17, "gravity": 0.72, "orientation": 0.56}

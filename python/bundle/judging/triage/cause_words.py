@@ -10,8 +10,6 @@ from bundle.base.records import dataclass
 from bundle.base.words import change, duration, number
 from bundle.judging.triage.difference import Difference
 
-__all__ = ["TriageCause", "arrow", "asked", "effect", "pairs", "times", "word"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class TriageCause:

@@ -23,8 +23,6 @@ from bundle.judging.triage.structure_causes import (
     find_prior,
 )
 
-__all__ = ["CAUSES", "causes_of"]
-
 CAUSES = (
     "jacobian",
     "ordering",

@@ -19,8 +19,6 @@ from bundle.base.records import dataclass
 from bundle.interface.triage_options import TriageOptions
 from bundle.judging.triage.solve_facts import SolveFacts
 
-__all__ = ["Difference", "is_busy", "quotient"]
-
 Entry = Mapping[str, Any]
 
 WITHOUT_EFFECT = ("nullity", "covariance", "check_solution")

@@ -12,8 +12,6 @@ from typing import Any
 from bundle.base.records import dataclass
 from bundle.errors import InputError, brief
 
-__all__ = ["check_shape", "shape_of"]
-
 NUMBER, TEXT, FLAG, ANY = "a number", "a string", "true or false", "any value"
 KINDS: Mapping[str, Any] = {NUMBER: int | float, TEXT: str, FLAG: bool, ANY: object}
 

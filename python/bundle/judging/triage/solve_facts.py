@@ -15,8 +15,6 @@ from typing import Any
 
 from bundle.base.records import dataclass
 
-__all__ = ["SolveFacts", "flight_facts", "solve_facts"]
-
 Entry = Mapping[str, Any]
 
 SECONDS_PER_PREEMPTION = 0.005

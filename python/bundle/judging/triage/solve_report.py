@@ -16,8 +16,6 @@ from bundle.errors import InputError, brief, shown
 from bundle.judging.triage.report_shape import check_shape, shape_of
 from bundle.judging.triage.solve_facts import SolveFacts, flight_facts, solve_facts
 
-__all__ = ["SolveReport", "read_report", "same_input"]
-
 SCHEMA = 1
 MOST_DIGITS = 18
 COMMANDS = ("refine", "vio", "compare")

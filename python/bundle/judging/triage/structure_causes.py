@@ -6,8 +6,6 @@ from bundle.base.words import amount, number
 from bundle.judging.triage.cause_words import TriageCause, asked, pairs, times
 from bundle.judging.triage.difference import Difference
 
-__all__ = ["ORDERING_OPTIONS", "find_fill", "find_ordering", "find_prior"]
-
 ORDERING_OPTIONS = ("ordering", "linear_solver_ordering")
 DENSER, DENSE_STEP, HALF_CLIQUE = 1.5, 4.0, 0.5
 MORE_FILL, FAR_FROM_BEST, NEAR_BEST = 1.1, 2.0, 1.3

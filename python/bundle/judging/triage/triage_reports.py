@@ -21,8 +21,6 @@ from bundle.judging.triage.difference import THREADS, Difference
 from bundle.judging.triage.solve_report import SolveReport, read_report, same_input
 from bundle.judging.triage.triage_result import Quantity, Triage
 
-__all__ = ["triage"]
-
 QUANTITIES = (
     "columns",
     "measurements",

@@ -12,8 +12,6 @@ from bundle.interface.tabular import Tabular
 from bundle.judging.triage.cause_words import TriageCause
 from bundle.judging.triage.difference import quotient
 
-__all__ = ["Quantity", "Triage"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Quantity:

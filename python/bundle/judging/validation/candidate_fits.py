@@ -40,8 +40,6 @@ from bundle.solving.result import Result
 if TYPE_CHECKING:
     from bundle.solving.placed_problem import Prior
 
-__all__ = ["CandidateFit", "Fitting", "fit_candidates"]
-
 _MOST_SIDE_BY_SIDE = 1_000_000
 """Number of observations above which solves run one after another, each on all cores."""
 

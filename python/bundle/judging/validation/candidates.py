@@ -30,16 +30,6 @@ from bundle.interface.options import SolveOptions
 from bundle.model.cameras import camera_models, param_kinds, reach
 from bundle.model.problem import Problem
 
-__all__ = [
-    "SHARES",
-    "SHARING",
-    "Candidate",
-    "default_candidates",
-    "groups_of",
-    "tying_rules",
-    "with_cameras",
-]
-
 SHARING = {
     "size": "shared",
     "all": "one for all",

@@ -39,8 +39,6 @@ from numpy.typing import ArrayLike, NDArray
 from bundle.base.records import dataclass
 from bundle.errors import InputError
 
-__all__ = ["Decision", "DecisionRule", "decide", "jackknife"]
-
 _Floats = NDArray[np.float64]
 
 

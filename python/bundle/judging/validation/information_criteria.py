@@ -26,8 +26,6 @@ from numpy.typing import NDArray
 from bundle.interface.options import SolveOptions
 from bundle.model.losses import evaluate_loss
 
-__all__ = ["dispersion", "information_criteria"]
-
 
 def dispersion(lengths: NDArray[np.float64], options: SolveOptions) -> float:
     """Return s^2 from the lengths of residuals, in sigmas; NaN lengths do not count."""

@@ -31,8 +31,6 @@ from bundle.model.folds import are_repeated
 from bundle.model.problem import Problem
 from bundle.model.shutter_changes import can_roll
 
-__all__ = ["judged"]
-
 MOST_REPEATED = 0.5
 """Share of repeated measurements from which they take part in the decision."""
 

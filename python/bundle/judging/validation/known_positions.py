@@ -17,8 +17,6 @@ from bundle.solving.result import Result
 if TYPE_CHECKING:
     from bundle.solving.placed_problem import Prior
 
-__all__ = ["KnownErrors", "known_errors"]
-
 
 class KnownErrors(NamedTuple):
     """Root mean squares of distances in space, in the unit of the survey; NaN without any.

@@ -30,8 +30,6 @@ from bundle.solving.prepare import Prepared
 from bundle.solving.result import Result
 from bundle.solving.rounds.filtering import filter_observations
 
-__all__ = ["Certainty", "certainty", "position_sigmas"]
-
 LARGEST_ERROR = 8.0
 """Largest error of an observation, in medians of the errors."""
 

@@ -23,8 +23,6 @@ from numpy.typing import NDArray
 from bundle.model.problem import Problem
 from bundle.model.reprojection import linearize
 
-__all__ = ["MEDIAN_OF_TWO", "normalized_errors", "prediction_covariances", "squared_errors"]
-
 MEDIAN_OF_TWO = 2 * np.log(2.0)
 """Median of the chi-square distribution of two degrees of freedom."""
 

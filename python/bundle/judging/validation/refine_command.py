@@ -10,8 +10,6 @@ from bundle.judging.validation.candidates import Candidate, groups_of, tying_rul
 from bundle.model.problem import Problem
 from bundle.planning.comparison.command_line import command_line
 
-__all__ = ["refine_command"]
-
 
 def refine_command(
     problem: Problem,

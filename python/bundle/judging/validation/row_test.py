@@ -55,8 +55,6 @@ from bundle.judging.validation.shear_score import ShearScore, shear_score
 from bundle.model.folds import measurement_numbers
 from bundle.model.problem import Problem
 
-__all__ = ["FEWEST_OF_IMAGE", "RowTest", "row_test"]
-
 FEWEST_OF_IMAGE = 30
 """Number of observations that an image needs to take part."""
 

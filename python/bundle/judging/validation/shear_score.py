@@ -42,8 +42,6 @@ from bundle.model.point_elimination import SINGULAR, eliminate_points
 from bundle.model.problem import Problem
 from bundle.model.reprojection import linearize
 
-__all__ = ["ShearScore", "shear_score"]
-
 MOST_IMAGES = 80
 MOST_POINTS = 3000
 

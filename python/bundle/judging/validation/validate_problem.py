@@ -33,8 +33,6 @@ if TYPE_CHECKING:
     from bundle.solving.constraints.rules import Rule
     from bundle.solving.placed_problem import Prior
 
-__all__ = ["FEWEST_HELD_OUT", "MOST_CANDIDATES", "validate"]
-
 FEWEST_HELD_OUT = 50
 """Smallest number of held-out observations that can be compared."""
 

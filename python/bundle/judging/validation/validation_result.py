@@ -14,8 +14,6 @@ from bundle.judging.validation.candidates import SHARING, Candidate
 from bundle.judging.validation.decision import Decision, DecisionRule
 from bundle.judging.validation.row_test import RowTest
 
-__all__ = ["ValidatedCandidate", "Validation"]
-
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ValidatedCandidate:

@@ -14,8 +14,6 @@ from bundle.judging.validation.row_test import RowTest
 from bundle.judging.validation.validation_result import ValidatedCandidate
 from bundle.model.problem import Problem
 
-__all__ = ["Verdict", "verdict_of"]
-
 RELEVANT_RATIO = 1.5
 """Ratio of position sigmas that the headline mentions."""
 

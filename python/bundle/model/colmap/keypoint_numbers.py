@@ -14,8 +14,6 @@ from bundle.base.records import dataclass
 from bundle.errors import InputError
 from bundle.model.problem_arrays import ProblemArrays
 
-__all__ = ["KeypointNumbers", "number_keypoints"]
-
 _Indices = NDArray[np.int64]
 
 

@@ -22,8 +22,6 @@ from bundle.model.problem_arrays import ProblemArrays
 from bundle.model.pycolmap.problem_source import is_colmap, source_records
 from bundle.model.rigid_motions import multiply_as_colmap
 
-__all__ = ["NO_POINT", "ModelRecords", "check", "model_records"]
-
 MAX_POINT_ID = 2**63 - 1
 """The largest point id: ids are stored as signed numbers here."""
 

@@ -32,8 +32,6 @@ from bundle.model.colmap.source_records import (
 )
 from bundle.model.problem_arrays import ProblemArrays
 
-__all__ = ["check_rigs", "edited_rigs"]
-
 MAX_ID = 2**32 - 2
 """COLMAP's largest id; the next number marks a missing id."""
 

@@ -16,19 +16,6 @@ from numpy.typing import NDArray
 import bundle._core as _core
 from bundle.base.records import dataclass
 
-__all__ = [
-    "CAMERA",
-    "Contents",
-    "Datum",
-    "Frame",
-    "Pose",
-    "Sensor",
-    "SourceRecords",
-    "frame_of_image",
-    "is_trivial",
-    "records_of_model",
-]
-
 CAMERA = 0
 """Sensor type of a camera; 1 is an IMU."""
 

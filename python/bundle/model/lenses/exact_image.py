@@ -28,15 +28,6 @@ from numpy.typing import NDArray
 
 from bundle.model.cameras import param_kinds
 
-__all__ = [
-    "PERSPECTIVE",
-    "asymmetric_params",
-    "exact_params",
-    "extras_of",
-    "focal_and_center",
-    "is_symmetric",
-]
-
 _EXTRAS: dict[str, tuple[str, ...]] = {
     "SIMPLE_PINHOLE": (),
     "PINHOLE": (),

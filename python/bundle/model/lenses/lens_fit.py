@@ -46,9 +46,6 @@ from bundle.model.lenses.exact_image import (
 )
 from bundle.model.lenses.pixel_rays import angles, pixel_rays
 
-__all__ = ["LensFit", "LensRegion", "fit_lens", "lens_region"]
-
-
 GRID = 24
 """Pixels along each side of the grid."""
 

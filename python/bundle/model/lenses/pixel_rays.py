@@ -24,8 +24,6 @@ from numpy.typing import NDArray
 from bundle.model.cameras import project
 from bundle.model.lenses.exact_image import PERSPECTIVE, focal_and_center
 
-__all__ = ["angles", "pixel_rays"]
-
 MAX_ITERATIONS = 60
 MAX_HALVINGS = 12
 MAX_STEP = 0.3

@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     from bundle.model.problem import Problem
 
-__all__ = ["delete_observations_behind", "frames_of_images", "set_values", "update_errors"]
-
 _Mask = NDArray[np.bool_]
 
 

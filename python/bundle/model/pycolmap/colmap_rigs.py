@@ -17,8 +17,6 @@ from numpy.typing import NDArray
 from bundle.base.records import dataclass
 from bundle.errors import InputError
 
-__all__ = ["RigFields", "as_row", "cameras_of", "is_trivial", "rigs_of"]
-
 
 @dataclass(frozen=True)
 class RigFields:

@@ -22,8 +22,6 @@ from bundle.errors import InputError, first_line
 if TYPE_CHECKING:
     import pycolmap
 
-__all__ = ["DeferredSource"]
-
 
 class DeferredSource:
     """Source of a problem that was read from a COLMAP model; edited copies share it.

@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 from bundle.base.records import dataclass
 from bundle.model.colmap.source_records import SourceRecords
 
-__all__ = ["ImportedSource", "imported_source"]
-
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ImportedSource:

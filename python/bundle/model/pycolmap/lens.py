@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 from bundle.base.optional_packages import has_pycolmap
 from bundle.model.lenses.pixel_rays import pixel_rays
 
-__all__ = ["normalized", "pixel_directions"]
-
 
 def normalized(model: str, params: Sequence[float], xy: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return undistorted coordinates (N, 2) on the plane z = 1 of the camera.

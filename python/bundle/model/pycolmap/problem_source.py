@@ -35,19 +35,6 @@ from bundle.model.pycolmap.imported_source import ImportedSource
 if TYPE_CHECKING:
     import pycolmap
 
-__all__ = [
-    "LOST_SIGMAS",
-    "BalSource",
-    "Packed",
-    "beside_the_problem",
-    "is_colmap",
-    "is_reconstruction",
-    "is_source",
-    "packed",
-    "source_records",
-    "unpacked",
-]
-
 LOST_SIGMAS = "Sigmas of observations are left out."
 """Sentence about information that every file format loses."""
 

@@ -21,8 +21,6 @@ from bundle.model import rig_arrays
 from bundle.model.cameras import camera_models
 from bundle.model.pycolmap.colmap_rigs import as_row, rigs_of
 
-__all__ = ["fields_of"]
-
 MAX_POINT_ID = 2**63 - 1  # ids are stored as signed numbers here
 
 

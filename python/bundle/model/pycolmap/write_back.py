@@ -18,8 +18,6 @@ from bundle.model.colmap.model_records import ModelRecords, model_records
 from bundle.model.problem_arrays import ProblemArrays
 from bundle.model.pycolmap.problem_source import Packed, is_reconstruction, packed, unpacked
 
-__all__ = ["to_pycolmap"]
-
 
 def to_pycolmap(problem: ProblemArrays) -> pycolmap.Reconstruction:
     """Return a reconstruction: a copy of the source with every edit of the problem applied.

@@ -24,8 +24,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-__all__ = ["BadStretch", "bad_stretches", "is_bridged"]
-
 Array = np.ndarray[Any, Any]
 
 LONGEST_BRIDGE = 2.0  # s; over a longer stretch, depths and with them the scale get lost

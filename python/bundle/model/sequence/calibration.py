@@ -35,8 +35,6 @@ from bundle.model.rotations import quaternion_from_matrix
 from bundle.model.sequence.imu_noise import ImuNoise
 from bundle.model.sequence.yaml_files import finite_numbers, one_number, read_yaml
 
-__all__ = ["Calibration", "calibration_text", "load_calibration", "pose_numbers"]
-
 Array = NDArray[np.float64]
 
 _NOISE = (

@@ -8,8 +8,6 @@ from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
 from bundle.interface.option_fields import number
 
-__all__ = ["ImuNoise"]
-
 
 @dataclass(frozen=True, repr=False)
 class ImuNoise(Displayed):

@@ -8,8 +8,6 @@ from numpy.typing import ArrayLike, NDArray
 from bundle.base.arguments import as_array
 from bundle.errors import InputError
 
-__all__ = ["check_imu_samples", "suspected_units"]
-
 STANDARD_GRAVITY = 9.80665  # m/s^2
 # The average over a second is about |g| for a device that is not in free fall.
 LEAST_MEAN, MOST_MEAN = 0.7, 1.3

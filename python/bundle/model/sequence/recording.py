@@ -13,8 +13,6 @@ from bundle.errors import InputError
 from bundle.model.sequence.calibration import Calibration
 from bundle.model.sequence.sequence import Place, check_imu, check_overlap, check_stamp_units
 
-__all__ = ["Recording", "check_recording"]
-
 
 @dataclass(frozen=True, eq=False)
 class Recording:

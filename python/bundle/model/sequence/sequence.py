@@ -18,8 +18,6 @@ from bundle.model.sequence.calibration import Calibration
 from bundle.model.sequence.imu_samples import suspected_units
 from bundle.model.sequence.stamp_units import check_stamp_unit
 
-__all__ = ["Sequence", "check_imu", "check_overlap", "check_tracks"]
-
 Place = Callable[[int], str]
 
 FREE_FALL = 3.0  # m/s^2; a lower median is an error: no vehicle is in free fall for so long

@@ -12,8 +12,6 @@ from bundle.base.words import plural
 from bundle.model.sequence.bad_samples import LONGEST_BRIDGE, bad_stretches, is_bridged
 from bundle.model.sequence.sequence import Place, Sequence
 
-__all__ = ["SequenceFinding", "sequence_findings"]
-
 Array = NDArray[np.float64]
 
 GAP = 2.5  # a longer interval between samples, in sampling periods, counts as a gap

@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 
 from bundle.errors import InputError, brief
 
-__all__ = ["LATEST", "check_stamp_unit", "other_unit", "stamp_of_seconds"]
-
 _UNITS = {3: "microseconds", 6: "milliseconds", 9: "seconds"}
 """Units by the power of ten that converts them to nanoseconds."""
 

@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 
 from bundle.errors import InputError, brief, first_line, shown
 
-__all__ = ["finite_numbers", "one_number", "read_yaml"]
-
 
 def read_yaml(path: Path) -> dict[Any, Any]:
     """Read a file of keys with values.

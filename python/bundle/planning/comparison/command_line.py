@@ -13,8 +13,6 @@ from bundle.interface.pose_graph_options import PoseGraphOptions
 from bundle.planning.comparison.comparison_result import Comparison
 from bundle.planning.inspection.inspection_result import Inspection
 
-__all__ = ["command_line", "comparison_command", "recommended_command"]
-
 
 def command_line(
     options: SolveOptions | PoseGraphOptions, source: str = "INPUT", output: str = "OUTPUT"

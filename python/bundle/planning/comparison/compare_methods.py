@@ -45,8 +45,6 @@ from bundle.planning.comparison.profiles import PerformanceProfile, performance_
 from bundle.planning.comparison.recommendation import recommend
 from bundle.planning.comparison.work import Progress, Work
 
-__all__ = ["compare"]
-
 
 @overload
 def compare(

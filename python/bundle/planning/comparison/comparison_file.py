@@ -27,8 +27,6 @@ from bundle.planning.comparison.measured_run import Measurement, Prediction, Run
 from bundle.planning.comparison.method import Method
 from bundle.planning.comparison.profiles import PerformanceProfile
 
-__all__ = ["read_comparison"]
-
 Entry = Mapping[str, Any]
 _Kind = TypeVar("_Kind")
 

@@ -16,14 +16,6 @@ from bundle.planning.comparison.measured_run import Run
 from bundle.planning.comparison.method import Method
 from bundle.planning.comparison.profiles import PerformanceProfile
 
-__all__ = [
-    "AT_MINIMUM",
-    "GAPS",
-    "ComparedProblem",
-    "Comparison",
-    "Recommendation",
-]
-
 GAPS = (1e-2, 1e-3, 1e-5)
 """Relative distances to the best cost at which methods are compared by time."""
 

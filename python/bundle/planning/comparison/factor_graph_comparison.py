@@ -24,8 +24,6 @@ from bundle.planning.comparison.graph_runs import measure, recommend_run
 from bundle.planning.comparison.method import as_tuple, thread_counts
 from bundle.planning.inspection.factor_graph_inspection import inspect_factor_graph
 
-__all__ = ["compare_factor_graph"]
-
 SOLVERS = ("sparse_normal_cholesky", "dense_normal_cholesky", "square_root")
 TRUST_REGIONS = ("levenberg_marquardt", "gauss_newton", "dogleg", "subspace_dogleg")
 

@@ -20,8 +20,6 @@ from bundle.graphs.pose_graphs.information import checked_information
 from bundle.graphs.pose_graphs.lie_groups import compose, inverse
 from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
 
-__all__ = ["graph_distance"]
-
 LEAST_SIGMA0 = 1e-3
 """Least sigma0. Data without noise would make rounding errors many sigmas."""
 

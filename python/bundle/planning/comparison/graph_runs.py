@@ -13,8 +13,6 @@ from bundle.base.words import number, plural, seconds
 from bundle.errors import InputError
 from bundle.interface.compare_options import SECONDS_NOT_REPEATED
 
-__all__ = ["GraphRun", "best_cost", "measure", "recommend_run"]
-
 NEAR_ENOUGH = 1.15
 """Factor of the shortest time within which methods count as equally fast."""
 

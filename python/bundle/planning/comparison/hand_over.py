@@ -17,8 +17,6 @@ from bundle.model.estimates import estimates, with_estimates
 from bundle.model.problem import Problem
 from bundle.model.rolling_shutter import RollingShutter
 
-__all__ = ["restore", "restore_solution", "store", "store_solution"]
-
 _REST = "problem.json"
 
 

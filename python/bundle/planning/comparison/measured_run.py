@@ -16,8 +16,6 @@ from bundle.base.words import change, number, seconds
 from bundle.interface.summary import Summary
 from bundle.planning.comparison.method import Method
 
-__all__ = ["Measurement", "Prediction", "Run", "Spread"]
-
 Trace = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 

@@ -21,9 +21,6 @@ from bundle.interface.compare_options import (
 from bundle.interface.option_fields import number
 from bundle.interface.options import SolveOptions
 
-__all__ = ["ITERATIVE", "Method", "as_tuple", "expand", "thread_counts"]
-
-
 _USUAL = "levenberg_marquardt"
 ITERATIVE = ("iterative_schur", "cgnr")
 

@@ -20,8 +20,6 @@ from bundle.planning.comparison.method import Method
 from bundle.planning.comparison.process import WorkerEnd
 from bundle.planning.comparison.solution_distance import SolutionDistance
 
-__all__ = ["SAME", "find_minima"]
-
 SAME = 1.0
 """Distance in sigmas up to which two solutions are at the same minimum."""
 

@@ -27,8 +27,6 @@ from bundle.model.rotations import (
     quaternion_rotate,
 )
 
-__all__ = ["perturbed"]
-
 Array = NDArray[np.float64]
 
 _FOCAL = ("f", "fx", "fy")

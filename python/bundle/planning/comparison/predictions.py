@@ -14,8 +14,6 @@ from bundle.planning.inspection.inspection_result import Inspection, MethodInspe
 from bundle.planning.inspection.problem_inspection import inspect
 from bundle.solving.solve import solve
 
-__all__ = ["foresee", "predict", "taken_by_auto"]
-
 
 def predict(
     problem: Problem, options: SolveOptions, methods: Iterable[Method]

@@ -22,8 +22,6 @@ from bundle.base.memory_sizes import format_size
 from bundle.base.records import dataclass
 from bundle.planning.comparison import process_memory
 
-__all__ = ["WorkerEnd", "run_worker", "worker_command"]
-
 SECONDS_BETWEEN_LOOKS = 0.05
 SECONDS_TO_END = 10.0
 _MEMORY_WORDS = re.compile(

@@ -25,15 +25,6 @@ from pathlib import Path
 
 import bundle._core as _core
 
-__all__ = [
-    "available_memory",
-    "go_first_when_memory_ends",
-    "limit_growth",
-    "peak_memory",
-    "resident_memory",
-    "restart_peak",
-]
-
 _MIB = 2**20
 _BLAS_BUFFER = 128 * _MIB
 _ARENAS = 64 * _MIB

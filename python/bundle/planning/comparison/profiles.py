@@ -19,8 +19,6 @@ from collections.abc import Mapping, Sequence
 from bundle.base.records import dataclass
 from bundle.planning.comparison.method import Method
 
-__all__ = ["PerformanceProfile", "performance_profiles"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class PerformanceProfile:

@@ -14,15 +14,6 @@ from bundle.planning.comparison.comparison_result import Comparison, Recommendat
 from bundle.planning.comparison.measured_run import Prediction, Run
 from bundle.planning.comparison.method import ITERATIVE, Method
 
-__all__ = [
-    "COST_TOLERANCE",
-    "NEAR_ENOUGH",
-    "reached_best",
-    "reason_on_many",
-    "reason_on_one",
-    "recommend",
-]
-
 
 def reason_on_one(comparison: Comparison, method: Method, tolerance: float) -> str:
     """Return text: "SPARSE_SCHUR: S is 14 % full, AMD needs 2.1e9 flops per step; DENSE_SCHUR ...".

@@ -37,8 +37,6 @@ from bundle.model.problem import Problem
 from bundle.model.residuals import residuals
 from bundle.planning.comparison.hand_over import restore_solution
 
-__all__ = ["Distance", "SolutionDistance"]
-
 MOST_POINTS = 0.002
 """Largest share of points that are left out."""
 

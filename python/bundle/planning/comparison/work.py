@@ -30,8 +30,6 @@ from bundle.planning.comparison.perturbed_start import perturbed
 from bundle.planning.comparison.predictions import foresee, predict
 from bundle.planning.comparison.process import WorkerEnd, run_worker
 
-__all__ = ["Progress", "Work"]
-
 TIGHT = {
     "max_num_iterations": 200,
     "function_tolerance": 1e-12,

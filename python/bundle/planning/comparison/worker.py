@@ -31,8 +31,6 @@ from bundle.planning.comparison.hand_over import restore, restore_solution, stor
 from bundle.solving.result import Result
 from bundle.solving.solve import solve
 
-__all__ = ["main"]
-
 SECONDS_BETWEEN_REPORTS = 0.1
 
 

@@ -21,9 +21,6 @@ from bundle.planning.inspection.problem_pattern import (
 )
 from bundle.planning.inspection.rates import FactorRate, Rates
 
-__all__ = ["calibrate", "make_scene"]
-
-
 _FOCAL, _DEPTH, _NOISE = 500.0, 10.0, 0.5
 
 

@@ -18,8 +18,6 @@ from bundle.planning.inspection.problem_pattern import (
     count_factor,
 )
 
-__all__ = ["FactorCounter", "FactorizedSystem"]
-
 # Largest number of entries of the full pattern for which AMD takes only seconds.
 MOST_ENTRIES_FOR_AMD = _core.MOST_ENTRIES_FOR_AMD
 

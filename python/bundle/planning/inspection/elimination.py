@@ -17,8 +17,6 @@ from itertools import combinations
 
 from bundle.base.records import dataclass
 
-__all__ = ["EliminationStep", "eliminate", "minimum_degree_order"]
-
 Edge = tuple[int, int]
 
 

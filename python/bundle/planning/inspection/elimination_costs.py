@@ -24,8 +24,6 @@ from bundle.planning.inspection.graph_inspection import pattern_of_edges
 from bundle.planning.inspection.peak_memory import Terms, total
 from bundle.planning.inspection.problem_pattern import count_dense
 
-__all__ = ["CONVENTION", "ORDERINGS", "EliminationCost", "advise", "elimination_costs", "with_time"]
-
 CONVENTION = (
     "Nonzeros count both triangles and the diagonal; those of the factor L, its lower triangle "
     "with the diagonal."

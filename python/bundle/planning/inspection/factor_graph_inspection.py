@@ -31,8 +31,6 @@ from bundle.planning.inspection.factor_graph_time import factor_work, step_terms
 from bundle.planning.inspection.machine_rates import factor_graph_rates
 from bundle.planning.inspection.peak_memory import Terms
 
-__all__ = ["FactorGraphInspection", "inspect_factor_graph"]
-
 MOST_DENSE_COLUMNS = 100
 """Free coordinates up to which a solve takes a dense matrix (``cpp/core/ceres/solve_graph.cpp``).
 """

@@ -34,8 +34,6 @@ from bundle.planning.inspection.fitted_rates import fit_rates
 from bundle.planning.inspection.graph_rates import made_graph
 from bundle.planning.inspection.peak_memory import Terms
 
-__all__ = ["FEATURES", "FactorWork", "calibrate_factor_graphs", "factor_work", "step_terms"]
-
 FEATURES = (
     *("step", "entry", "block_product", "product_flop"),
     *("value", "flop", "panel_value", "panel_flop"),

@@ -19,15 +19,6 @@ from bundle.base.arguments import as_integers
 from bundle.base.records import dataclass
 from bundle.errors import InputError, brief, shown
 
-__all__ = [
-    "GraphFile",
-    "as_block_sizes",
-    "as_edges",
-    "as_names",
-    "as_variables",
-    "load_graph",
-]
-
 
 @dataclass(frozen=True)
 class GraphFile:

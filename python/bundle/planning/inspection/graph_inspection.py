@@ -25,8 +25,6 @@ from bundle.planning.inspection.graph_input import (
     as_variables,
 )
 
-__all__ = ["GRAPH_ORDERINGS", "GraphInspection", "inspect_graph", "pattern_of_edges"]
-
 # Largest number of neighbour pairs for which steps are recorded by default. This takes about a
 # second: some hundred variables, or thousands with little fill-in.
 MOST_PAIRS_TO_RECORD = 2_000_000

@@ -41,16 +41,6 @@ from bundle.planning.inspection.fitted_rates import fit_rates
 from bundle.planning.inspection.graph_inspection import pattern_of_edges
 from bundle.planning.inspection.peak_memory import Terms
 
-__all__ = [
-    "GraphRates",
-    "calibrate_graphs",
-    "free_pairs",
-    "made_graph",
-    "panel_work",
-    "step_terms",
-    "step_time",
-]
-
 NEAR_CACHE, FAR_CACHE = 1e6, 24e6
 """Bytes from which data leave the second-level cache, and the share of a third-level cache of 32 MB
 that a solve may expect."""

@@ -9,8 +9,6 @@ from bundle.base.words import number, plural
 from bundle.interface.tabular import Tabular
 from bundle.planning.inspection.peak_memory import Terms
 
-__all__ = ["Inspection", "MethodInspection"]
-
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class MethodInspection(Displayed):

@@ -28,8 +28,6 @@ from bundle.planning.inspection.factor_graph_time import calibrate_factor_graphs
 from bundle.planning.inspection.graph_rates import FEATURES, GraphRates, calibrate_graphs
 from bundle.planning.inspection.rates import FactorRate, Rates, implausible
 
-__all__ = ["cache_path", "factor_graph_rates", "graph_rates", "machine_rates"]
-
 RATE_NAMES = tuple(field.name for field in dataclasses.fields(Rates))
 
 KERNELS = 4

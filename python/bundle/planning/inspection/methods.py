@@ -6,8 +6,6 @@ import bundle._core as _core
 from bundle.base.records import dataclass
 from bundle.interface.options import PRECONDITIONER_TYPES
 
-__all__ = ["ORDERINGS", "Method", "all_methods"]
-
 ORDERINGS = ("natural", "amd", "colamd", "metis", "nesdis")
 """Orders of the blocks of S, as a report lists them."""
 

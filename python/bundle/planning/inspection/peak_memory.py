@@ -12,8 +12,6 @@ import math
 from bundle.planning.inspection.counts import FactorizedSystem
 from bundle.planning.inspection.problem_pattern import ProblemPattern
 
-__all__ = ["ON_DISK", "Terms", "ceres_memory", "fused_memory", "total"]
-
 Terms = dict[str, float]
 """Bytes by purpose."""
 

@@ -25,8 +25,6 @@ from bundle.planning.inspection.elimination_costs import (
 from bundle.planning.inspection.graph_rates import free_pairs, panel_work, step_terms
 from bundle.planning.inspection.machine_rates import graph_rates
 
-__all__ = ["PoseGraphInspection", "inspect_pose_graph"]
-
 ORDERINGS = ("natural", "amd", "metis")
 """Orders that a solve offers."""
 

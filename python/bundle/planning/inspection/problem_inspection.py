@@ -43,8 +43,6 @@ from bundle.planning.inspection.step_time import (
 )
 from bundle.solving.layout import resolve_defaults
 
-__all__ = ["inspect"]
-
 
 @overload
 def inspect(

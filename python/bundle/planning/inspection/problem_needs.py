@@ -22,8 +22,6 @@ from bundle.base.memory_sizes import SHARE_OF_FREE_MEMORY
 from bundle.base.records import dataclass
 from bundle.solving.slices.scratch_size import RESIDENT_BYTES, scratch_bytes
 
-__all__ = ["MOST_OBSERVATIONS", "ProblemNeeds", "needs_of"]
-
 MOST_OBSERVATIONS = (2**31 - 1) // 2
 """Observations of one solve (``RefuseTooLarge`` in cpp/core/prepare/prepare.cpp)."""
 

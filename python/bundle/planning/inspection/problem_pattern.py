@@ -25,16 +25,6 @@ from bundle.base.records import dataclass
 from bundle.interface.options import SolveOptions
 from bundle.model.problem import Problem
 
-__all__ = [
-    "BlockPattern",
-    "FactorCount",
-    "PlanSize",
-    "ProblemPattern",
-    "count_dense",
-    "count_factor",
-    "find_pattern",
-]
-
 Sizes = NDArray[np.int32]
 
 PROFILE_BINS = 200

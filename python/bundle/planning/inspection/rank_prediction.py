@@ -52,17 +52,6 @@ from bundle.planning.inspection.problem_pattern import BlockPattern, find_patter
 from bundle.solving.layout import resolve_defaults
 from bundle.solving.ranks.partition import divide
 
-__all__ = [
-    "NETWORK",
-    "PAYS",
-    "RankLimit",
-    "RankPrediction",
-    "find_rank_limit",
-    "predict_ranks",
-    "step_bytes",
-]
-
-
 NETWORK = (10.0, 50.0)
 """Assumed network: 10 Gbit/s Ethernet with 50 microseconds of latency."""
 

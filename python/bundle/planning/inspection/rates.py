@@ -9,8 +9,6 @@ from __future__ import annotations
 
 from bundle.base.records import dataclass
 
-__all__ = ["FactorRate", "Rates", "implausible"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class FactorRate:

@@ -7,8 +7,6 @@ from collections.abc import Sequence
 from bundle.base.memory_sizes import format_size
 from bundle.planning.inspection.inspection_result import MethodInspection
 
-__all__ = ["explain", "recommend"]
-
 
 def recommend(methods: Sequence[MethodInspection]) -> int:
     """Return the index of the fastest method that is available and fits; -1 if none fits."""

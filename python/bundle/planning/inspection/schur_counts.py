@@ -18,9 +18,6 @@ from __future__ import annotations
 
 from bundle.base.records import dataclass
 
-__all__ = ["SchurCounts", "count_schur"]
-
-
 CAMERA_SIZE, POINT_SIZE = 6, 3
 
 

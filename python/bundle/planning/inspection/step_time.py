@@ -9,16 +9,6 @@ from bundle.planning.inspection.peak_memory import Terms
 from bundle.planning.inspection.problem_pattern import FactorCount, ProblemPattern
 from bundle.planning.inspection.rates import FactorRate, Rates
 
-__all__ = [
-    "COARSE_FACTOR_SHARE",
-    "ceres_time",
-    "factor_rate",
-    "fused_time",
-    "implicit_time",
-    "passes_per_step",
-    "products_per_step",
-]
-
 PRODUCTS_PER_STEP, PRODUCTS_WITH_TWO_LEVELS = 200, 80
 """Assumed products with S per step by conjugate gradients. Measurements range from 2 to 500,
 most of them in late steps; with two levels from 2 to 100 (cpp/core/prepare/choose_solver.cpp).

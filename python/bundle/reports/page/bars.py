@@ -9,8 +9,6 @@ from html import escape
 from bundle.figures.marks import Bars, Matrix, StackedBars
 from bundle.reports.page.page import tag
 
-__all__ = ["COLOURS", "bars", "matrix", "stacked_bars"]
-
 COLOURS = 10
 """Colours of a page, ``--c0`` and so on."""
 

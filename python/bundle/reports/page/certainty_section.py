@@ -18,8 +18,6 @@ from bundle.reports.page.projection_section import projection_sections
 from bundle.reports.page.scene_section import packed
 from bundle.reports.sections import Section, Table
 
-__all__ = ["certainty_sections", "scene_ellipsoids"]
-
 MOST_ELLIPSOIDS = 400
 LARGE = 0.02
 """Median half axis of the drawn ellipsoids, in units of the view."""

@@ -18,8 +18,6 @@ from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.reports.sections import Section, Table
 from bundle.reports.terminal.certificate_facts import certificate_sentences
 
-__all__ = ["certificate_sections"]
-
 LEGEND = (
     "The eigenvalue is the smallest one of the certificate matrix, 0 up to rounding if certified; "
     "the next one tells how isolated the optimum is. F: chordal cost, without a factor 1/2."

@@ -20,8 +20,6 @@ from bundle.reports.page.page import heading, tag, write_page
 from bundle.reports.page.svg import grid
 from bundle.reports.page.table import table
 
-__all__ = ["write_check"]
-
 MOST_COLUMNS = 24
 """Number of columns of a map of errors; further right columns are left out."""
 MOST_ROWS = 40

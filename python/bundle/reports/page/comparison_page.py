@@ -23,8 +23,6 @@ from bundle.reports.page.svg import grid
 from bundle.reports.page.table import Notes, convention, table
 from bundle.reports.terminal.compare_verdict import findings, headline, sigmas
 
-__all__ = ["write_comparison"]
-
 
 def write_comparison(
     comparison: Comparison | GraphComparison, path: str | os.PathLike[str]

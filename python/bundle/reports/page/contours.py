@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 
 from bundle.reports.page.page import tag
 
-__all__ = ["contour", "contours"]
-
 Array = NDArray[np.float64]
 
 CORNERS = np.array([(0.5, 0.5), (1.5, 0.5), (1.5, 1.5), (0.5, 1.5)])

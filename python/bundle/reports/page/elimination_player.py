@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from bundle.planning.inspection.elimination import EliminationStep
     from bundle.planning.inspection.graph_inspection import GraphInspection
 
-__all__ = ["MOST_VARIABLES", "elimination_data", "elimination_section", "order_name"]
-
 # A larger graph would be unreadable on the page.
 MOST_VARIABLES = 120
 LARGEST_LABELLED = 60

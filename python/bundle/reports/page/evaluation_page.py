@@ -25,8 +25,6 @@ from bundle.reports.page.page import tag, write_page
 from bundle.reports.page.svg import grid
 from bundle.reports.page.table import table
 
-__all__ = ["write_evaluation"]
-
 ROWS = 12
 MOST_IMAGES = 500
 MOST_LENSES = 4

@@ -14,8 +14,6 @@ from bundle.reports.page.section_markup import rendered
 from bundle.reports.sections import Section
 from bundle.reports.terminal.graph_costs import run_table
 
-__all__ = ["write_graph_comparison"]
-
 
 def write_graph_comparison(
     found: GraphComparison, path: str | os.PathLike[str], name: str = "", orders_only: bool = False

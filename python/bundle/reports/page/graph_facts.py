@@ -31,8 +31,6 @@ from bundle.planning.inspection.problem_inspection import inspect
 from bundle.reports.terminal.graph_headline import graph_headline
 from bundle.reports.terminal.inputs import contents_of_graph
 
-__all__ = ["GraphFacts", "facts_of_factor_graph", "facts_of_pose_graph"]
-
 Floats = NDArray[np.float64]
 
 ODOMETRY, CLOSURE = "odometry", "closure"

@@ -25,8 +25,6 @@ from bundle.reports.sections import Section, Table
 if TYPE_CHECKING:
     from bundle.planning.inspection.graph_inspection import GraphInspection
 
-__all__ = ["write_graph"]
-
 
 def write_graph(graphs: Sequence[GraphInspection], path: str | os.PathLike[str]) -> None:
     """Write the page of a graph under one or several elimination orders."""

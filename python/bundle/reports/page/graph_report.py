@@ -35,8 +35,6 @@ from bundle.reports.page.scene_section import scene_script
 from bundle.reports.page.section_markup import findings_list, rendered
 from bundle.reports.sections import Section, Table
 
-__all__ = ["error_kinds", "structure_section", "write_graph_report"]
-
 MOST_EDGES = 15
 """Number of edges with the largest chi2 in the table."""
 

@@ -15,8 +15,6 @@ from bundle.figures.scene_view import SceneView
 from bundle.reports.page.graph_facts import GraphFacts
 from bundle.reports.page.scene_section import packed, scene_data, scene_section
 
-__all__ = ["graph_scene"]
-
 MOST_FRAMES = 1500
 MOST_POINTS, MOST_LINES = 60_000, 60_000
 

@@ -34,8 +34,6 @@ from bundle.reports.page.section_markup import rendered
 from bundle.reports.sections import Section
 from bundle.reports.terminal.inputs import contents_of_graph
 
-__all__ = ["write_graph_structure"]
-
 STEPPED = ("natural", "reverse", "minimum_degree", *ORDERINGS[1:])
 
 MOST_DRAWN = 20_000

@@ -16,8 +16,6 @@ from bundle.reports.page.pictures import Photograph, photograph
 from bundle.reports.page.table import rounded
 from bundle.reports.sections import Section, Table
 
-__all__ = ["MOST_CLICKED", "Photographs", "image_data", "worst_section"]
-
 SHAPE = 0.02
 """Relative difference up to which two aspect ratios count as equal."""
 

@@ -42,8 +42,6 @@ from bundle.reports.page.subgraph import image_graph
 from bundle.reports.page.table import CONVENTION, Notes
 from bundle.reports.sections import Section, Table
 
-__all__ = ["write_inspection"]
-
 STEPPED = ("natural", "minimum_degree")
 MOST_EDGES = 1500
 # Number of methods that are shown; the other methods are folded away.

@@ -16,8 +16,6 @@ from bundle.model.cameras import camera_models, param_kinds
 from bundle.model.problem import Problem
 from bundle.reports.sections import Section, Table
 
-__all__ = ["MOST_LENSES", "lens_sections"]
-
 MOST_LENSES = 200
 """Number of cameras whose curves and focal lengths are drawn."""
 

@@ -12,8 +12,6 @@ from bundle.figures.matplotlib.matrix_pattern import MatrixPattern
 from bundle.reports.page.page import tag
 from bundle.reports.page.pictures import data_uri
 
-__all__ = ["matrix", "orderings"]
-
 PIXELS = 400
 
 

@@ -17,8 +17,6 @@ from bundle.reports.page.page import write_page
 from bundle.reports.page.section_markup import rendered
 from bundle.reports.sections import Section, Table
 
-__all__ = ["write_odometry"]
-
 SECTIONS = {
     "Trajectory": ("path", "error"),
     "Work": ("times", "steps", "costs", "sizes", "fill"),

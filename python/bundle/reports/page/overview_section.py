@@ -20,8 +20,6 @@ from bundle.reports.terminal.solve_data import ERRORS, ROUNDS
 from bundle.solving.headline import edit_facts
 from bundle.solving.result import Result
 
-__all__ = ["contents_of", "residual_section", "solve_sections"]
-
 
 def contents_of(problem: Problem) -> str:
     """Return what a problem contains, in words."""

@@ -15,8 +15,6 @@ from bundle.io.atomic import atomic_write as atomic
 from bundle.io.atomic.special_paths import is_stream
 from bundle.io.file_names import PAGE, check_name
 
-__all__ = ["as_json", "asset", "heading", "tag", "write_page"]
-
 # The browser may load only content of the page itself; it enforces this for any data.
 POLICY = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data:"
 VOID = {"img", "input", "meta"}

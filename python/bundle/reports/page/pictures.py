@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 from bundle.base.optional_packages import allow_heic
 from bundle.base.records import dataclass
 
-__all__ = ["Photograph", "data_uri", "photograph", "png"]
-
 WIDEST = 520
 QUALITY = 72
 

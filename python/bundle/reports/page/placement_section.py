@@ -12,8 +12,6 @@ from bundle.figures.placement_errors import Placement
 from bundle.figures.placement_figures import plan_figure, position_figure, target_figure
 from bundle.reports.sections import Section, Table
 
-__all__ = ["placement_sections"]
-
 ROWS = 12
 
 

@@ -14,8 +14,6 @@ from bundle.figures.marks import Line
 from bundle.planning.inspection.rank_prediction import RankPrediction, find_rank_limit
 from bundle.reports.sections import Section, Table
 
-__all__ = ["processes_section"]
-
 
 def processes_section(
     predictions: Sequence[RankPrediction], network: tuple[float, float]

@@ -10,8 +10,6 @@ from bundle.figures.projection_uncertainty import ProjectionUncertainty
 from bundle.reports.page.table import rounded
 from bundle.reports.sections import Section
 
-__all__ = ["projection_data", "projection_sections"]
-
 WORDS = (
     "Standard deviation of the pixel of a point that is fixed to the camera, in the worst "
     "direction, from the noise of the measurements (mrcal's projection uncertainty). Errors of the "

@@ -18,8 +18,6 @@ from bundle.reports.page.graph_report import write_graph_report
 from bundle.reports.page.report_page import write_report
 from bundle.solving.result import Result
 
-__all__ = ["report"]
-
 
 def report(
     source: Source | Result | PoseGraph | PoseGraphResult | FactorGraph,

@@ -12,8 +12,6 @@ from bundle.judging.findings.next_command import NextCommand
 from bundle.model.problem import Problem
 from bundle.solving.result import Result
 
-__all__ = ["report_findings"]
-
 
 def report_findings(
     problem: Problem,

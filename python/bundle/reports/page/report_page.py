@@ -71,8 +71,6 @@ if TYPE_CHECKING:
     from bundle.solving.constraints.rules import Rule
     from bundle.solving.placed_problem import Prior
 
-__all__ = ["write_report"]
-
 MOST_EDGES = 1500
 LARGEST, SIZE_OF_POINT = 4.2e6, 20.0
 """Bytes for photographs on a page without points, and bytes of a point of the 3-D view."""

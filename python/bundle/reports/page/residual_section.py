@@ -12,8 +12,6 @@ from bundle.figures.row_residuals import RowResiduals, row_figure
 from bundle.reports.page.table import rounded
 from bundle.reports.sections import Section
 
-__all__ = ["field_data", "field_sections"]
-
 FEW_IDS = 4
 
 

@@ -17,8 +17,6 @@ from bundle.figures.axes import short
 from bundle.figures.scene_view import SceneView
 from bundle.reports.page.page import asset, tag
 
-__all__ = ["Shades", "packed", "scene_data", "scene_script", "scene_section", "upper_limit"]
-
 FRUSTUM = 0.08
 """Depth of a drawn camera, relative to the extent of the scene."""
 

@@ -12,8 +12,6 @@ from bundle.reports.page.svg import draw
 from bundle.reports.page.table import declared
 from bundle.reports.sections import Section, Table
 
-__all__ = ["findings_list", "rendered"]
-
 MOST_FINDINGS = 3
 MOST_DETAILS = 3
 

@@ -16,8 +16,6 @@ from bundle.reports.terminal.shutter_tables import (
 )
 from bundle.solving.result import Result
 
-__all__ = ["shutter_data", "shutter_section"]
-
 
 def shutter_section(
     problem: Problem, result: Result | None, covariance: Covariance | None

@@ -8,8 +8,6 @@ from bundle.figures.covisibility_graph import CovisibilityGraph, covisibility_fi
 from bundle.figures.track_statistics import TrackStatistics, angle_figure, length_figure
 from bundle.reports.sections import Section, Table
 
-__all__ = ["structure_section"]
-
 
 def structure_section(
     description: Description, tracks: TrackStatistics, graph: CovisibilityGraph

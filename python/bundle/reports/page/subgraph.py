@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 from bundle.analysis.statistics.covisibility import shared_points
 from bundle.model.problem import Problem
 
-__all__ = ["best_connected", "image_graph", "spread"]
-
 MOST_IMAGES = 24
 # Edges per image that are enough for visible fill-in.
 ENOUGH = 1.5

@@ -27,8 +27,6 @@ from bundle.reports.page.bars import COLOURS, bars, matrix, stacked_bars
 from bundle.reports.page.page import tag
 from bundle.reports.page.svg_planes import plane
 
-__all__ = ["BOTTOM", "HEIGHT", "LEFT", "RIGHT", "TOP", "WIDTH", "draw", "drawing", "grid"]
-
 WIDTH, HEIGHT = 480, 320
 LEFT, RIGHT, TOP, BOTTOM = 58, 12, 10, 44
 DASHES = (None, "7 4", "2 3", "9 3 2 3")

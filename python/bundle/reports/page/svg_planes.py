@@ -15,8 +15,6 @@ from bundle.reports.page.contours import contours
 from bundle.reports.page.page import tag
 from bundle.reports.page.pictures import data_uri
 
-__all__ = ["plane"]
-
 WIDTH = 400.0
 PAD = 2.0
 BELOW = 18.0

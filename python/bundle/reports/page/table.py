@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from bundle.reports.page.page import tag
 from bundle.reports.sections import Table
 
-__all__ = ["CONVENTION", "Notes", "convention", "declared", "rounded", "table"]
-
 # Length in characters from which a cell counts as a sentence, which wraps.
 LONG = 20
 # Columns that fit on a page of 800 pixels.

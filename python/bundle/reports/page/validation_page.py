@@ -20,8 +20,6 @@ from bundle.reports.page.page import tag, write_page
 from bundle.reports.page.svg import grid
 from bundle.reports.page.table import Notes, table
 
-__all__ = ["write_validation"]
-
 
 def write_validation(
     validation: Validation, path: str | os.PathLike[str], name: str = "validation"

@@ -43,8 +43,6 @@ from bundle.reports.page.page import tag
 from bundle.solving.headline import headline
 from bundle.solving.result import Result
 
-__all__ = ["Judged", "Verdict", "summarised", "verdict_list", "verdicts"]
-
 MARKS = {"good": "✓", "attention": "!", "problem": "✕", "unknown": "?"}
 SEVERE = ("problem", "attention")
 FLAT = 2.0

@@ -14,8 +14,6 @@ from bundle.reports.sections import Report, Section, Table
 from bundle.reports.terminal.control_points import control_points, plain_metres, suspicions
 from bundle.reports.terminal.inputs import about_problem, problem_facts, written
 
-__all__ = ["alignment"]
-
 MOST_IMAGES = 10
 """Number of listed positions, those with the largest errors first."""
 

@@ -9,8 +9,6 @@ from bundle.errors import shown
 from bundle.georeference.attitudes import AttitudeErrors
 from bundle.reports.sections import Section, Table
 
-__all__ = ["attitude_sections"]
-
 MOST_IMAGES = 5
 """Number of listed images that disagree."""
 

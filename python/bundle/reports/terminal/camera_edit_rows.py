@@ -9,8 +9,6 @@ from bundle.base.words import pixels, plural
 if TYPE_CHECKING:
     from bundle.editing.cameras.edit_record import CameraEdits
 
-__all__ = ["edit_data", "edit_rows"]
-
 MOST_IDS = 8
 
 

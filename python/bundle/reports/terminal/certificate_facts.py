@@ -15,8 +15,6 @@ from bundle.graphs.pose_graphs.certified_solve import CHORDAL_MINIMUM, STAIRCASE
 from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
 from bundle.reports.sections import Section
 
-__all__ = ["certificate_data", "certificate_section", "certificate_sentences"]
-
 
 def certificate_sentences(solved: PoseGraphResult) -> list[str]:
     """Return the verdict and the bound of chi2; empty without a certificate."""

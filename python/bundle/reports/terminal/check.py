@@ -17,8 +17,6 @@ from bundle.model.problem import Problem
 from bundle.reports.sections import Report, Section, fields
 from bundle.reports.terminal.inputs import about_problem, problem_facts
 
-__all__ = ["checked", "checked_factors", "checked_function"]
-
 
 def checked(
     path: str,

@@ -17,8 +17,6 @@ from bundle.reports.sections import Column, Report, Section, Table
 from bundle.reports.terminal.compare_json import comparison_data
 from bundle.reports.terminal.compare_verdict import findings, headline, sigmas
 
-__all__ = ["compared"]
-
 Pair = tuple[Run, Measurement]
 
 LEGEND = (

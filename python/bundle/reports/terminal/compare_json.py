@@ -10,8 +10,6 @@ from bundle.planning.comparison.method import Method
 from bundle.reports.sections import fields, records
 from bundle.reports.terminal.solve_data import solve_options
 
-__all__ = ["comparison_data"]
-
 
 def comparison_data(comparison: Comparison) -> dict[str, Any]:
     """Return the data of `--json` in addition to the heading."""

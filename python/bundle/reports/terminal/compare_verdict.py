@@ -14,8 +14,6 @@ from bundle.planning.comparison.measured_run import Run, Spread
 from bundle.planning.comparison.minima import SAME
 from bundle.planning.comparison.recommendation import reached_best
 
-__all__ = ["findings", "headline", "sigmas"]
-
 SUGGESTED = 1e-3
 """Suggested size of a perturbation: some pixels, from which real models return to their minimum."""
 

@@ -12,8 +12,6 @@ from bundle.errors import shown
 from bundle.reports.sections import Column, Section, Table
 from bundle.solving.constraints.constraint_record import PriorEnd, RuleEnd, TieEnd
 
-__all__ = ["constraint_sections"]
-
 MOST_ROWS = 8
 """Number of listed priors, bounds and ties."""
 

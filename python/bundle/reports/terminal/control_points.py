@@ -12,8 +12,6 @@ from bundle.georeference.alignment_result import ControlPointError, metres, root
 from bundle.georeference.point_check import LEAST_REDUNDANCY
 from bundle.reports.sections import Section, Table
 
-__all__ = ["control_points", "plain_metres", "suspicions"]
-
 
 def control_points(points: Sequence[ControlPointError], *, adjusted: bool = False) -> list[Section]:
     """Return the errors of control and check points; empty without points.

@@ -31,8 +31,6 @@ from bundle.reports.terminal.inputs import (
 from bundle.reports.terminal.shutter_tables import shutter_data, shutter_moves
 from bundle.reports.terminal.tracking import tracking_headline, tracking_section
 
-__all__ = ["converted", "converted_graph", "converted_sequence"]
-
 
 def converted(
     path: str,

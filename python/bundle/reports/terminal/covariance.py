@@ -26,8 +26,6 @@ from bundle.reports.terminal.inputs import (
     problem_facts,
 )
 
-__all__ = ["uncertainties", "uncertainties_of_graph"]
-
 MOST_CAMERAS = 10
 """Number of listed cameras."""
 

@@ -22,8 +22,6 @@ from bundle.reports.terminal.inputs import (
     problem_facts,
 )
 
-__all__ = ["diagnosed", "diagnosed_graph"]
-
 MOST_EIGENVALUES = 4
 MOST_EDGES = 10
 """Number of suspicious edges shown."""

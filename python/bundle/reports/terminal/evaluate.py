@@ -15,8 +15,6 @@ from bundle.judging.evaluation.evaluation_result import Evaluation, SharedImage
 from bundle.model.pose_errors import ErrorStatistics
 from bundle.reports.sections import Column, Report, Section, Table
 
-__all__ = ["evaluated", "worst_first"]
-
 MOST_IMAGES = 5
 MOST_LENSES = 5
 MOST_POINTS = 12

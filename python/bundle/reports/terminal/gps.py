@@ -11,8 +11,6 @@ from bundle.georeference.georeferenced import Georeference
 from bundle.reports.sections import Section, Table
 from bundle.reports.terminal.control_points import control_points, suspicions
 
-__all__ = ["gps_report", "place_sentences", "place_warnings"]
-
 MOST_IMAGES = 5
 """Number of listed images with large residuals."""
 

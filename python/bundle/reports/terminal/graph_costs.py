@@ -16,8 +16,6 @@ from bundle.planning.inspection.pose_graph_inspection import PoseGraphInspection
 from bundle.reports.sections import Column, Report, Section, Table, fields, records
 from bundle.reports.terminal.inputs import about_graph, graph_facts
 
-__all__ = ["compared_graph", "inspected_graph", "run_table"]
-
 LEGEND = "* selected by auto; [not offered by a solve]."
 
 

@@ -16,8 +16,6 @@ from bundle.interface.termination import short_outcome
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.reports.terminal.certificate_facts import certificate_sentences
 
-__all__ = ["degrees_of_freedom", "graph_headline"]
-
 
 def degrees_of_freedom(graph: PoseGraph) -> int:
     """Return the number of measurements in addition to those that determine the poses."""

@@ -16,8 +16,6 @@ from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
 from bundle.interface.finding import Finding
 from bundle.reports.sections import Column
 
-__all__ = ["KINDS", "about_information", "kinds_of"]
-
 MOST_FLOPS = 2e10
 """Flops of a factorisation above which chi2 has no expectation by kind: it takes some seconds."""
 

@@ -22,9 +22,6 @@ from bundle.reports.terminal.refine import worst_sections
 from bundle.reports.terminal.rig_tables import rig_sections
 from bundle.reports.terminal.shutter_tables import shutter_fact
 
-__all__ = ["information"]
-
-
 CAMERAS = (
     Column("camera model", "model"),
     Column("cameras", "num_cameras"),

@@ -16,19 +16,6 @@ if TYPE_CHECKING:
     from bundle.model.pose_graph_arrays import PoseGraph
     from bundle.model.sequence.sequence import Sequence
 
-__all__ = [
-    "about_graph",
-    "about_problem",
-    "about_sequence",
-    "contents_of_graph",
-    "contents_of_sequence",
-    "graph_facts",
-    "import_notes",
-    "problem_facts",
-    "rig_fact",
-    "written",
-]
-
 Facts = list[tuple[str, str]]
 
 

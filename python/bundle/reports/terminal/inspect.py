@@ -19,8 +19,6 @@ from bundle.reports.sections import Column, Report, Section, Table, fields
 from bundle.reports.terminal.inputs import about_problem, problem_facts
 from bundle.solving.slices.scratch_size import RESIDENT_BYTES, scratch_bytes
 
-__all__ = ["inspected"]
-
 _CLEARLY_SLOWER = 1.25
 
 

@@ -10,8 +10,6 @@ from bundle.planning.inspection.elimination_costs import CONVENTION
 from bundle.planning.inspection.graph_inspection import GraphInspection
 from bundle.reports.sections import Column, Report, Section, Table, fields
 
-__all__ = ["inspected"]
-
 # Largest number of steps, and of members of a step, that a terminal shows.
 MOST_STEPS, MOST_MEMBERS = 100, 8
 

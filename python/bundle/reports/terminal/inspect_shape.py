@@ -10,8 +10,6 @@ from bundle.planning.inspection.problem_needs import ProblemNeeds
 from bundle.planning.inspection.schur_counts import SchurCounts
 from bundle.reports.sections import Report, Section, Table, fields
 
-__all__ = ["inspected"]
-
 
 def inspected(
     shape: Mapping[str, int], counts: SchurCounts, needs: ProblemNeeds, wall_time: float

@@ -10,8 +10,6 @@ from bundle.reports.sections import Column, Section, Table
 if TYPE_CHECKING:
     from bundle.graphs.loops.loop_closing import LoopClosing
 
-__all__ = ["loops_section"]
-
 MOST_CLOSURES = 10
 """Number of closures shown, the rejected ones first."""
 

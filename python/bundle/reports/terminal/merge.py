@@ -13,8 +13,6 @@ from bundle.model.problem import Problem
 from bundle.reports.sections import Report, Section
 from bundle.reports.terminal.inputs import about_problem, written
 
-__all__ = ["merged_report"]
-
 
 def merged_report(
     paths: tuple[str, str],

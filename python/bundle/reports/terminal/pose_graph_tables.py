@@ -26,8 +26,6 @@ from bundle.reports.terminal.inputs import about_graph, contents_of_graph, graph
 from bundle.reports.terminal.solve_data import factor_fact, solve_options
 from bundle.reports.terminal.timing import WallTime, environment_data, wall_section
 
-__all__ = ["described_graph", "refined_graph"]
-
 MOST_REJECTED = 20
 """Number of rejected edges shown."""
 

@@ -7,8 +7,6 @@ from bundle.base.words import seconds
 from bundle.interface.process_record import ProcessPart, ProcessRecord
 from bundle.reports.sections import Column, Section, Table
 
-__all__ = ["process_sections"]
-
 _PHASES = (
     ("preprocessor", "preprocessor_time_in_seconds"),
     ("Jacobians, elimination", "jacobian_evaluation_time_in_seconds"),

@@ -37,8 +37,6 @@ if TYPE_CHECKING:
     from bundle.interface.process_record import ProcessRecord
     from bundle.solving.round_record import RestRecord
 
-__all__ = ["refinement", "worst_sections"]
-
 ATTITUDE_KEYS = {"gravity": "gravity", "orientation": "orientations", "heading": "headings"}
 """Keys of the JSON report, by the noun of the measurements."""
 MOST_CAMERAS = 5

@@ -21,8 +21,6 @@ from bundle.reports.terminal.inputs import (
     problem_facts,
 )
 
-__all__ = ["reported", "reported_graph"]
-
 
 def reported(
     path: str,

@@ -12,8 +12,6 @@ from bundle.solving.sensor_changes import SensorChange
 if TYPE_CHECKING:
     from bundle.analysis.statistics.rig_summary import RigSummary
 
-__all__ = ["rig_sections", "sensor_sections"]
-
 MOST_ROWS = 20
 """Number of listed sensors."""
 

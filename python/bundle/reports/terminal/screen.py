@@ -13,8 +13,6 @@ from bundle.base.words import plural
 from bundle.interface.finding import DETAILS, Finding
 from bundle.reports.sections import Report, Section, Table
 
-__all__ = ["CommandLine", "fitted", "laid_out"]
-
 MOST_FINDINGS, MOST_WARNINGS = 3, 2
 """Numbers of findings and of warnings that are shown without --verbose."""
 

@@ -15,8 +15,6 @@ from bundle.reports.sections import Report, Section, Table
 from bundle.reports.terminal.inputs import about_sequence, contents_of_sequence
 from bundle.reports.terminal.tracking import tracking_headline, tracking_section
 
-__all__ = ["described_sequence"]
-
 
 def described_sequence(
     path: str,

@@ -14,15 +14,6 @@ if TYPE_CHECKING:
     from bundle.editing.global_shutter import GlobalShutterModel
     from bundle.solving.result import Result
 
-__all__ = [
-    "about_shutter",
-    "shutter_data",
-    "shutter_fact",
-    "shutter_moves",
-    "solved_data",
-    "solved_sentences",
-]
-
 
 def shutter_fact(problem: Problem) -> list[tuple[str, str]]:
     """Return a fact about the rolling shutters of a problem; empty without any."""

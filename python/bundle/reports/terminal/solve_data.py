@@ -12,9 +12,6 @@ from bundle.interface.summary import Summary
 from bundle.reports.sections import Column, records
 from bundle.solving.result import Result
 
-__all__ = ["ERRORS", "ROUNDS", "factor_fact", "result_data", "solve_options"]
-
-
 _full = "{:.9e}".format
 
 ROUNDS = (

@@ -14,8 +14,6 @@ from bundle.reports.sections import Column, Report, Section, Table
 from bundle.reports.terminal.inputs import about_sequence, contents_of_sequence, written
 from bundle.synthetic.streamed import SceneTally
 
-__all__ = ["made_flight", "synthesized"]
-
 EMPTY: Mapping[str, str] = {}
 ERRORS = ("rmse", "median", "p95", "max")
 

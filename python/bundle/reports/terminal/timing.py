@@ -11,8 +11,6 @@ from bundle.interface.environment import Environment
 from bundle.interface.summary import Summary, share, solver_phases
 from bundle.reports.sections import Section, Table, fields
 
-__all__ = ["WallTime", "environment_data", "wall_section"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class WallTime:

@@ -9,8 +9,6 @@ from bundle.inertial.tracking.track_recording import Tracking
 from bundle.model.sequence.sequence import Sequence
 from bundle.reports.sections import Section
 
-__all__ = ["tracking_headline", "tracking_section"]
-
 
 def tracking_headline(tracking: Tracking) -> str:
     """Return the number of tracks, their length, and the share that the checks ended."""

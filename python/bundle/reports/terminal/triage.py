@@ -8,8 +8,6 @@ from bundle.interface.triage_options import TriageOptions
 from bundle.judging.triage.triage_result import Quantity, Triage
 from bundle.reports.sections import Column, Report, Section, Table
 
-__all__ = ["triaged"]
-
 NAMES = {
     "columns": "columns n",
     "measurements": "residuals",

@@ -11,8 +11,6 @@ from bundle.inertial.two_loops.replay import TwoLoopsResult
 from bundle.inertial.vio.trajectory_comparison import TrajectoryError
 from bundle.reports.sections import Report, Section
 
-__all__ = ["with_loops"]
-
 
 def with_loops(
     report: Report, result: TwoLoopsResult, error: TrajectoryError | None, written: str | None

@@ -14,8 +14,6 @@ from bundle.model.problem import Problem
 from bundle.reports.sections import Column, Report, Section, Table, fields
 from bundle.reports.terminal.inputs import about_problem, problem_facts
 
-__all__ = ["validated"]
-
 
 def validated(path: str, problem: Problem, found: Validation, options: Mapping[str, Any]) -> Report:
     """Return the report on a validation.

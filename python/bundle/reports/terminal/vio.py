@@ -23,8 +23,6 @@ from bundle.reports.terminal.inputs import about_sequence
 from bundle.reports.terminal.timing import environment_data
 from bundle.reports.terminal.tracking import tracking_headline, tracking_section
 
-__all__ = ["odometry_report", "telemetry_lines"]
-
 
 def odometry_report(
     source: str,

@@ -25,8 +25,6 @@ from bundle.solving.constraints.applied import HELD_POSITION, HELD_ROTATION, App
 if TYPE_CHECKING:
     from bundle.model.pycolmap.adjustment_objects import AdjustmentConfig
 
-__all__ = ["AdjustedPart", "adjusted_part"]
-
 _Mask = NDArray[np.bool_]
 
 

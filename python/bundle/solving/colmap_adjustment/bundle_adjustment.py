@@ -25,8 +25,6 @@ if TYPE_CHECKING:
         Reconstruction,
     )
 
-__all__ = ["bundle_adjustment"]
-
 
 def bundle_adjustment(
     reconstruction: Reconstruction,

@@ -25,8 +25,6 @@ from bundle.model.rigid_motions import inverse_poses, multiply_poses
 from bundle.model.rotations import rotation_matrices
 from bundle.solving.colmap_adjustment.adjusted_part import AdjustedPart
 
-__all__ = ["TwoCameras"]
-
 _SHORTEST = 1e-9
 """COLMAP's shortest baseline."""
 

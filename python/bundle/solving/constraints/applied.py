@@ -17,8 +17,6 @@ from bundle.solving.constraints.rules import Rule
 if TYPE_CHECKING:
     from bundle.graphs.factors.factors import Factor
 
-__all__ = ["HELD_POSITION", "HELD_ROTATION", "Applied", "KnownPrior", "Tie"]
-
 HELD_ROTATION, HELD_POSITION = 1, 2
 """Bits of the constant parts of a pose, as in ``problem_view.h``."""
 

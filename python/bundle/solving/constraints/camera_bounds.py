@@ -16,8 +16,6 @@ from bundle.model.cameras import camera_models
 from bundle.model.problem import Problem
 from bundle.model.problem_keys import ProblemKeys, parameter_names
 
-__all__ = ["ActiveBound", "CameraBounds"]
-
 ActiveBound = tuple[tuple[str, int], str, str]
 """Tuple of a camera's key, a parameter's name, and "lower" or "upper"."""
 

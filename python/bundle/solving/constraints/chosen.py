@@ -9,8 +9,6 @@ from bundle.model.problem import Problem
 from bundle.model.problem_keys import parameter_names
 from bundle.solving.constraints.rules import Rule
 
-__all__ = ["Chooser"]
-
 
 class Chooser:
     """Lookup of the names of rules in one problem."""

@@ -12,8 +12,6 @@ from bundle.model.problem import Problem
 from bundle.solving.constraints.rules import Rule
 from bundle.solving.constraints.ties import Member
 
-__all__ = ["ConstantParts"]
-
 
 class ConstantParts:
     """Parameters, poses and points that rules, options or the subset of a solve make constant.

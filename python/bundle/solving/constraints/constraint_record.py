@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from bundle.base.records import dataclass
 
-__all__ = ["BoundEnd", "PriorEnd", "RuleEnd", "TieEnd"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class PriorEnd:

@@ -14,8 +14,6 @@ from bundle.model.rotations import quaternion_inverse, quaternion_multiply
 from bundle.solving.constraints.applied import Applied, KnownPrior, Tie
 from bundle.solving.constraints.constraint_record import BoundEnd, PriorEnd, RuleEnd, TieEnd
 
-__all__ = ["rule_ends"]
-
 
 def rule_ends(applied: Applied, before: Problem, after: Problem) -> tuple[RuleEnd, ...]:
     """Return the outcome of each rule.

@@ -12,8 +12,6 @@ from bundle.solving.constraints.applied import KnownPrior
 if TYPE_CHECKING:
     from bundle.graphs.factors.factors import Factor
 
-__all__ = ["factor_of"]
-
 
 def factor_of(prior: KnownPrior) -> Factor:
     """Return the factor whose whitened residual is the prior's pull in sigmas.

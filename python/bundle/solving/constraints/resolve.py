@@ -36,8 +36,6 @@ from bundle.solving.constraints.ties import (
 if TYPE_CHECKING:
     from bundle.graphs.factors.factors import Factor
 
-__all__ = ["apply"]
-
 PARTS = {"rotation": HELD_ROTATION, "position": HELD_POSITION}
 
 

@@ -18,8 +18,6 @@ from bundle.solving.constraints.camera_bounds import ActiveBound, CameraBounds
 if TYPE_CHECKING:
     from bundle.solving.constraints.applied import Applied
 
-__all__ = ["Restrictions"]
-
 
 @dataclass(frozen=True, eq=False)
 class Restrictions:

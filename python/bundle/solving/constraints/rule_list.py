@@ -14,8 +14,6 @@ from bundle.errors import InputError, brief, shown
 from bundle.solving.constraints.rule_text import parse_rule, without_comment
 from bundle.solving.constraints.rules import Rule
 
-__all__ = ["Constraints", "rules_of"]
-
 
 @dataclass(frozen=True, init=False, repr=False)
 class Constraints(Displayed):

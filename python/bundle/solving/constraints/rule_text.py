@@ -25,8 +25,6 @@ from collections.abc import Callable
 from bundle.errors import InputError, brief
 from bundle.solving.constraints.rules import Bounds, Fixed, Prior, Ratio, Rule, Share, Target
 
-__all__ = ["parse_rule", "without_comment"]
-
 _TOKEN = re.compile(r"[\[\],/%]|[^\s\[\],/%]+")
 _NAME = re.compile(r"[A-Za-z_]\w*", re.ASCII)
 _CLAUSES = (

@@ -16,8 +16,6 @@ from bundle.base.records import dataclass
 from bundle.errors import InputError, brief
 from bundle.model.image_selection import MOST_IDS, id_range
 
-__all__ = ["POSES", "TARGETS", "Bounds", "Fixed", "Prior", "Ratio", "Rule", "Share", "Target"]
-
 TARGETS = ("camera", "image", "point")
 """Kinds of variables that rules can name."""
 POSES = ("position", "rotation")

@@ -18,8 +18,6 @@ from collections.abc import Callable, Iterable, Mapping
 from bundle.base.records import dataclass
 from bundle.errors import InputError
 
-__all__ = ["MOST_SHARED", "Group", "Groups", "check_components", "divided_bounds"]
-
 Member = tuple[int, int]
 """Index of a camera and column of a parameter."""
 

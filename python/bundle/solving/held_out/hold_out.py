@@ -19,8 +19,6 @@ from bundle.io.files import Source, as_problem
 from bundle.model.folds import folds_of, keys, mix
 from bundle.model.problem import Problem
 
-__all__ = ["FEWEST_OF_IMAGE", "choose", "hold_out"]
-
 FEWEST_OF_IMAGE = 6
 """Number of observations that remain in each image: twice as many as a pose needs."""
 

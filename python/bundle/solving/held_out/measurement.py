@@ -39,8 +39,6 @@ from bundle.solving.result import Result
 if TYPE_CHECKING:
     from bundle.solving.rounds.run_state import State
 
-__all__ = ["HeldOutFit", "with_values"]
-
 ROBUST_LOSS = "cauchy"
 """Loss of removed points after a least-squares fit: outliers are a reason for removal."""
 

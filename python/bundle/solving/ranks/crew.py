@@ -12,8 +12,6 @@ from bundle.interface.process_record import ProcessPart
 from bundle.solving.constraints.restrictions import Restrictions
 from bundle.solving.ranks.partition import ProblemPart
 
-__all__ = ["Crew", "Job", "PartOfOutput", "Ranks"]
-
 
 class Ranks(Protocol):
     """Communication of one rank in ``_core.solve_part``, with counts of its messages."""

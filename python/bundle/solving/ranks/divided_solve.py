@@ -23,14 +23,6 @@ from bundle.solving.ranks.partition import divide, factors_of, part_of
 if TYPE_CHECKING:
     from bundle.interface.solve_record import Progress
 
-__all__ = [
-    "AllProcesses",
-    "heeding",
-    "process_record",
-    "solve_divided",
-    "work_on",
-]
-
 
 @dataclass(frozen=True)
 class AllProcesses:

@@ -12,8 +12,6 @@ from pathlib import Path
 import bundle._core as _core
 from bundle.solving.ranks.launch import rank_by_launcher
 
-__all__ = ["begin", "know_processes", "speaks_for_all", "take_the_word"]
-
 PARENTS = ("mpirun", "prterun")
 """Names of the process that is the parent on mpirun's machine."""
 

@@ -10,14 +10,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from bundle.solving.ranks.crew import Crew
 
-__all__ = [
-    "current",
-    "rank_by_launcher",
-    "size_by_launcher",
-    "threads_of_one_process",
-    "use",
-]
-
 # Variables of Open MPI, and of MPICH with its derivatives.
 _SIZES = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE")
 _RANKS = ("OMPI_COMM_WORLD_RANK", "PMI_RANK")

@@ -15,8 +15,6 @@ from bundle.solving.ranks.crew import Job, PartOfOutput, Ranks
 from bundle.solving.ranks.divided_solve import work_on
 from bundle.solving.ranks.mpi_ranks import MpiRanks
 
-__all__ = ["MpiCrew", "serve"]
-
 BETWEEN_LOOKS = 0.01
 DELIVERY = 0.5
 """Seconds that mpirun has to forward a line before it ends all ranks."""

@@ -10,8 +10,6 @@ import numpy as np
 
 import bundle._core as _core
 
-__all__ = ["MpiRanks"]
-
 MOST_AT_ONCE = 1 << 24
 """Largest number of doubles per message: counts of MPI have 31 bits, and Open MPI's buffers take
 memory."""

@@ -11,8 +11,6 @@ from typing import Any
 
 import bundle._core as _core
 
-__all__ = ["reason_in_options", "reason_to_be_alone", "warning"]
-
 _OPEN = ("gauge", "cheirality")
 """Options that depend on the problem and have no effect on the division among ranks."""
 

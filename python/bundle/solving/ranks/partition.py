@@ -27,16 +27,6 @@ from bundle.errors import InputError
 from bundle.model.estimates import SHUTTER, VARIABLES
 from bundle.model.problem import Problem
 
-__all__ = [
-    "Division",
-    "ProblemPart",
-    "divide",
-    "divide_tracks",
-    "factors_of",
-    "part_of",
-    "shared_of",
-]
-
 # Arrays of the full problem that each part has unchanged; arrays of rigs only if it has rigs.
 _SHARED = (
     *(one.name for one in VARIABLES if one.division == "shared"),

@@ -43,15 +43,6 @@ from bundle.solving.rounds.run_state import State
 if TYPE_CHECKING:
     from bundle.solving.request import RunPlan
 
-__all__ = [
-    "Checkpoint",
-    "check_target",
-    "read",
-    "read_by",
-    "result_of_record",
-    "write",
-]
-
 SCHEMA = "bundle checkpoint 3"  # 1: another digest of the input; 2: pickles of factors
 
 SCHEMA_OF_PICKLES = "bundle checkpoint 2"

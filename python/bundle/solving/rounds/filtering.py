@@ -28,8 +28,6 @@ from bundle.model.problem import Problem
 from bundle.model.ray_angles import enclose_angle
 from bundle.model.reprojection import reprojection_errors
 
-__all__ = ["Filtered", "filter_observations"]
-
 _Mask = NDArray[np.bool_]
 
 

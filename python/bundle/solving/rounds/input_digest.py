@@ -31,17 +31,6 @@ if TYPE_CHECKING:
     from bundle.solving.prepare import Prepared
     from bundle.solving.request import RunPlan
 
-__all__ = [
-    "digest",
-    "digest_of_fields",
-    "digest_of_order",
-    "digest_of_parts",
-    "fingerprint_of_options",
-    "fingerprint_of_run",
-    "plain_fingerprint",
-    "sums_of_rows",
-]
-
 NOT_DECISIVE = ("num_threads", "check_solution")
 
 _ROWS = ("points", "point_ids", "observation_sigma")

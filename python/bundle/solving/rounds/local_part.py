@@ -35,8 +35,6 @@ if TYPE_CHECKING:
     from bundle.graphs.factors.factors import Factor
     from bundle.solving.rounds.run_state import State
 
-__all__ = ["LocalPart"]
-
 _Indices = NDArray[np.int64]
 _Mask = NDArray[np.bool_]
 

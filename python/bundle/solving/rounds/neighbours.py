@@ -12,8 +12,6 @@ from bundle.model.problem_keys import parameter_names
 from bundle.model.selection import Selection
 from bundle.solving.rounds.local_part import LocalPart
 
-__all__ = ["Neighbours"]
-
 _Floats = NDArray[np.float64]
 _Mask = NDArray[np.bool_]
 

@@ -52,8 +52,6 @@ from bundle.solving.rounds.neighbours import Neighbours
 if TYPE_CHECKING:
     from bundle.graphs.factors.linear_prior import LinearPrior
 
-__all__ = ["RestPrior", "marginalize_rest", "without_prior"]
-
 _Floats = NDArray[np.float64]
 _Mask = NDArray[np.bool_]
 

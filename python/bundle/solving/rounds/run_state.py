@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from bundle.solving.round_record import Round
     from bundle.solving.rounds.filtering import Filtered
 
-__all__ = ["State"]
-
 _Mask = NDArray[np.bool_]
 
 

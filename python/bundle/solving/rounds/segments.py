@@ -29,8 +29,6 @@ from bundle.interface.trust_region_fields import LARGEST_RADIUS
 from bundle.model.problem import Problem
 from bundle.solving.result import Result
 
-__all__ = ["join", "num_steps", "solve_in_segments"]
-
 OF_A_SEGMENT = ("max_num_iterations", "initial_trust_region_radius")
 """Options that differ from segment to segment."""
 COUNTS = ("num_residual_evaluations", "num_jacobian_evaluations", "num_linear_solves")

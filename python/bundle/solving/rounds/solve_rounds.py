@@ -36,8 +36,6 @@ if TYPE_CHECKING:
     from bundle.solving.rounds.checkpoint import Checkpoint
     from bundle.solving.rounds.filtering import Filtered
 
-__all__ = ["run", "solve_rounds"]
-
 SMALLEST_CHANGE = 5e-4
 """Smallest fraction of observations removed in a round for which another round follows, as in
 COLMAP (``ba_global_max_refinement_change``)."""

@@ -19,8 +19,6 @@ from bundle.model.reprojection import (
 from bundle.solving.kept_errors import Inliers, KeptErrors, Measured, PixelErrors, inlier_sums
 from bundle.solving.slices.slice_reading import blocks
 
-__all__ = ["measure_on_disk", "point_errors_on_disk", "rmse_on_disk"]
-
 
 def measure_on_disk(before: PixelErrors, after: PixelErrors, limit: float | None) -> Measured:
     """Return all statistics; the errors are overwritten.

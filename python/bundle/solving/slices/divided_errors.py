@@ -18,8 +18,6 @@ from bundle.model.reprojection import ReprojectionError, between, counted_errors
 from bundle.solving.kept_errors import PixelErrors, Totals
 from bundle.solving.slices.slice_reading import Meeting
 
-__all__ = ["DividedErrors", "divided_statistics", "order_statistics"]
-
 
 class DividedErrors(Totals):
     """Errors of all processes of a meeting; rank 0 gets the statistics."""

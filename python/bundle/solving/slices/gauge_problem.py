@@ -18,8 +18,6 @@ from bundle.base.components import component_roots
 from bundle.model.problem import Problem
 from bundle.solving.slices.slice_reading import Meeting, Slice
 
-__all__ = ["gauge_problem"]
-
 
 def gauge_problem(meeting: Meeting, own: Slice, fixed_point_ids: list[int]) -> Problem | None:
     """Return a problem with the same gauge freedom to rank 0, None to the other ranks.

@@ -29,8 +29,6 @@ from bundle.solving.slices.slice_process import Process
 from bundle.solving.slices.slice_reading import Survey
 from bundle.solving.slices.sliced_refinement import SliceCrew, SlicedRefinement, SliceJob
 
-__all__ = ["LoneCrew", "OutOfCoreRefinement", "scratch_folder"]
-
 
 @contextmanager
 def scratch_folder(folder: str) -> Iterator[None]:

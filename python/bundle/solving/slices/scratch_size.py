@@ -5,8 +5,6 @@ from __future__ import annotations
 from bundle.base.memory_sizes import format_size
 from bundle.errors import InputError, shown
 
-__all__ = ["RESIDENT_BYTES", "refuse_small_disk", "scratch_bytes"]
-
 RESIDENT_BYTES = 1 << 30
 """Bytes of the files in memory at a time."""
 

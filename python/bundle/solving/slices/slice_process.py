@@ -24,8 +24,6 @@ from bundle.solving.slices.divided_errors import DividedErrors
 from bundle.solving.slices.gauge_problem import gauge_problem
 from bundle.solving.slices.slice_reading import Meeting, Survey, read_slice
 
-__all__ = ["Process"]
-
 _Progress = Callable[[dict[str, Any]], None]
 _LAST = "measure"
 

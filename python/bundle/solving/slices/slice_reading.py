@@ -20,8 +20,6 @@ from bundle.model.problem import Problem
 from bundle.solving.ranks.crew import Ranks
 from bundle.solving.ranks.partition import ProblemPart, divide_tracks, shared_of
 
-__all__ = ["Meeting", "Slice", "Survey", "read_slice", "survey"]
-
 
 class Meeting(Protocol):
     """Communication of all processes, which make the same calls in the same order."""

@@ -19,8 +19,6 @@ from bundle.solving.rounds.input_digest import digest_of_parts, plain_fingerprin
 from bundle.solving.rounds.run_state import State
 from bundle.solving.slices.slice_reading import Survey
 
-__all__ = ["Kept", "SlicedCheckpoint"]
-
 
 @dataclass
 class Kept:

@@ -36,8 +36,6 @@ from bundle.solving.slices.slice_process import Process
 from bundle.solving.slices.slice_reading import Meeting, Survey, survey
 from bundle.solving.slices.sliced_checkpoint import SlicedCheckpoint
 
-__all__ = ["AllSlices", "SliceCrew", "SliceJob", "SlicedRefinement"]
-
 
 @dataclass
 class SliceJob:

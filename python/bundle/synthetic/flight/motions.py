@@ -47,20 +47,6 @@ from bundle.model.rotations import (
     vector_from_quaternion,
 )
 
-__all__ = [
-    "DEGREE",
-    "GRAVITY",
-    "SPACING",
-    "Surroundings",
-    "control_points",
-    "control_times",
-    "imu_samples",
-    "motion_at",
-    "spline_at",
-    "surroundings",
-]
-
-
 Array = NDArray[np.float64]
 
 DEGREE = 5

@@ -35,9 +35,6 @@ from bundle.synthetic.flight.motions import (
     surroundings,
 )
 
-__all__ = ["Pinhole", "SyntheticFlight", "Tracked", "follow", "save_flight", "synthesize_flight"]
-
-
 Array = NDArray[np.float64]
 
 CHUNK = 64  # number of images to project at once

@@ -21,8 +21,6 @@ from numpy.typing import NDArray
 from bundle.model.rotations import dot, quaternion_from_matrix, rotate
 from bundle.model.shutter_motion import twists_between
 
-__all__ = ["MOTIONS", "Car", "DroneGrid", "Motion", "PhoneWalk"]
-
 Array = NDArray[np.float64]
 
 _STEP = 0.01

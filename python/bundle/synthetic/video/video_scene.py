@@ -27,8 +27,6 @@ from bundle.synthetic.start import Start, median_distance
 from bundle.synthetic.tracks import check_images, components
 from bundle.synthetic.video.film_motions import MOTIONS, Motion
 
-__all__ = ["FilmedScene", "film"]
-
 Array = NDArray[np.float64]
 
 _RECOGNISED = 0.65
