@@ -106,13 +106,26 @@ def test_a_jump_of_the_bias_names_its_interval(flight, model):
     assert found.findings[0].evidence["seconds"] == pytest.approx(4.5, abs=0.7)
 
 
-def test_forces_that_are_a_tenth_too_large_or_too_small():
+@pytest.fixture(scope="module")
+def tilting():
     flight = bundle.synthesize_flight(motion="room", duration=8.0, num_tracks=60, seed=11)
-    problem, stamps = model_of(flight.sequence, flight.ground_truth, 4, noise=0.2)
-    found = adjusted(changed(flight.sequence, accel=lambda v: 1.12 * v), problem, stamps, OPTIONS)
-    assert [one.kind for one in found.findings][-1] == "accel_scale"
-    evidence = found.findings[-1].evidence
-    assert evidence["ratio"] == pytest.approx(1.12, abs=3 * evidence["ratio_sigma"])
+    return flight.sequence, *model_of(flight.sequence, flight.ground_truth, 4, noise=0.2)
+
+
+@pytest.mark.parametrize("factor", [0.97, 1.03])
+def test_forces_that_are_three_percent_too_large_or_too_small(tilting, factor):
+    sequence, *model = tilting
+    found = adjusted(changed(sequence, accel=lambda v: factor * v), *model, OPTIONS)
+    assert [one.kind for one in found.findings] == ["accel_scale"]
+    evidence = found.findings[0].evidence
+    assert evidence["ratio"] == pytest.approx(factor, abs=3 * evidence["ratio_sigma"])
+    assert evidence["movement"] == pytest.approx(0.03, abs=0.01)
+
+
+def test_a_bias_along_gravity_is_no_scale_of_the_forces(tilting):
+    sequence, *model = tilting
+    found = adjusted(changed(sequence, accel=lambda v: v + np.array([0, 0, 0.3])), *model, OPTIONS)
+    assert found.findings == ()
 
 
 def test_noise_of_the_calibration(flight, model):

@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from bundle.inertial.offline.arm_error import ArmError
 from bundle.inertial.offline.clock_offset import ClockOffset
+from bundle.inertial.offline.force_scale import ForceScale
 from bundle.inertial.offline.imu_agreement import Agreement, ClockErrors
 from bundle.inertial.offline.imu_findings import Evidence, imu_findings
-from bundle.inertial.offline.path_errors import PathErrors
 from bundle.inertial.offline.rotation_map import RotationMap
 from bundle.model.sequence.bad_samples import BadStretch
 
@@ -26,8 +27,8 @@ def known(intervals=QUIET, chi2=100.0, **changes):
             "is_quadratic": False,
             "rotations": MAP,
             "axes": "",
-            "path": PathErrors(),
-            "lift": 0.0,
+            "arm": ArmError,
+            "forces": ForceScale,
             "clocks": ClockErrors(),
             "offset": ClockOffset(),
             "noise": (0.3, 0.3),
@@ -110,36 +111,31 @@ def test_outliers_under_a_quadratic_loss_are_the_cause():
 
 
 def test_a_wrong_arm_with_the_right_one_if_nothing_else_is_wrong():
-    path = PathErrors(np.array([0.0, -0.1, 0.0]), 1e-4 * np.eye(3))
-    (found,) = imu_findings(known(path=path))
+    def arm():
+        return ArmError(np.array([0.0, -0.1, 0.0]), 1e-4 * np.eye(3))
+
+    (found,) = imu_findings(known(arm=arm))
     assert (found.kind, found.is_problem, found.flags) == ("arm", False, ())
     assert found.evidence["translation"] == pytest.approx([0.1, -0.1, 0])
     assert (found.evidence["metres"], found.evidence["metres_sigma"]) == pytest.approx((0.1, 0.01))
     assert "10 +- 1 cm" in found.sentence and "0.100, -0.100, 0.000" in found.sentence
-    assert kinds(path=path, offset=ClockOffset(0.02, 1e-3)) == ["imu_clocks"]
-    first = imu_findings(known(chi2=2400.0, path=path))[0]
+    assert kinds(arm=pytest.fail, offset=ClockOffset(0.02, 1e-3)) == ["imu_clocks"]
+    assert kinds(arm=arm, forces=pytest.fail) == ["arm"]
+    first = imu_findings(known(chi2=2400.0, arm=arm))[0]
     assert (first.kind, first.evidence["cause"]) == ("imu_contradiction", "arm")
 
 
 def test_a_wrong_scale_of_forces_if_nothing_else_is_wrong():
-    path = PathErrors(forces=1.1, forces_sigma=0.02)
-    for lift, count in ((0.78, 1), (0.76, 0), (-0.78, 0)):
-        assert kinds(path=path, lift=lift) == count * ["accel_scale"]
-    small = PathErrors(forces=0.9, forces_sigma=0.02)
-    assert kinds(path=small, lift=-0.78) == ["accel_scale"]
-    assert kinds(path=small, lift=0.78) == []
-    (found,) = imu_findings(known(path=path, lift=1.0))
+    def forces():
+        return ForceScale(1.1, 0.02, 0.047)
+
+    (found,) = imu_findings(known(forces=forces))
     assert (found.kind, found.is_problem) == ("accel_scale", False)
-    assert found.evidence == {"ratio": 1.1, "ratio_sigma": 0.02}
-    assert "1.100 +- 0.02 times" in found.sentence
-    assert kinds(path=path, lift=1.0, offset=ClockOffset(0.02, 1e-3)) == ["imu_clocks"]
-    both = path._replace(shift=np.array([0.1, 0, 0]), covariance=1e-4 * np.eye(3))
-    first, second, third = imu_findings(known(chi2=2400.0, path=both, lift=1.0))
-    assert (first.evidence["cause"], second.kind, third.kind) == (
-        "accel_scale",
-        "accel_scale",
-        "arm",
-    )
+    assert found.evidence == {"ratio": 1.1, "ratio_sigma": 0.02, "movement": 0.047}
+    assert "1.100 +- 0.02 times" in found.sentence and "by 4.7 %" in found.sentence
+    assert kinds(forces=pytest.fail, offset=ClockOffset(0.02, 1e-3)) == ["imu_clocks"]
+    first, second = imu_findings(known(chi2=2400.0, forces=forces))
+    assert (first.evidence["cause"], second.kind) == ("accel_scale", "accel_scale")
 
 
 def test_the_next_command_of_a_contradiction():

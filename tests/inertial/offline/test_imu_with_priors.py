@@ -171,7 +171,7 @@ def test_the_minimum_with_attitudes_is_that_of_a_dense_system(monkeypatch, fligh
     monkeypatch.setattr(motion_solve, "solve_rounds", solve_rounds)
     options = OPTIONS.replace(function_tolerance=1e-16, parameter_tolerance=1e-14)
     found = adjusted(flight.sequence, problem, stamps, options, priors=priors, **SETTINGS)
-    end, factors = solves[-1]
+    end, factors = solves[found.num_solves - 1]
     placed = place_at_priors(end, tuple(factors), priors, align=False)
     graph = graph_of(placed.problem, placed.factors)
     keys = [key for key in graph.values if key != "lens"]

@@ -35,7 +35,9 @@ from bundle.georeference.similarity import Similarity, moved
 from bundle.graphs.factors.attitude_factors import DOWN, DirectionFactor
 from bundle.graphs.factors.factors import Factor, RelativePoseFactor
 from bundle.inertial.offline.accel_axes import accel_axes
+from bundle.inertial.offline.arm_error import ArmError, arm_error
 from bundle.inertial.offline.clock_offset import ClockOffset
+from bundle.inertial.offline.force_scale import ForceScale, LeastCost, few_steps
 from bundle.inertial.offline.image_intervals import RULES, ImageIntervals, likely_kinds
 from bundle.inertial.offline.imu_agreement import Agreement, noise_ratios, quietest_ratio
 from bundle.inertial.offline.imu_bodies import ImuBodies
@@ -43,7 +45,6 @@ from bundle.inertial.offline.imu_findings import LONG_ARM, Evidence, imu_finding
 from bundle.inertial.offline.inertial_result import ImuSamples, InertialAdjustment
 from bundle.inertial.offline.inertial_start import InertialStart, preintegrated
 from bundle.inertial.offline.motion_solve import GRAVITY, MotionState, solved_with_motions
-from bundle.inertial.offline.path_errors import PathErrors, path_errors
 from bundle.inertial.offline.rotation_map import RotationMap, axes_sentence
 from bundle.inertial.offline.upright_start import to_priors, upright_start
 from bundle.inertial.preintegration.preintegration import Preintegration
@@ -232,9 +233,14 @@ class _Adjusted(NamedTuple):
         )  # fmt: skip
         return self._replace(state=state, results=[*self.results, result])
 
-    def motions(self, case: _Case) -> list[Preintegration]:
-        """Return the motions between bodies, integrated at the biases."""
+    def motions(self, case: _Case, forces: float = 1.0) -> list[Preintegration]:
+        """Return the motions between bodies, integrated at the biases, with forces divided."""
         intervals = self.video.at(self.clock.seconds if self.clock.is_clear else 0.0)
+        if forces != 1.0:
+            intervals = [
+                dataclasses.replace(interval, accel=interval.accel / forces)
+                for interval in intervals
+            ]
         return preintegrated(intervals, case.noise, self.state.biases[:-1], self.video.rule)
 
     def settled(self, case: _Case) -> _Adjusted:
@@ -331,19 +337,29 @@ def _accel_axes(case: _Case, intervals: list[ImuInterval], rule: str) -> str:
     )
 
 
-def _path_errors(case: _Case, found: _Adjusted, noise: ImuNoise) -> PathErrors:
+def _arm_error(case: _Case, found: _Adjusted, noise: ImuNoise) -> ArmError:
     problem, bodies = case.images.problem, case.bodies
-    intervals = found.video.at(found.clock.seconds if found.clock.is_clear else 0.0)
-    return path_errors(
+    return arm_error(
         bodies.imu_rotations(problem), bodies.centers(problem), bodies.arms(problem),
-        bodies.axes(problem), intervals, noise, found.video.rule, found.start.gyro_bias,
+        bodies.axes(problem), found.motions(case), noise,
     )  # fmt: skip
 
 
-def _lift(case: _Case, state: MotionState) -> float:
-    """Return the mean bias of the accelerometer along z, upwards."""
-    rotations = case.bodies.imu_rotations(state.problem)
-    return float(np.einsum("nj,nj->n", rotations[:, 2], state.biases[:, 3:]).mean())
+def _force_scale(case: _Case, found: _Adjusted, agreement: Agreement) -> ForceScale:
+    if found.has_ended:
+        return ForceScale()
+    shortly = case._replace(options=few_steps(case.options), progress=None)
+
+    def least(forces: float) -> LeastCost:
+        end = found.solved(shortly, found.motions(case, forces), RoundOptions())
+        result = end.results[-1]
+        if result.summary.interrupted:
+            raise KeyboardInterrupt
+        imu = float(np.asarray(result.factor_costs_after).sum())
+        positions = case.bodies.centers(end.state.problem)
+        return LeastCost(result.summary.final_cost - imu, imu, positions)
+
+    return ForceScale.of(least, agreement.images_variance, agreement.variance)
 
 
 def _evidence(
@@ -377,8 +393,8 @@ def _evidence(
         is_quadratic=case.options.loss == "trivial",
         rotations=rotations,
         axes=axes,
-        path=_path_errors(case, found, density),
-        lift=_lift(case, found.state),
+        arm=lambda: _arm_error(case, found, density),
+        forces=lambda: _force_scale(case, found, agreement),
         clocks=video.clock_errors(case.rotations, case.noise, clock),
         offset=clock,
         noise=noise_ratios(*samples, density),

@@ -9,7 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.base.words import plural
+from bundle.inertial.offline.arm_error import ArmError
 from bundle.inertial.offline.clock_offset import ClockOffset
+from bundle.inertial.offline.force_scale import ForceScale
 from bundle.inertial.offline.imu_agreement import (
     DRIFT,
     DRIFT_SIGMAS,
@@ -19,8 +21,6 @@ from bundle.inertial.offline.imu_agreement import (
     Agreement,
     ClockErrors,
 )
-from bundle.inertial.offline.motion_solve import ACCEL_BIAS_SIGMA
-from bundle.inertial.offline.path_errors import PathErrors
 from bundle.inertial.offline.rotation_map import RotationMap
 from bundle.model.rotations import (
     quaternion_from_matrix,
@@ -33,9 +33,6 @@ Array = NDArray[np.float64]
 
 OUTLIERS = 4.0
 """Variance factor of the images under a quadratic loss from which outliers rule the cost."""
-UNUSUAL_LIFT = 2.576 * ACCEL_BIAS_SIGMA
-"""Bias along gravity, m/s^2, that one of a hundred accelerometers has. Models of real videos drift:
-their path alone is no proof."""
 LONG_ARM = 3.0
 """Distance in metres between camera and IMU from which millimetres are likely."""
 
@@ -81,8 +78,8 @@ class Evidence(NamedTuple):
         is_quadratic: True without a robust loss.
         rotations: map between the rotations.
         axes: sentence on the axes of the accelerometer, or "".
-        path: errors of the arm and of the forces by the path.
-        lift: mean bias of the accelerometer upwards in the result, m/s^2.
+        arm: function that returns the error of the arm; called if nothing else is wrong.
+        forces: function that returns the scale of the forces; called if the arm is right, too.
         clocks: errors of single times.
         offset: offset of the clocks.
         noise: calibrated noise densities over those of the samples.
@@ -100,8 +97,8 @@ class Evidence(NamedTuple):
     is_quadratic: bool
     rotations: RotationMap
     axes: str
-    path: PathErrors
-    lift: float
+    arm: Callable[[], ArmError]
+    forces: Callable[[], ForceScale]
     clocks: ClockErrors
     offset: ClockOffset
     noise: tuple[float, float]
@@ -124,8 +121,9 @@ def imu_findings(known: Evidence) -> tuple[ImuFinding, ...]:
         )
         if one is not None
     ]  # fmt: skip
-    if not others:
-        others = [one for one in (_forces(known), _arm(known)) if one is not None]
+    if not others:  # the test of the arm does not depend on the forces
+        last = _arm(known) or _forces(known)
+        others = [] if last is None else [last]
     first = _contradiction(known, others)
     return tuple(others if first is None else [first, *others])
 
@@ -179,24 +177,24 @@ def _contradiction(known: Evidence, others: Sequence[ImuFinding]) -> ImuFinding 
 
 
 def _forces(known: Evidence) -> ImuFinding | None:
-    """Return the finding of forces of a wrong scale, which the bias of the result shows, too."""
-    found = known.path
-    if not found.is_scale_wrong or known.lift * np.sign(found.forces - 1) < UNUSUAL_LIFT:
+    """Return the finding of forces of a wrong scale."""
+    found = known.forces()
+    if not found.is_wrong:
         return None
     return ImuFinding(
         "accel_scale",
-        f"The forces of the accelerometer are {found.forces:.3f} +- {found.forces_sigma:.1g} times "
-        "those of the images at a gravity of 9.81 m/s^2: its scale is wrong, and that of the "
-        "result with it, or its bias along gravity is unusual.",
+        f"The forces of the accelerometer are {found.ratio:.3f} +- {found.sigma:.1g} times those "
+        f"of images and gravity, which moves the positions by {100 * found.movement:.2g} %: its "
+        "scale is wrong, and that of the result with it.",
         (),
-        {"ratio": found.forces, "ratio_sigma": found.forces_sigma},
+        {"ratio": found.ratio, "ratio_sigma": found.sigma, "movement": found.movement},
     )
 
 
 def _arm(known: Evidence) -> ImuFinding | None:
     """Return the finding of a wrong arm; other errors bend the path, too."""
-    found = known.path
-    if not found.is_arm_wrong:
+    found = known.arm()
+    if not found.is_wrong:
         return None
     right = known.camera_from_imu[4:] + found.shift
     size, sigma = found.size

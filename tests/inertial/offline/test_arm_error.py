@@ -1,18 +1,14 @@
-"""Errors of arm and forces by the path: true poses, both bounds, and simulated noise."""
+"""Error of the arm by the path: true poses, both bounds, and simulated noise."""
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 import bundle
+from bundle.inertial.offline.arm_error import POSITION_SIGMA, ArmError, _covariance, arm_error
 from bundle.inertial.offline.image_intervals import ImageIntervals
 from bundle.inertial.offline.inertial_result import ImuSamples
-from bundle.inertial.offline.path_errors import (
-    POSITION_SIGMA,
-    PathErrors,
-    _covariance,
-    path_errors,
-)
+from bundle.inertial.offline.inertial_start import preintegrated
 from bundle.inertial.vio.trajectory_comparison import states_at
 from bundle.model.sequence.imu_noise import ImuNoise
 
@@ -35,17 +31,17 @@ def found(flight, shift, noise=0.0, turn=True, forces=1.0, seed=0):
     samples = ImuSamples(sequence.imu_timestamps_ns, sequence.gyro, forces * sequence.accel)
     axes = camera.as_matrix() if turn else np.tile(np.eye(3), (len(stamps), 1, 1))
     wrong = arm[4:] - np.asarray(shift)
-    return path_errors(
-        imu.as_matrix(), centers / 3.7, np.einsum("nij,j->ni", axes, wrong), axes,
-        ImageIntervals(samples, stamps).at(0.0), sequence.calibration.noise, "midpoint",
-        states[:, 10:13].mean(axis=0),
-    )  # fmt: skip
+    noise, bias = sequence.calibration.noise, np.append(states[:, 10:13].mean(axis=0), np.zeros(3))
+    motions = preintegrated(ImageIntervals(samples, stamps).at(0.0), noise, bias, "midpoint")
+    return arm_error(
+        imu.as_matrix(), centers / 3.7, np.einsum("nij,j->ni", axes, wrong), axes, motions, noise
+    )
 
 
 @pytest.mark.parametrize("shift", [(0.1, 0, 0), (0, -0.03, 0.05), (0, 0, -0.4)])
 def test_a_wrong_arm_is_found_along_the_axes_of_the_body(flight, shift):
     one = found(flight, shift, 1e-3)
-    assert one.is_arm_wrong
+    assert one.is_wrong
     np.testing.assert_allclose(one.shift, shift, atol=4 * np.sqrt(np.diag(one.covariance).max()))
     assert one.size[1] < 0.006
     assert one.size[0] == pytest.approx(np.linalg.norm(shift), abs=0.02)
@@ -54,7 +50,7 @@ def test_a_wrong_arm_is_found_along_the_axes_of_the_body(flight, shift):
 def test_a_right_arm_and_noise_are_silent(flight):
     for noise in (0.0, 1e-3, 0.02):
         one = found(flight, (0, 0, 0), noise)
-        assert not one.is_arm_wrong
+        assert not one.is_wrong
         assert one.chi2 < 16
     assert found(flight, (0, 0, 0), 0.02).size[1] > 3 * found(flight, (0, 0, 0), 1e-3).size[1]
 
@@ -69,22 +65,9 @@ def test_a_path_that_does_not_turn_determines_no_arm(flight):
     assert np.diag(one.covariance).min() > 1
 
 
-@pytest.mark.parametrize("forces", [0.9, 1.0, 1.1])
-def test_the_scale_of_forces_is_that_of_gravity(flight, forces):
-    one = found(flight, (0, 0, 0), 1e-3, forces=forces)
-    assert one.forces == pytest.approx(forces, abs=3 * one.forces_sigma)
-    assert one.forces_sigma < 0.02
-    assert one.is_scale_wrong == (forces != 1.0)
-    assert not one.is_arm_wrong
-
-
-def test_both_bounds_of_a_clear_scale():
-    for error, sigma, is_wrong in (
-        (0.021, 0.004, True), (-0.021, 0.004, True), (0.019, 0.001, False),
-        (0.1, 0.1 / 4.0, True), (0.1, 0.1 / 3.8, False),
-    ):  # fmt: skip
-        assert PathErrors(forces=1 + error, forces_sigma=sigma).is_scale_wrong == is_wrong
-    assert not PathErrors().is_scale_wrong
+@pytest.mark.parametrize("forces", [0.9, 1.1])
+def test_a_scale_of_the_forces_is_no_error_of_the_arm(flight, forces):
+    assert not found(flight, (0, 0, 0), 1e-3, forces=forces).is_wrong
 
 
 def test_both_bounds_of_a_clear_error():
@@ -92,10 +75,10 @@ def test_both_bounds_of_a_clear_error():
         (0.021, 0.003, True), (0.019, 0.001, False),
         (0.1, 0.1 / 6.7, True), (0.1, 0.1 / 6.5, False),
     ):  # fmt: skip
-        one = PathErrors(np.array([0, size, 0]), sigma**2 * np.eye(3))
-        assert one.is_arm_wrong == is_clear
+        one = ArmError(np.array([0, size, 0]), sigma**2 * np.eye(3))
+        assert one.is_wrong == is_clear
         assert one.size == pytest.approx((size, sigma))
-    assert not PathErrors().is_arm_wrong
+    assert not ArmError().is_wrong
 
 
 def test_the_covariance_is_that_of_integrated_noise():

@@ -1,15 +1,13 @@
-r"""Errors of the arm of camera_from_imu and of the scale of forces, by the path of images alone.
+r"""Error of the arm of camera_from_imu, by the path of images alone.
 
 The equations of ``inertial_start`` are linear in an error d of the arm, along the axes of the body:
 with R_k = world_from_body,
 
     s c_k + l_k + R_k d = p_0 + v_0 t + 1/2 g t^2 + P_k + Q_k a.
 
-Forces that are f times too large are explained by s and g that are f times as large. The length of
-g is free here, and tells f. Only a motion that tilts the IMU separates it from a bias along g.
-
-Their errors are those of the positions, white with sigma p, and of the samples: the integrals of a
-white noise n and of a random walk w of the bias. For t <= u, an axis has the covariance
+The length of g is free: a scale of the forces has no influence. The errors are those of positions,
+white with sigma p, and those of samples: the integrals of a white noise n and of a random walk w of
+the bias. For t <= u, an axis has the covariance
 
     p^2 [t = u] + n^2 (t^2 u / 2 - t^3 / 6) + w^2 (t^3 u^2 / 12 - t^4 u / 24 + t^5 / 120),
 
@@ -27,13 +25,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.graphs.pose_graphs.chi2_quantiles import chi2_bound
-from bundle.inertial.offline.inertial_start import (
-    preintegrated,
-    segment_rows,
-    segments,
-)
-from bundle.inertial.offline.motion_solve import ACCEL_BIAS_SIGMA, GRAVITY
-from bundle.inertial.vio.window_frame import ImuInterval
+from bundle.inertial.offline.inertial_start import segment_rows, segments
+from bundle.inertial.offline.motion_solve import ACCEL_BIAS_SIGMA
+from bundle.inertial.preintegration.preintegration import Preintegration
 from bundle.model.sequence.imu_noise import ImuNoise
 
 Array = NDArray[np.float64]
@@ -46,25 +40,21 @@ FALSE_ALARM = 1e-4
 """Probability of a false alarm in a run."""
 DISPERSION = 2.0
 """Mean of the chi2 of right arms over its expectation in 30 simulated flights: errors of positions
-are not white. That of f is 0.8."""
-LEAST, LEAST_SCALE = 0.02, 0.02
-"""Metres, and share of the forces: smaller errors do not count."""
+are not white."""
+LEAST = 0.02
+"""Metres: smaller errors do not count."""
 
 
-class PathErrors(NamedTuple):
-    """Errors of a path.
+class ArmError(NamedTuple):
+    """Error of the arm.
 
     Attributes:
         shift: (3,) d in metres: the right arm is the given one plus d.
         covariance: (3, 3).
-        forces: f.
-        forces_sigma: its standard deviation.
     """
 
     shift: Array = np.zeros(3)
     covariance: Array = np.eye(3)
-    forces: float = 1.0
-    forces_sigma: float = math.inf
 
     @property
     def chi2(self) -> float:
@@ -79,40 +69,29 @@ class PathErrors(NamedTuple):
         return length, float(np.sqrt(along @ self.covariance @ along))
 
     @property
-    def is_arm_wrong(self) -> bool:
-        """True for an error of the arm beyond noise."""
+    def is_wrong(self) -> bool:
+        """True for an error beyond noise."""
         return self.size[0] > LEAST and self.chi2 > DISPERSION * chi2_bound(3, FALSE_ALARM)
 
-    @property
-    def is_scale_wrong(self) -> bool:
-        """True for a scale of the forces beyond noise and a usual bias."""
-        error = abs(self.forces - 1)
-        return error > LEAST_SCALE and (error / self.forces_sigma) ** 2 > chi2_bound(1, FALSE_ALARM)
 
-
-def path_errors(
+def arm_error(
     rotations: Array,
     centers: Array,
     arms: Array,
     axes: Array,
-    intervals: list[ImuInterval],
+    motions: list[Preintegration],
     noise: ImuNoise,
-    rule: str,
-    rate_bias: Array,
-) -> PathErrors:
-    """Return the errors.
+) -> ArmError:
+    """Return the error.
 
     Args:
         rotations: (n, 3, 3) world_from_imu.
         centers: (n, 3) projection centres in units of the model.
         arms: (n, 3) vectors from the camera to the IMU along the axes of the model, metres.
         axes: (n, 3, 3) world_from_body.
-        intervals: samples between consecutive images.
+        motions: motions between consecutive images, at their biases.
         noise: noise of the IMU, without a factor for vibration.
-        rule: rule of preintegration.
-        rate_bias: bias of the gyroscope.
     """
-    motions = preintegrated(intervals, noise, np.append(rate_bias, np.zeros(3)), rule)
     times = np.cumsum([0.0, *(motion.duration for motion in motions)])
     rows, freedom = [], -10
     for part in segments(times):
@@ -126,7 +105,7 @@ def path_errors(
         rows.append(whitened[:, 6:] - basis @ (basis.T @ whitened[:, 6:]))
         freedom += 3 * n - 6
     if freedom < 1:
-        return PathErrors()
+        return ArmError()
     system, factor = np.vstack(rows), 1.0
     for _ in range(2):
         prior = math.sqrt(factor) * np.eye(6, 11, 4)
@@ -137,10 +116,7 @@ def path_errors(
         residual = system[:, 10] - system[:, :10] @ x
         factor = max(float(residual @ residual) / freedom, 1.0)
     inverse: Any = factor * np.linalg.pinv(columns[:, :10].T @ columns[:, :10])
-    length = float(np.linalg.norm(x[1:4]))
-    down = x[1:4] / length
-    sigma = math.sqrt(float(down @ inverse[1:4, 1:4] @ down))
-    return PathErrors(x[7:], inverse[7:, 7:], length / GRAVITY, sigma / GRAVITY)
+    return ArmError(x[7:], inverse[7:, 7:])
 
 
 def _covariance(times: Array, noise: ImuNoise) -> Array:
