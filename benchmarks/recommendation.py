@@ -30,8 +30,8 @@ from benchmarks import machine, problems, table
 from bundle.planning.comparison.compare_methods import compare
 from bundle.planning.comparison.comparison_result import Comparison
 from bundle.planning.comparison.method import Method
-from bundle.planning.comparison.predictions import taken_by_auto
 from bundle.planning.comparison.recommendation import COST_TOLERANCE, NEAR_ENOUGH
+from bundle.planning.comparison.work import taken_by_auto
 
 # name: fields of bundle.SceneOptions
 SHAPES: dict[str, dict[str, Any]] = {

@@ -10,7 +10,7 @@
 #include "core/factors/factor.h"
 
 /// Calls function(values, jacobians wanted). It returns (residual, Jacobians or None) with checked
-/// shapes (python/bundle/graphs/factors/function_factor.py), or None if the residual has no value.
+/// shapes (python/bundle/graphs/factors/factors.py), or None if the residual has no value.
 /// Takes the GIL for each call. Evaluate throws Python's exceptions, with KeyboardInterrupt as
 /// bundle::Interrupted.
 class PythonFactor final : public bundle::Factor {

@@ -10,8 +10,7 @@ if TYPE_CHECKING:
     from bundle._core import __version__
     from bundle.analysis.diagnosis.chi2_kinds import Chi2Kind, chi2_kinds
     from bundle.analysis.diagnosis.diagnose_problem import diagnose
-    from bundle.analysis.diagnosis.diagnosis_result import Diagnosis
-    from bundle.analysis.diagnosis.graph_diagnosis import GraphDiagnosis
+    from bundle.analysis.diagnosis.diagnosis_result import Diagnosis, GraphDiagnosis
     from bundle.analysis.statistics.description import Description, describe
     from bundle.analysis.uncertainty.covariance_by_input import covariance
     from bundle.analysis.uncertainty.covariance_result import Covariance
@@ -43,26 +42,24 @@ if TYPE_CHECKING:
         RotationFactor,
     )
     from bundle.graphs.factors.checks import check_gradients, check_jacobians
-    from bundle.graphs.factors.digits_left import DigitsLeft
-    from bundle.graphs.factors.factor_graph import FactorGraph, GraphResult
+    from bundle.graphs.factors.factor_graph import DigitsLeft, FactorGraph, GraphResult
     from bundle.graphs.factors.factors import (
         BetweenFactor,
+        FunctionFactor,
         PositionFactor,
         PriorFactor,
         RelativePoseFactor,
         ReprojectionFactor,
         ScalarPriorFactor,
     )
-    from bundle.graphs.factors.function_factor import FunctionFactor
     from bundle.graphs.factors.incremental_smoother import IncrementalSmoother, IncrementalUpdate
-    from bundle.graphs.factors.linear_prior import LinearPrior, SquareRootPrior
+    from bundle.graphs.factors.linear_prior import LinearPrior, PriorSpectrum, SquareRootPrior
     from bundle.graphs.factors.problem_factors import check_factors
-    from bundle.graphs.factors.spectrum import PriorSpectrum
     from bundle.graphs.loops.loop_closing import LoopClosing, LoopClosure
     from bundle.graphs.loops.loop_graph import close_loops
     from bundle.graphs.pose_graphs.certificate import Certificate, Staircase
     from bundle.graphs.pose_graphs.certify import certify
-    from bundle.graphs.pose_graphs.edge_values import initial_poses, pose_graph_chi2
+    from bundle.graphs.pose_graphs.edge_weights import initial_poses, pose_graph_chi2
     from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult, PoseGraphSummary
     from bundle.inertial import two_loops
     from bundle.inertial.preintegration.imu_factors import BiasWalkFactor, ImuFactor
@@ -119,8 +116,7 @@ if TYPE_CHECKING:
     from bundle.model.sequence.imu_samples import check_imu_samples
     from bundle.model.sequence.sequence import Sequence
     from bundle.planning.comparison.compare_methods import compare
-    from bundle.planning.comparison.comparison_file import read_comparison
-    from bundle.planning.comparison.comparison_result import Comparison
+    from bundle.planning.comparison.comparison_result import Comparison, read_comparison
     from bundle.planning.comparison.graph_comparison import GraphComparison
     from bundle.planning.inspection.factor_graph_inspection import FactorGraphInspection
     from bundle.planning.inspection.graph_inspection import GraphInspection, inspect_graph

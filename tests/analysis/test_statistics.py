@@ -11,7 +11,7 @@ from bundle import _core
 from bundle.analysis.statistics import covisibility as covisibility_module
 from bundle.analysis.statistics.covisibility import components, covisibility
 from bundle.analysis.statistics.description import describe
-from bundle.analysis.statistics.lenses import fold_radius, lenses
+from bundle.analysis.statistics.suspicions import fold_radius, lenses
 from tests.scenes import make_problem, scene
 
 PARTS = ["cam_from_world", "image_ids", "image_names", "image_camera", "camera_ids"]

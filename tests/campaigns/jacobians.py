@@ -18,8 +18,7 @@ from scipy.spatial.transform import Rotation
 
 import bundle
 from bundle import _core
-from bundle.graphs.factors.twist_ties import TwistTieFactor
-from bundle.graphs.factors.velocity_factor import VelocityFactor
+from bundle.graphs.factors.twist_factors import TwistTieFactor, VelocityFactor
 from bundle.model.cameras import camera_models
 from tests.checking.reprojection import left_jacobian, skew
 from tests.scenes import PARAMS

@@ -11,7 +11,7 @@ import scipy.sparse as sparse
 from scipy.sparse.linalg import spsolve
 
 import bundle
-from bundle.analysis.diagnosis.shutter_spectrum import shutter_jacobians
+from bundle.analysis.diagnosis.shutter_modes import shutter_jacobians
 from bundle.georeference.similarity import umeyama
 from bundle.model.rigid_motions import multiply_poses
 from bundle.model.rotations import cross_matrices, quaternion_from_vector, rotation_matrices

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import bundle
-from bundle.graphs.factors import factor_counts
+from bundle.graphs.factors import factor_graph
 from bundle.interface import factor_history, ordering_alarm
 from bundle.interface.factor_history import MOST_ENTRIES, PastFactor, history_path, recall
 from bundle.interface.ordering_alarm import BestOrder, with_ordering_alarm
@@ -136,7 +136,7 @@ def test_growth_of_a_real_graph(cache):
 
 
 def test_factor_graphs_are_compared_with_metis(monkeypatch):
-    monkeypatch.setattr(factor_counts, "LEAST_FLOPS", 1.0)
+    monkeypatch.setattr(factor_graph, "LEAST_FLOPS", 1.0)
     monkeypatch.setattr(ordering_alarm, "LEAST_FLOPS", 1.0)
     monkeypatch.setattr(ordering_alarm, "LEAST_FLOPS_OF_ENTRY", 0.0)
     graph = orderings.factors(chain_of_poses(0, 200, 30))
@@ -151,9 +151,9 @@ def test_factor_graphs_are_compared_with_metis(monkeypatch):
     assert found.num_factor_columns == 3 * inspected.num_free_poses
     assert found.least_factor_flops == min(costs[name].flops for name in ("amd", "metis"))
     cheap = BestOrder(ordering="metis", flops=1.0, nonzeros=1.0)
-    count = factor_counts._count
+    count = factor_graph._count
     monkeypatch.setattr(
-        factor_counts, "_count", lambda p, name: cheap if name == "metis" else count(p, name)
+        factor_graph, "_count", lambda p, name: cheap if name == "metis" else count(p, name)
     )
     assert graph.solve().summary.warning_kinds == ("ordering",)
     assert graph.solve(linear_solver_type="dense_qr").summary.warning_kinds == ()

@@ -18,12 +18,11 @@ from bundle.cli.output import publish
 from bundle.cli.progress import Progress
 from bundle.cli.standard_streams import complain
 from bundle.errors import InputError, brief, shown
-from bundle.graphs.factors.checks import check_gradients
+from bundle.graphs.factors.checks import check_edges, check_gradients
 from bundle.graphs.factors.factor_graph import FactorGraph
 from bundle.graphs.factors.factor_report import FactorCheck
 from bundle.graphs.factors.factors import Factor
 from bundle.graphs.factors.problem_factors import check_factors
-from bundle.graphs.pose_graphs.edge_check import check_edges
 from bundle.interface.check_options import CheckOptions
 from bundle.interface.pose_graph_options import PoseGraphOptions
 from bundle.io.g2o_files import load_g2o

@@ -11,8 +11,7 @@ from bundle.cli.output import publish
 from bundle.errors import InputError, shown
 from bundle.interface.inspect_options import GraphFileOptions, RankOptions
 from bundle.interface.options import SolveOptions
-from bundle.planning.inspection.graph_input import load_graph
-from bundle.planning.inspection.graph_inspection import GraphInspection, inspect_graph
+from bundle.planning.inspection.graph_inspection import GraphInspection, inspect_graph, load_graph
 from bundle.reports.terminal.inspect_graph import inspected
 
 

@@ -12,8 +12,7 @@ from bundle.cli.output import publish
 from bundle.errors import InputError
 from bundle.interface.inspect_options import GraphFileOptions, RankOptions, ShapeOptions
 from bundle.interface.options import SolveOptions
-from bundle.planning.inspection.problem_needs import needs_of
-from bundle.planning.inspection.schur_counts import count_schur
+from bundle.planning.inspection.problem_needs import count_schur, needs_of
 from bundle.reports.terminal.inspect_shape import inspected
 
 

@@ -101,7 +101,7 @@ def _bundle_gradients(
 def _check(graph: FactorGraph, checks: _Checks) -> None:
     """Check one factor of each new kind; fail the test of a wrong one."""
     from bundle.errors import InputError
-    from bundle.graphs.factors.graph_check import kind_of
+    from bundle.graphs.factors.factor_check import kind_of
 
     new: dict[Any, Any] = {}
     for factor in graph.factors:

@@ -6,9 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.base.records import dataclass
-from bundle.planning.comparison.comparison_result import Comparison
+from bundle.planning.comparison.comparison_result import Comparison, PerformanceProfile
 from bundle.planning.comparison.method import Method
-from bundle.planning.comparison.profiles import PerformanceProfile
 
 # Costs of different solvers agree to about this; smaller differences are due to chance.
 SMALLEST_GAP = 1e-9

@@ -14,7 +14,7 @@ from bundle.base.words import plural
 from bundle.errors import InputError
 from bundle.georeference.prior_images import rows_of_images
 from bundle.georeference.velocity_prior import VelocityPrior
-from bundle.graphs.factors.velocity_factor import VelocityFactor
+from bundle.graphs.factors.twist_factors import VelocityFactor
 from bundle.model.problem import Problem
 from bundle.model.rotations import rotation_matrices
 

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from bundle.base.records import dataclass
 from bundle.georeference.vector_prior import VectorPrior
-from bundle.graphs.factors.velocity_factor import VelocityFactor
+from bundle.graphs.factors.twist_factors import VelocityFactor
 
 
 @dataclass(frozen=True, eq=False, repr=False)

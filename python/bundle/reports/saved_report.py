@@ -10,7 +10,7 @@ from typing import Any
 from bundle.base.arguments import check_type
 from bundle.base.paths import as_path
 from bundle.graphs.factors.factor_graph import GraphResult
-from bundle.graphs.pose_graphs.densest_set import densest_set
+from bundle.graphs.pose_graphs.edge_weights import densest_set
 from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
 from bundle.interface.environment import Environment
 from bundle.interface.solve_record import SolveRecord

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 import bundle
-from bundle.analysis.diagnosis.findings import _rank
-from bundle.analysis.diagnosis.scale_checks import scale_drift
-from bundle.analysis.diagnosis.viewing import viewing
+from bundle.analysis.diagnosis.findings import _rank, scale_drift
+from bundle.analysis.diagnosis.track_table import viewing
 from tests.analysis.diagnosis import blocks
 from tests.analysis.diagnosis.blocks import block
 

@@ -6,7 +6,6 @@ from scipy.linalg import expm
 
 import bundle
 from bundle.analysis.diagnosis import shutter_modes as module
-from bundle.analysis.diagnosis import shutter_spectrum
 from bundle.analysis.diagnosis.shutter_modes import shutter_modes
 from bundle.model.rotations import quaternion_rotate
 from bundle.model.shutter_motion import read_positions
@@ -25,7 +24,7 @@ def options(scene, **changes):
 def test_derivatives_are_those_of_the_fixed_point(direction):
     problem = film(options("orbit", num_images=3), direction=direction).ground_truth
     rows = np.arange(0, problem.num_observations, 40)
-    jacobian, d_point, known = shutter_spectrum.shutter_jacobians(problem, rows)
+    jacobian, d_point, known = module.shutter_jacobians(problem, rows)
     assert known.all()
     axis = np.array([1 if direction == "rows" else 0])
 
@@ -48,7 +47,7 @@ def test_derivatives_are_those_of_the_fixed_point(direction):
 def dense_spectrum(problem, images):
     """Return the scaled eigenvalues of poses and twists by dense algebra over all unknowns."""
     rows = np.arange(problem.num_observations)
-    jacobian, d_point, _ = shutter_spectrum.shutter_jacobians(problem, rows)
+    jacobian, d_point, _ = module.shutter_jacobians(problem, rows)
     width, count = 12 * len(images), 3 * problem.num_points
     full = np.zeros((2 * len(rows), width + count))
     for k in rows.tolist():
@@ -66,19 +65,19 @@ def test_the_spectrum_is_that_of_dense_algebra_without_the_gauge(scene):
     problem = film(options(scene, num_images=6, num_points=120)).ground_truth
     expected = dense_spectrum(problem, range(6))
     assert np.abs(expected[:7]).max() < 1e-11 < expected[7]
-    found = shutter_spectrum.shutter_spectrum(problem)
+    found = module.shutter_spectrum(problem)
     # Interlacing: the gauge is removed from scaled unknowns.
     np.testing.assert_allclose(found.eigenvalues, expected[7:], rtol=1e-3, atol=1e-12)
 
 
 def test_moving_the_world_changes_nothing():
     problem = film(options("street")).ground_truth
-    expected = shutter_spectrum.shutter_spectrum(problem).eigenvalues
+    expected = module.shutter_spectrum(problem).eigenvalues
     from bundle.georeference.similarity import Similarity, moved
 
     turn = np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])
     far = moved(problem, Similarity(50.0, turn, np.array([1e4, -2e4, 500.0])))
-    found = shutter_spectrum.shutter_spectrum(far).eigenvalues
+    found = module.shutter_spectrum(far).eigenvalues
     np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-10)
 
 
@@ -128,8 +127,8 @@ def test_global_shutters_and_single_images_have_no_modes():
 
 
 def test_more_images_than_are_tested(monkeypatch):
-    monkeypatch.setattr(shutter_spectrum, "MOST_IMAGES", 6)
-    monkeypatch.setattr(shutter_spectrum, "MOST_POINTS", 150)
+    monkeypatch.setattr(module, "MOST_IMAGES", 6)
+    monkeypatch.setattr(module, "MOST_POINTS", 150)
     (mode,) = shutter_modes(scene_of("flat", 1))
     assert len(mode.image_ids) == 6 and "images were tested" in mode.sentence
 

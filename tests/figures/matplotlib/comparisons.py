@@ -11,11 +11,11 @@ from bundle.planning.comparison.comparison_result import (
     GAPS,
     ComparedProblem,
     Comparison,
+    PerformanceProfile,
     Recommendation,
 )
 from bundle.planning.comparison.measured_run import Measurement, Prediction, Run
 from bundle.planning.comparison.method import Method
-from bundle.planning.comparison.profiles import PerformanceProfile
 from tests.planning.comparison.fakes import ENVIRONMENT
 from tests.reports.terminal.fakes import summary
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import bundle
-from bundle.graphs.factors.spectrum import PriorSpectrum
+from bundle.graphs.factors.linear_prior import PriorSpectrum
 from tests.graphs.factors.test_toys import line, optimum, poses
 
 EYE = [0.0, 0, 0, 1]

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import bundle
-from bundle.graphs.factors.digits_left import DigitsLeft
-from bundle.graphs.factors.spectrum import PriorSpectrum
+from bundle.graphs.factors.factor_graph import DigitsLeft
+from bundle.graphs.factors.linear_prior import PriorSpectrum
 from tests.graphs.factors.test_marginalization import loops
 from tests.graphs.factors.test_toys import EXACT, line, poses
 

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from bundle.graphs.loops.carried_points import carry
+from bundle.graphs.loops.loop_graph import carry
 from bundle.graphs.loops.similarity_graph import Nodes
 from bundle.model.rigid_motions import inverse_poses
 from tests.scenes import make_problem

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import bundle
-from bundle.graphs.pose_graphs import certified_solve
+from bundle.graphs.pose_graphs import certify as certify_module
 from bundle.graphs.pose_graphs.chordal_weights import bound_weights, chordal_weights
 from tests.graphs.pose_graphs.chordal_oracle import chordal_cost, ring
 from tests.graphs.pose_graphs.graphs import error_by_matrices, pose_of
@@ -291,7 +291,7 @@ def test_a_second_solve_must_end_lower(gain, is_usable, is_interrupted, takes_se
         return dataclasses.replace(real, summary=summary, options=options, chi2_before=before)
 
     options = bundle.PoseGraphOptions(certify=True, num_threads=1)
-    found = certified_solve.certified(graph, options, solve)
+    found = certify_module.certified(graph, options, solve)
     assert len(solves) == 2
     np.testing.assert_array_equal(solves[1].poses, found.certificate.staircase.problem.poses)
     assert (found.summary.init == "staircase") == takes_second
@@ -380,7 +380,7 @@ def test_no_second_solve_without_lower_poses():
         return dataclasses.replace(real, options=options)
 
     options = bundle.PoseGraphOptions(certify=True, num_threads=1)
-    found = certified_solve.certified(graph, options, solve)
+    found = certify_module.certified(graph, options, solve)
     stairs = found.certificate.staircase
     assert stairs.cost >= (1 - 1e-6) * found.certificate.cost
     assert 0 < stairs.lower_bound < stairs.cost

@@ -13,7 +13,7 @@ import bundle
 from bundle import _core
 from bundle.graphs.pose_graphs import consistency, largest_set, lie_groups
 from bundle.graphs.pose_graphs.chi2_quantiles import ONE_IN_A_MILLION
-from bundle.graphs.pose_graphs.odometry_chain import odometry_chain
+from bundle.graphs.pose_graphs.consistency import odometry_chain
 from tests.graphs.pose_graphs import graphs
 from tests.graphs.pose_graphs.test_wrong_closures import certain_loop, distance, with_wrong_closures
 

@@ -9,7 +9,7 @@ import pytest
 import bundle
 from bundle.graphs.pose_graphs.chi2_quantiles import ONE_IN_2000
 from bundle.graphs.pose_graphs.edge_weights import weighted_graph
-from bundle.graphs.pose_graphs.loss_choice import choose_loss, loss_cost, truncated_cost
+from bundle.graphs.pose_graphs.truncated_search import choose_loss, loss_cost, truncated_cost
 from bundle.interface.pose_graph_options import PoseGraphOptions
 from tests.graphs.pose_graphs.test_wrong_closures import certain_loop, with_wrong_closures
 

@@ -12,9 +12,8 @@ from bundle.model.reprojection import linearize
 from bundle.model.rotations import quaternion_from_vector, quaternion_multiply
 from bundle.planning.comparison import hand_over
 from bundle.planning.comparison.compare_methods import compare
-from bundle.planning.comparison.minima import find_minima
+from bundle.planning.comparison.minima import SolutionDistance, find_minima
 from bundle.planning.comparison.process import WorkerEnd
-from bundle.planning.comparison.solution_distance import SolutionDistance
 from tests.planning.comparison.fakes import CERES, DENSE, ITERATIVE, SPARSE, done, failed
 from tests.scenes import make_problem
 

@@ -8,7 +8,7 @@ import pytest
 import bundle
 from bundle.interface.options import SolveOptions
 from bundle.model.rigid_motions import inverse_poses
-from bundle.planning.comparison.perturbed_start import perturbed
+from bundle.planning.comparison.work import perturbed
 from tests.rig_scenes import rig_problem
 from tests.scenes import make_problem
 

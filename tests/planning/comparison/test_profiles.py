@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from bundle.planning.comparison.profiles import performance_profiles
+from bundle.planning.comparison.comparison_result import performance_profiles
 from tests.planning.comparison.fakes import DENSE, ITERATIVE, SPARSE
 
 TIMES = [

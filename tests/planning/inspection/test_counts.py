@@ -7,8 +7,8 @@ import pytest
 
 from bundle import _core
 from bundle.interface.options import SolveOptions
-from bundle.planning.inspection import counts
-from bundle.planning.inspection.counts import FactorCounter
+from bundle.planning.inspection import peak_memory
+from bundle.planning.inspection.peak_memory import FactorCounter
 from bundle.planning.inspection.problem_pattern import find_pattern
 from bundle.solving.layout import resolve_defaults
 from tests.planning.inspection.dense_oracle import (
@@ -64,7 +64,7 @@ def test_whole_problem(small):
 
 def test_whole_problem_too_large_for_its_own_order(small, monkeypatch):
     exact = counter_of(small).whole()
-    monkeypatch.setattr(counts, "MOST_ENTRIES_FOR_AMD", 10)
+    monkeypatch.setattr(peak_memory, "MOST_ENTRIES_FOR_AMD", 10)
     counted = counter_of(small).whole()
     assert "points first" in counted.note
     assert counted.factor.nnz == pytest.approx(exact.factor.nnz, rel=0.05)
@@ -87,7 +87,7 @@ def test_cameras_first(small):
 
 def test_cameras_first_is_bounded_where_it_is_too_much(small, monkeypatch):
     exact = counter_of(small).cameras_first()
-    monkeypatch.setattr(counts, "MOST_POINT_PAIRS", 10)
+    monkeypatch.setattr(peak_memory, "MOST_POINT_PAIRS", 10)
     bound = counter_of(small).cameras_first()
     assert "upper bound" in bound.note
     assert bound.factor.nnz == 60 * 61 // 2 >= exact.factor.nnz

@@ -3,7 +3,7 @@
 import pytest
 
 from bundle import InputError
-from bundle.planning.inspection.graph_input import load_graph
+from bundle.planning.inspection.graph_inspection import load_graph
 
 
 @pytest.fixture

@@ -6,10 +6,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from bundle.planning.inspection.counts import FactorizedSystem
-from bundle.planning.inspection.peak_memory import ceres_memory, fused_memory
+from bundle.planning.inspection.peak_memory import FactorizedSystem, ceres_memory, fused_memory
+from bundle.planning.inspection.problem_inspection import ceres_time, factor_rate, fused_time
 from bundle.planning.inspection.problem_pattern import FactorCount, PlanSize
-from bundle.planning.inspection.step_time import ceres_time, factor_rate, fused_time
 from tests.planning.inspection.conftest import RATES
 
 PLAN = PlanSize(

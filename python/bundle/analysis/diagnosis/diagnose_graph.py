@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import bundle._core as _core
-from bundle.analysis.diagnosis.graph_diagnosis import (
+from bundle.analysis.diagnosis.diagnosis_result import (
     GraphComponent,
     GraphDiagnosis,
     GraphWeakMode,

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.analysis.diagnosis.graph_diagnosis import SuspiciousEdge
+from bundle.analysis.diagnosis.diagnosis_result import SuspiciousEdge
 from bundle.base.words import number, plural
 from bundle.graphs.pose_graphs.chi2_quantiles import chi2_limit, chi2_median
 from bundle.interface.finding import Finding

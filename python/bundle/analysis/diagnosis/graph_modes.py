@@ -7,7 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.analysis.diagnosis.graph_diagnosis import GraphComponent, GraphWeakMode
+from bundle.analysis.diagnosis.diagnosis_result import GraphComponent, GraphWeakMode
 from bundle.base.words import named, number, plural, sorted_ids
 from bundle.graphs.pose_graphs.joints import Joint, Joints
 from bundle.model.pose_graph_arrays import PoseGraph

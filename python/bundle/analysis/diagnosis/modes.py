@@ -4,7 +4,7 @@ A solver returns an arbitrary basis of the null space. Two unknowns belong toget
 onto the null space couples them. The blocks of the projector are independent deficiencies, and the
 trace of a block is the dimension of its deficiency, for any basis. Three things determine
 the kind of a deficiency: the moving unknowns (camera parameters, poses or both), the viewing
-geometry of its images (viewing.py), and the points that connect them (track_table.py).
+geometry of its images, and the points that connect them (track_table.py).
 """
 
 from __future__ import annotations
@@ -15,18 +15,9 @@ from dataclasses import field
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.analysis.diagnosis.diagnosis_result import CollapsedCluster, WeakMode
-from bundle.analysis.diagnosis.equation_counts import EquationCounts
-from bundle.analysis.diagnosis.mode_sentences import (
-    camera_ids,
-    dominant_parts,
-    mode_against_poses,
-    mode_of_poses,
-    part_names,
-)
-from bundle.analysis.diagnosis.track_table import TrackTable
-from bundle.analysis.diagnosis.unknowns import CameraPart, Unknowns
-from bundle.analysis.diagnosis.viewing import Viewing, viewing
+from bundle.analysis.diagnosis.diagnosis_result import CollapsedCluster, Component, WeakMode
+from bundle.analysis.diagnosis.track_table import FEW_SHARED, TrackTable, Viewing, viewing
+from bundle.analysis.diagnosis.unknowns import CameraPart, EquationCounts, Unknowns
 from bundle.base.components import component_roots
 from bundle.base.records import dataclass
 from bundle.base.words import named, plural, sorted_ids
@@ -253,3 +244,231 @@ def _describe(
         return short
     look = viewing(unknowns.problem, seen)
     return mode_against_poses(unknowns, parts, cameras, images, look, 0.0, dimension, "")
+
+
+DOMINANT = 0.3
+"""Share of the largest effect on pixels, below which parameters are not named."""
+
+
+_CAUSES = {
+    "flat_scene": (
+        "height",
+        "the scene is flat and the images look along one direction, so that a longer focal length "
+        "higher up gives the same images",
+    ),
+    "forward_motion": (
+        "depth",
+        "forward motion: the images go along their viewing direction without turning, so that a "
+        "longer focal length in a deeper scene gives the same images",
+    ),
+    "parallel_views": (
+        "depth",
+        "the images look along one direction, so that a longer focal length in a deeper scene "
+        "gives the same images",
+    ),
+    "pure_rotation": (
+        "rotation",
+        "pure rotation: the images stand at one place",
+    ),
+    "": ("the poses", "these images do not tell them apart"),
+}
+
+
+def mode_against_poses(
+    unknowns: Unknowns,
+    parts: list[CameraPart],
+    cameras: list[int],
+    images: NDArray[np.int64],
+    look: Viewing | None,
+    eigenvalue: float,
+    dimension: int,
+    known: str,
+) -> WeakMode:
+    """Return a mode in which camera parameters move against poses."""
+    dominant = dominant_parts(parts)
+    has_focal = any(unknowns.parameter_kind(part) == "focal" for part in dominant)
+    if eigenvalue > 0:  # a weak mode, selected for its focal length
+        dominant = sorted(
+            {*dominant, *(p for p in parts if unknowns.parameter_kind(p) == "focal")},
+            key=lambda part: (part.camera, part.parameter),
+        )
+        has_focal = True
+    cause = look.cause if look is not None and has_focal else ""
+    against, reason = _CAUSES[cause]
+    names = part_names(unknowns, dominant, spoken=True)
+    keys = camera_ids(unknowns, cameras)
+    fixed = part_names(unknowns, dominant, spoken=False).replace(" ", "")
+    target = f"camera {keys[0]}" if len(keys) == 1 else "cameras *"
+    sentence = (
+        f"{names[0].upper()}{names[1:]} of {named('camera', keys)} against {against}: {reason}. "
+        f"{known}{' ' if known else ''}"
+        f"Fix {'the focal length' if has_focal else 'it'} or give it a prior "
+        f"(--set '{target}: {fixed} fixed')."
+    )
+    return WeakMode(
+        kind=cause or "parameters_against_poses",
+        sentence=sentence,
+        image_ids=sorted_ids(unknowns.problem.image_ids, images),
+        camera_ids=keys,
+        eigenvalue=eigenvalue,
+        dimension=dimension,
+    )
+
+
+def mode_of_poses(
+    unknowns: Unknowns,
+    images: NDArray[np.int64],
+    direction: Floats,
+    dimension: int,
+    tracks: TrackTable,
+) -> WeakMode:
+    """Return a mode in which only poses move: parts that few points connect."""
+    ids = unknowns.problem.image_ids
+    for kind, pieces, how in (
+        ("few_shared_points", tracks.firm_pieces, "position, rotation or scale"),
+        ("scale_joint", tracks.rigid_pieces, "scale"),
+    ):
+        numbers, sizes = np.unique(pieces[images], return_counts=True)
+        if len(numbers) < 2:
+            continue
+        kept = numbers[np.argmax(sizes)]
+        loose = np.flatnonzero(np.isin(pieces, numbers[numbers != kept]))
+        count = tracks.count_between(loose)
+        if kind == "few_shared_points" and count >= FEW_SHARED:
+            continue
+        what = (
+            f"only {plural(count, 'point')} shared with the others"
+            if kind == "few_shared_points"
+            else "no point is seen by two of the others as well"
+        )
+        return WeakMode(
+            kind=kind,
+            sentence=f"{named('Image', sorted_ids(ids, loose))} against the others, in "
+            f"{plural(dimension, 'direction')}: {what}, which leaves {how} open. Match more points "
+            "between them and the others, or hold them.",
+            image_ids=sorted_ids(ids, loose),
+            camera_ids=(),
+            eigenvalue=0.0,
+            dimension=dimension,
+        )
+    energy = np.zeros(len(ids))
+    for image in images.tolist():
+        rows = (unknowns.kind == 0) & (unknowns.index == image)
+        energy[image] = float((direction[rows] ** 2).sum())
+    moved = np.flatnonzero(energy > DOMINANT * energy.max()) if energy.any() else images
+    return WeakMode(
+        kind="undetermined_poses",
+        sentence=f"{named('Image', sorted_ids(ids, moved))}: the observations leave "
+        f"{plural(dimension, 'direction')} of the poses open.",
+        image_ids=sorted_ids(ids, moved),
+        camera_ids=(),
+        eigenvalue=0.0,
+        dimension=dimension,
+    )
+
+
+def dominant_parts(parts: list[CameraPart]) -> list[CameraPart]:
+    """Return the parameters with the largest effect on pixels."""
+    most = max(part.pixels for part in parts)
+    return [part for part in parts if part.pixels >= DOMINANT * most]
+
+
+def part_names(unknowns: Unknowns, parts: list[CameraPart], *, spoken: bool) -> str:
+    """Return the parameter names without repeats; if spoken, in words like "focal length"."""
+    names = []
+    for part in parts:
+        name = unknowns.parameter_name(part)
+        if spoken:
+            spoken_names = {"focal": "focal length", "principal_point": "principal point"}
+            name = spoken_names.get(unknowns.parameter_kind(part), name)
+        names.append(name)
+    different = list(dict.fromkeys(names))
+    if not spoken or len(different) == 1:
+        return ", ".join(different)
+    return f"{', '.join(different[:-1])} and {different[-1]}"
+
+
+def camera_ids(unknowns: Unknowns, cameras: list[int]) -> tuple[int, ...]:
+    """Return the ids of cameras by their indices."""
+    return sorted_ids(unknowns.problem.camera_ids, np.array(cameras, np.int64))
+
+
+MOST_IMAGES = 200
+"""Largest number of images of a component that the search for the nearest pair uses."""
+MOST_PIECES = 100
+SIMILARITY = 7
+
+
+def component_modes(
+    problem: Problem, tracks: TrackTable, components: tuple[Component, ...]
+) -> list[WeakMode]:
+    """Return a mode for each component but the largest, with advice on connecting it."""
+    modes = []
+    for part in components[1:]:
+        near = _nearest(problem, tracks, part.image_ids)
+        modes.append(
+            WeakMode(
+                kind="component",
+                sentence=f"{named('Image', part.image_ids)} ({plural(part.num_points, 'point')}): "
+                "another component than the largest, of "
+                f"{plural(len(components[0].image_ids), 'image')}, with which no point is shared. "
+                "Position, rotation and scale against it are arbitrary. Common points of images "
+                f"{near[0]} and {near[1]}, the nearest to each other, would join them "
+                f"({plural(near[2], 'point')} of the former and {near[3]} of the latter are seen "
+                "by two images or fewer).",
+                image_ids=part.image_ids,
+                camera_ids=(),
+                eigenvalue=0.0,
+                dimension=SIMILARITY,
+            )
+        )
+    return modes
+
+
+def rotation_modes(problem: Problem, tracks: TrackTable, counts: EquationCounts) -> list[WeakMode]:
+    """Return a mode for each component whose images all have the same position.
+
+    If a component has too few equations to determine positions, its mode says so.
+    """
+    modes = []
+    for piece in range(min(int(tracks.pieces.max(initial=-1)) + 1, MOST_PIECES)):
+        images = np.flatnonzero(tracks.pieces == piece)
+        look = viewing(problem, images) if len(images) > 1 else None
+        if look is None or look.cause != "pure_rotation":
+            continue
+        short = counts.mode(images, 0)
+        if short is not None:
+            modes.append(short)
+            continue
+        ids = tuple(sorted(problem.image_ids[images].tolist()))
+        modes.append(
+            WeakMode(
+                kind="pure_rotation",
+                sentence=f"Pure rotation: {named('image', ids)} stand at one place (within "
+                f"{look.baseline:.1g} of the distance of their points): no point has a depth and "
+                "the scale is arbitrary. Add images from elsewhere, or hold the points.",
+                image_ids=ids,
+                camera_ids=(),
+                eigenvalue=0.0,
+                dimension=0,
+            )
+        )
+    return modes
+
+
+def _nearest(
+    problem: Problem, tracks: TrackTable, part: tuple[int, ...]
+) -> tuple[int, int, int, int]:
+    """Return the ids of the nearest pair of images, one of the part and one of the main component.
+
+    For each of them, also return the number of its points that at most one other image sees.
+    """
+    own = np.flatnonzero(np.isin(problem.image_ids, part))[:MOST_IMAGES]
+    main = np.flatnonzero(tracks.pieces == 0)
+    centers = problem.projection_centers
+    gaps = np.linalg.norm(centers[own][:, None] - centers[main][None], axis=2)
+    first, second = np.unravel_index(int(gaps.argmin()), gaps.shape)
+    a, b = int(own[first]), int(main[second])
+    short = tracks.lengths[tracks.points] <= 2
+    counts = [int((short & (tracks.images == image)).sum()) for image in (a, b)]
+    return int(problem.image_ids[a]), int(problem.image_ids[b]), counts[0], counts[1]

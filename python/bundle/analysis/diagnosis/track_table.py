@@ -1,4 +1,26 @@
-"""Observations by point: track lengths, connected components, shared points."""
+"""Observations by point, and viewing geometry: causes of weakly separable intrinsics and poses.
+
+Let all images of a camera look along one direction d. Stretching the world along d by s, together
+with the focal length, changes no pinhole image: x = f X / Z. If images are only shifted against
+each other, along d or across it, no scene separates the focal length from the depth. Rotated images
+do separate them. Over a flat scene across d, stretching moves only the images ("height"). Then even
+slightly inclined images separate focal length and depth poorly (Wu 2014: Critical configurations
+for radial distortion self-calibration; Sturm 1997: critical motion sequences).
+
+Weak joints: parts of a model that hang on the rest by few points.
+
+Test. The weight of two images is the number of their common points. A maximum spanning tree of
+these weights connects the images; removing its edge (a, b) of weight w leaves two parts, and no
+pair of images across them has more than w points in common. Parts across which fewer than 15 points
+are seen have an uncertain relative pose and scale: 7 degrees of freedom from 15 points of a few
+pixels' noise, of which outliers may be some. Both parts have at least two images.
+
+Cost. Divide the points into 15 disjoint sets. If the points of each set connect all images, any two
+parts share at least 15 points, one of each set, and no weak joint exists. This test takes linear
+time. Only models that fail it, or small ones, need the pairs of images.
+
+The images of a frame of a rig are one image: the rig holds them together.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +32,11 @@ from numpy.typing import NDArray
 
 from bundle.base.arrays import distinct
 from bundle.base.components import component_roots
+from bundle.base.records import dataclass
+from bundle.base.words import named, plural
+from bundle.interface.finding import Finding
 from bundle.model.problem import Problem
+from bundle.model.rotations import quaternion_inverse, quaternion_rotate
 
 FEW_SHARED = 5
 """Number of common points below which two images leave their relative pose undetermined."""
@@ -127,3 +153,197 @@ class TrackTable:
         rank[order] = np.arange(len(order))
         piece[observed] = rank[piece[observed]]
         return piece
+
+
+ONE_PLACE = 1e-3
+"""Spread of images, relative to the distance of their points, that counts as pure rotation."""
+PARALLEL_DEGREES = 12.0
+"""Root mean square angle to their mean, below which viewing directions count as equal."""
+FLAT = 0.1
+"""Relief of a flat scene, relative to the distance of the points."""
+ALONG_DEGREES = 30.0
+"""Angle to the viewing direction, below which a path counts as forward motion."""
+MOST_POINTS = 20000
+
+Vector = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Viewing:
+    """Viewing geometry of images.
+
+    Attributes:
+        spread_degrees: root mean square angle of the viewing directions to their mean.
+        baseline: root mean square distance of the projection centres from their middle, in median
+            distances of points.
+        relief: root mean square distance of the points from their plane (or line), likewise, from
+            the tenth to the ninetieth percentile.
+        tilt_degrees: angle of the mean viewing direction to the plane's normal.
+        path_degrees: angle of the mean viewing direction to the main direction of the path.
+        path_share: share of the path along its main direction, 1 for a straight line.
+    """
+
+    spread_degrees: float
+    baseline: float
+    relief: float
+    tilt_degrees: float
+    path_degrees: float
+    path_share: float
+
+    @property
+    def cause(self) -> str:
+        """Name of the critical configuration that these images are in or near; "": none."""
+        if self.baseline < ONE_PLACE:
+            return "pure_rotation"
+        if self.spread_degrees > PARALLEL_DEGREES:
+            return ""
+        forward = self.path_degrees < ALONG_DEGREES and self.path_share > 0.9
+        if forward:
+            return "forward_motion"
+        if self.relief < FLAT and self.tilt_degrees < 45:
+            return "flat_scene"
+        return "parallel_views"
+
+
+def viewing(problem: Problem, images: NDArray[np.int64]) -> Viewing | None:
+    """Return the viewing geometry of these images; None if they observe nothing."""
+    chosen = np.flatnonzero(np.isin(problem.observation_image, images))
+    if not len(chosen) or not len(images):
+        return None
+    chosen = chosen[:: max(len(chosen) // MOST_POINTS, 1)]
+    points = problem.points[problem.observation_point[chosen]]
+    centers = problem.projection_centers
+    away = np.linalg.norm(points - centers[problem.observation_image[chosen]], axis=1)
+    distance = float(np.median(away)) or 1.0
+    axes = quaternion_rotate(
+        quaternion_inverse(problem.cam_from_world[images, :4]), np.array([0.0, 0.0, 1.0])
+    )
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    mean = axes.mean(axis=0)
+    length = float(np.linalg.norm(mean))
+    mean = mean / length if length > 0 else axes[0]
+    off = np.degrees(np.arccos(np.clip(axes @ mean, -1, 1)))
+    _, spans, path = np.linalg.svd(centers[images] - centers[images].mean(axis=0))
+    total = float((spans**2).sum())
+    relief, normal = plane(points)
+    return Viewing(
+        spread_degrees=float(np.sqrt((off**2).mean())),
+        baseline=float(np.sqrt(total / len(images))) / distance,
+        relief=relief / distance,
+        tilt_degrees=_angle(normal, mean),
+        path_degrees=_angle(path[0], mean),
+        path_share=float(spans[0] ** 2 / total) if total > 0 else 0.0,
+    )
+
+
+def plane(points: Vector) -> tuple[float, Vector]:
+    """Return relief and normal of the plane through points, without the farthest tenth of them."""
+    middle = np.median(points, axis=0)
+    far = np.linalg.norm(points - middle, axis=1)
+    inner = points[far <= np.quantile(far, 0.9)] - middle
+    if len(inner) < 3:
+        return 0.0, np.array([0.0, 0.0, 1.0])
+    _, normals = np.linalg.eigh(inner.T @ inner)
+    heights = inner @ normals[:, 0]
+    low, high = np.quantile(heights, [0.1, 0.9])
+    return float(high - low) / 2.56, normals[:, 0]
+
+
+def _angle(a: Vector, b: Vector) -> float:
+    """Return the angle between two lines in degrees."""
+    return float(np.degrees(np.arccos(min(abs(float(a @ b)), 1.0))))
+
+
+FEW = 15
+SMALL = 50_000
+MOST_EDGES_TRIED = 20
+
+
+def weak_joint(problem: Problem, tracks: TrackTable) -> Finding | None:
+    """Return the finding about the weakest joint, or None."""
+    if len(tracks.points) > SMALL and _is_firm(problem, tracks):
+        return None
+    images, count = _weakest(problem, tracks)
+    if not count:
+        return None
+    ids = sorted(problem.image_ids[images].tolist())
+    return Finding(
+        kind="weak_joint",
+        sentence=f"Weak joint: {plural(len(ids), 'image')} ({named('image', ids)}) share only "
+        f"{plural(count, 'point')} with the other {problem.num_images - len(ids)}: their relative "
+        "pose and scale are uncertain. Match more pairs across this joint, or close a loop.",
+        evidence={"image_ids": ids, "num_points": count},
+    )
+
+
+def _is_firm(problem: Problem, tracks: TrackTable) -> bool:
+    """Return True if the points of each of 15 sets connect all images that have 100 points."""
+    many = np.bincount(tracks.images, minlength=problem.num_images) >= 100
+    chosen = many[tracks.images]
+    images, points = tracks.images[chosen], tracks.points[chosen]
+    for rest in range(FEW):
+        own = points % FEW == rest
+        starts = np.flatnonzero(np.diff(points[own], prepend=-1))
+        roots = component_roots(images[own], starts, problem.num_images)
+        if len(distinct(roots[many])) > 1:
+            return False
+    return True
+
+
+def _weakest(problem: Problem, tracks: TrackTable) -> tuple[Ints, int]:
+    """Return the images of the smaller part at the weakest joint, and its points; 0: none."""
+    node = _nodes(problem)
+    first, second, weight = tracks.pair_counts
+    first, second = node[first], node[second]
+    apart = first != second
+    first, second, weight = first[apart], second[apart], weight[apart]
+    order = np.argsort(-weight, kind="stable")
+    parent = np.arange(problem.num_images)
+    tree: list[tuple[int, int, int]] = []
+
+    def root(image: int) -> int:
+        while parent[image] != image:
+            parent[image] = parent[parent[image]]
+            image = int(parent[image])
+        return image
+
+    for a, b, w in zip(
+        first[order].tolist(), second[order].tolist(), weight[order].tolist(), strict=True
+    ):
+        one, other = root(a), root(b)
+        if one != other:
+            parent[one] = other
+            tree.append((a, b, w))
+    weak = [edge for edge in reversed(tree) if edge[2] < FEW][:MOST_EDGES_TRIED]
+    best: tuple[Ints, int] = (np.zeros(0, np.int64), 0)
+    for edge in weak:
+        nodes, others = _sides(tree, edge, problem.num_images)
+        if min(len(nodes), len(others)) < 2:
+            continue
+        images = np.flatnonzero(np.isin(node, nodes))
+        count = tracks.count_between(images)
+        if 0 < count < FEW and (not best[1] or count < best[1]):
+            best = (images, count)
+    return best
+
+
+def _nodes(problem: Problem) -> Ints:
+    """Return the first image of the frame of each image, or the image itself."""
+    node = np.arange(problem.num_images)
+    if problem.num_frames:
+        carried = np.flatnonzero(problem.image_frame >= 0)
+        frame = problem.image_frame[carried]
+        first = np.full(problem.num_frames, problem.num_images)
+        np.minimum.at(first, frame, carried)
+        node[carried] = first[frame]
+    return node
+
+
+def _sides(
+    tree: list[tuple[int, int, int]], without: tuple[int, int, int], count: int
+) -> tuple[Ints, Ints]:
+    """Return the two sides of the tree without one edge, the smaller first."""
+    edges = np.array([edge[:2] for edge in tree if edge is not without], np.int64).reshape(-1, 2)
+    roots = component_roots(edges.ravel(), np.arange(len(edges)) * 2, count)
+    one, other = sorted((np.flatnonzero(roots == roots[end]) for end in without[:2]), key=len)
+    return one, other

@@ -15,10 +15,9 @@ import bundle._core as _core
 from bundle.base.records import dataclass
 from bundle.base.words import plural
 from bundle.errors import InputError, brief
-from bundle.graphs.factors.anchored import AnchoredFactor
 from bundle.graphs.factors.contents import factor_name
-from bundle.graphs.factors.factors import Factor
-from bundle.graphs.factors.function_factor import FunctionFactor
+from bundle.graphs.factors.factors import Factor, FunctionFactor
+from bundle.graphs.factors.linear_prior import AnchoredFactor
 from bundle.graphs.factors.spot_check import Candidate, Kind, code_of, spot_check
 from bundle.graphs.factors.variables import Array, Key, Variable
 from bundle.interface.solve_record import with_warnings

@@ -13,8 +13,8 @@ from bundle.base.arguments import check_type
 from bundle.base.display import Displayed
 from bundle.base.words import plural
 from bundle.errors import InputError, brief, nearest
-from bundle.graphs.factors.anchored import AnchoredFactor
 from bundle.graphs.factors.factors import Factor
+from bundle.graphs.factors.linear_prior import AnchoredFactor
 from bundle.graphs.factors.variables import (
     Array,
     Key,

@@ -1,29 +1,39 @@
-"""Factor graph: variables, factors, and the operations on both."""
+"""Factor graph: variables, factors, and the operations on both.
+
+The alarm of the ordering needs the size of the matrix that a solve factorises. Two variables have a
+block in Lambda = J^T J if a factor joins them. Ceres does not report its factor: it is counted
+after the solve, in CHOLMOD's AMD order of these blocks, as for reconstructions. A dense factor has
+n (n + 1) / 2 entries. METIS is compared if the factorisations take about a second.
+"""
 
 from __future__ import annotations
 
+import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
-from typing import Any, Unpack
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from time import perf_counter
+from typing import Any, NamedTuple, Unpack
+
+import numpy as np
+from numpy.typing import NDArray
 
 import bundle._core as _core
 from bundle.base.arguments import as_flag, check_function
-from bundle.base.display import Display
+from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
 from bundle.base.words import change, plural, seconds
 from bundle.errors import InputError, brief
 from bundle.graphs.factors.check_solve import Conditioning, SolvedGraph, checked
-from bundle.graphs.factors.digits_left import DigitsLeft
-from bundle.graphs.factors.factor_counts import with_counts
+from bundle.graphs.factors.factor_check import check_graph
 from bundle.graphs.factors.factor_report import FactorCheck
 from bundle.graphs.factors.factors import Factor
-from bundle.graphs.factors.graph_check import check_graph
 from bundle.graphs.factors.marginals import GraphMarginals
 from bundle.graphs.factors.same_problem import pose_graph_of, problem_of
-from bundle.graphs.factors.variables import Array, Key, as_list
+from bundle.graphs.factors.variables import Array, Key, Variable, as_list
 from bundle.interface.option_class import takes_options
 from bundle.interface.option_keywords import SolveKeywords
 from bundle.interface.options import GraphOptions, SolveOptions
+from bundle.interface.ordering_alarm import BestOrder, with_ordering_alarm
 from bundle.interface.solve_record import Progress, SolveRecord, record_fields
 from bundle.interface.trust_region_fields import CERES_ONLY
 from bundle.model.pose_graph_arrays import PoseGraph
@@ -294,3 +304,142 @@ class FactorGraph(GraphMarginals):
                 ("free", plural(size, "coordinate")),
             ),
         )
+
+
+DIGITS = 16
+ENOUGH = 4
+
+
+@dataclass(frozen=True, repr=False)
+class DigitsLeft(Displayed):
+    """Digits of a step by normal equations and by a QR factorisation.
+
+    J is the whitened Jacobian with its columns scaled to norm 1, so that units have no effect.
+    Normal equations square the condition number of J and lose twice as many digits as QR.
+
+    Attributes:
+        condition_number: kappa(J), the ratio of the largest and the smallest singular value,
+            accurate to a few percent; infinite for dependent columns, as in a graph without a
+            prior.
+        rank: rank of J according to the QR factorisation.
+        num_columns: number of free coordinates.
+    """
+
+    condition_number: float
+    rank: int
+    num_columns: int
+
+    @staticmethod
+    def of(largest: float, least: float, num_columns: int, dependent: Sequence[int]) -> DigitsLeft:
+        """Return the digits for two singular values and the dependent columns."""
+        rank = num_columns - len(dependent)
+        condition = largest / least if least > 0 and rank == num_columns else math.inf
+        return DigitsLeft(max(condition, 1.0), rank, num_columns)
+
+    @property
+    def normal_equations(self) -> int:
+        """Digits of a step by normal equations: 16 - 2 log10 kappa, at least 0."""
+        return self._digits(2)
+
+    @property
+    def square_root(self) -> int:
+        """Digits of a step by QR: 16 - log10 kappa, at least 0."""
+        return self._digits(1)
+
+    @property
+    def needs_square_root(self) -> bool:
+        """True if normal equations leave fewer than 4 digits and J has full rank."""
+        return self.rank == self.num_columns and self.normal_equations < ENOUGH
+
+    def _digits(self, power: int) -> int:
+        if math.isinf(self.condition_number):
+            return 0
+        return max(0, round(DIGITS - power * math.log10(self.condition_number)))
+
+    def _display(self) -> Display:
+        return Display(
+            title="DigitsLeft",
+            facts=(
+                ("condition of J", f"{self.condition_number:.1e}"),
+                ("rank", f"{self.rank} of {plural(self.num_columns, 'free coordinate')}"),
+                ("normal equations", plural(self.normal_equations, "digit")),
+                ("square root", plural(self.square_root, "digit")),
+            ),
+        )
+
+
+LEAST_FLOPS = 2e9
+"""Flops of all factorisations, about a second, of which a look takes a small share."""
+
+
+class FreePattern(NamedTuple):
+    """Lower triangle of Lambda over the free variables, by block columns."""
+
+    sizes: NDArray[np.int32]
+    begin: NDArray[np.int64]
+    rows: NDArray[np.int32]
+
+
+def with_counts(
+    summary: Mapping[str, Any], variables: Mapping[Key, Variable], factors: Sequence[Factor]
+) -> dict[str, Any]:
+    """Return the fields of a summary with the size of the factor and the alarm of its order."""
+    begun = perf_counter()
+    pattern = free_pattern(variables, factors)
+    wide = pattern.sizes.astype(np.int64)
+    columns = int(wide.sum())
+    pairs = wide[pattern.rows] * np.repeat(wide, np.diff(pattern.begin))
+    fields = {**summary, "num_information_nonzeros": int(2 * pairs.sum() - (wide**2).sum())}
+    kind = fields["linear_solver_type_used"]
+    if kind == "SPARSE_NORMAL_CHOLESKY":
+        best = _count(pattern, "amd")
+    elif kind == "DENSE_NORMAL_CHOLESKY":
+        c = np.arange(columns, dtype=float)
+        flops, entries = float((c * c + 3 * c).sum()), columns * (columns + 1) / 2
+        best = BestOrder(ordering="natural", flops=flops, nonzeros=entries)
+    else:  # by QR or conjugate gradients
+        return fields
+    fields |= {
+        "num_factor_columns": columns,
+        "num_reduced_nonzeros": (
+            columns**2 if kind.startswith("DENSE") else fields["num_information_nonzeros"]
+        ),
+        "num_factor_nonzeros": int(best.nonzeros),
+        "factor_flops": best.flops,
+        "factor_ordering": best.ordering,
+        "symbolic_time_in_seconds": perf_counter() - begun,
+    }
+
+    def look() -> BestOrder:
+        return min(best, _count(pattern, "metis"), key=lambda one: one.flops)
+
+    is_sparse = kind.startswith("SPARSE")
+    return with_ordering_alarm(
+        fields, lambda: pattern, look if is_sparse else None, least_flops=LEAST_FLOPS
+    )
+
+
+def _count(pattern: FreePattern, name: str) -> BestOrder:
+    counts = _core.count_factor(*pattern, _core.order_blocks(*pattern, name))
+    return BestOrder(ordering=name, flops=counts["flops"], nonzeros=counts["entries"])
+
+
+def free_pattern(variables: Mapping[Key, Variable], factors: Sequence[Factor]) -> FreePattern:
+    """Return the pattern of Lambda over the variables with a free coordinate."""
+    sizes = {key: len(v.coordinates) - sum(v.held) for key, v in variables.items()}
+    place = {key: k for k, key in enumerate(key for key, size in sizes.items() if size)}
+    count = len(place)
+    groups: dict[int, list[list[int]]] = {}
+    for factor in factors:
+        joined = [place[key] for key in factor.keys if key in place]
+        groups.setdefault(len(joined), []).append(joined)
+    codes = [np.arange(count) * (count + 1)]
+    for number, members in groups.items():
+        if number > 1:
+            table = np.sort(np.array(members, np.int64), axis=1)
+            first, second = np.triu_indices(number, 1)
+            codes.append(np.unique(table[:, first] * count + table[:, second]))
+    columns, rows = np.divmod(np.unique(np.concatenate(codes)), max(count, 1))
+    begin = np.searchsorted(columns, np.arange(count + 1)).astype(np.int64)
+    free = np.array([size for size in sizes.values() if size], np.int32)
+    return FreePattern(free, begin, rows.astype(np.int32))

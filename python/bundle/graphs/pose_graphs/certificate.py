@@ -12,6 +12,9 @@ from bundle.model.pose_graph_arrays import PoseGraph
 
 CERTIFIED, NOT_CERTIFIED, NOT_A_MINIMUM = "certified", "not-certified", "not-a-minimum"
 
+STAIRCASE, CHORDAL_MINIMUM = ESCAPES = ("staircase", "chordal_minimum")
+"""Names of the starts of second solves."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Certificate(Displayed):

@@ -14,21 +14,26 @@ Newton's method lowers F by at most a tenth. Otherwise two solves tell:
 
 from __future__ import annotations
 
+import dataclasses
 import os
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 import bundle._core as _core
+from bundle.base import words
 from bundle.base.arguments import check_function, check_type
 from bundle.base.arrays import freeze
 from bundle.base.paths import as_path, is_path
 from bundle.errors import InputError
 from bundle.graphs.pose_graphs.certificate import (
     CERTIFIED,
+    CHORDAL_MINIMUM,
     NOT_A_MINIMUM,
     NOT_CERTIFIED,
+    STAIRCASE,
     Certificate,
     Staircase,
 )
@@ -291,3 +296,80 @@ def _solved_chi2(graph: PoseGraph, poses: Floats, error: str, threads: int) -> f
         graph, held, nothing, options, None, with_trials=True, poses=poses
     )
     return float(after["chi2_after"].sum())
+
+
+LOWER = 1e-6
+"""Relative decrease of the cost below which the second solve is the same minimum."""
+
+Solve = Callable[[PoseGraph, PoseGraphOptions], PoseGraphResult]
+
+
+def certified(
+    graph: PoseGraph, options: PoseGraphOptions, solve: Solve, progress: Progress | None = None
+) -> PoseGraphResult:
+    """Solve, certify the solution, and solve again from lower poses that the certificate has.
+
+    These are the staircase's poses if their F is lower, or the critical point of F if this was far
+    from the solution. The certificate of the result is that of the first solution. A result without
+    a usable solution has none. Ctrl-C during the certificate keeps the solution, as interrupted.
+
+    Args:
+        graph: graph to solve.
+        options: options with ``certify``.
+        solve: function that solves a graph with options.
+        progress: called after each step of the certificate.
+
+    Raises:
+        InputError: the graph or the loss has no certificate.
+    """
+    check_certifiable(graph, options.loss)
+    solved = solve(graph, options)
+    if not solved.summary.is_solution_usable or solved.summary.interrupted:
+        return solved
+    solved = dataclasses.replace(solved, options=options)
+    try:
+        certificate = certify(solved, num_threads=solved.options.num_threads, progress=progress)
+    except KeyboardInterrupt:
+        interrupted = dataclasses.replace(solved.summary, interrupted=True)
+        return dataclasses.replace(solved, summary=interrupted)
+    solved = dataclasses.replace(solved, certificate=certificate)
+    there, init, how = _lower_poses(certificate)
+    if there is None:
+        return solved
+    first = solved.summary
+    second = solve(
+        graph.replace(poses=there.poses, has_poses=True),
+        options.replace(certify=False, init="file"),
+    )
+    last = second.summary
+    is_lower = last.final_cost < (1 - LOWER) * first.final_cost
+    if not (is_lower and last.is_solution_usable and not last.interrupted):
+        return solved
+    reason = (
+        f"The certificate of a first solve failed (chi2 {words.number(first.chi2_final)}). {how}"
+    )
+    return dataclasses.replace(
+        second,
+        initial_problem=graph,
+        options=options,
+        chi2_before=solved.chi2_before,
+        certificate=certificate,
+        summary=dataclasses.replace(
+            last, init=init, init_choice=reason, chi2_initial=first.chi2_initial
+        ),
+    )
+
+
+def _lower_poses(certificate: Certificate) -> tuple[PoseGraph | None, str, str]:
+    """Return poses below the solution, their name and their origin; None without such poses."""
+    stairs = certificate.staircase
+    if stairs is not None and stairs.cost < (1 - LOWER) * certificate.cost:
+        return (
+            stairs.problem,
+            STAIRCASE,
+            f"A convex relaxation, of rank {stairs.rank}, gave lower poses.",
+        )
+    if certificate.cost * (1 + NEAR_COST) < certificate.initial_cost:
+        how = "The minimum of the chordal cost next to it gave lower poses."
+        return certificate.problem, CHORDAL_MINIMUM, how
+    return None, "", ""

@@ -9,7 +9,7 @@ In the frame of the chain (the inverse of the loop, conjugated by O_j) it is
 
 with one motion A per closure: the correction of the odometry that it measures. Consistent closures
 have D = I up to noise. To first order at D = I, with errors on the right of the measurements and
-w_t of ``odometry_chain``, Log(D) is the sum of
+w_t as below, Log(D) is the sum of
 
     Ad(O_l) e_b - Ad(O_j) e_a                               of the closures,
     (([t <= k] - [t <= i]) P + ([t <= j] - [t <= l])) w_t,  P = Ad(B^-1), of odometry step t.
@@ -18,7 +18,7 @@ where A may replace B in P, because they are equal at D = I. This gives two cova
 with the larger chi2 counts, so that the long lever of a wrong closure far away does not inflate its
 covariance. The first bracket is s on the steps between i and k, the second is r on the steps
 between l and j, with signs s, r = +1, -1 by direction. If these stretches overlap, a step counts in
-both, and the sum is s P + r I, which is nearly zero if B is near I. With W from ``odometry_chain``
+both, and the sum is s P + r I, which is nearly zero if B is near I. With W as below
 
     Cov = S_a + S_b + P W_first P^T + W_second + (P + s r I) W_both (P + s r I)^T,
 
@@ -30,19 +30,42 @@ would reject many.
 The correct closures of one odometry form one set: closures at different places agree within the
 noise between them, so that the largest set covers all places. A file with several trajectories has
 gaps in its odometry and is refused.
+
+Odometry chain. Pose q of the chain is O_q = O_{q-1} Z_q. Each measurement has an error on its
+right, Z_t Exp(e_t) with e_t ~ N(0, Sigma_t), Sigma_t the inverse of its information. Because X
+Exp(d) = Exp(Ad_X d) X, an error of step t moves all later poses together as one rigid body, by w_t
+in the frame of the chain:
+
+    O_q -> Exp(w_t) O_q  for q >= t,     w_t = Ad(O_t) e_t.
+
+Steps are independent, so that covariances of w add up. The sum over the steps between p and q is
+
+    sum_{p < t <= q} Cov(w_t) = W_q - W_p,     W_q = sum_{t <= q} Ad(O_t) Sigma_t Ad(O_t)^T,
+
+a difference of two prefix sums that needs no second pass over the chain. An edge against the
+direction of the chain measures the inverse: Z^-1 Exp(e) with e of covariance Ad(Z) Sigma Ad(Z)^T.
 """
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Callable
+from time import perf_counter
+
 import numpy as np
 from numpy.typing import NDArray
 
+import bundle._core as _core
+from bundle.base.arrays import freeze
 from bundle.base.records import dataclass
+from bundle.base.words import plural
 from bundle.errors import InputError
 from bundle.graphs.pose_graphs.chi2_quantiles import ONE_IN_A_MILLION
+from bundle.graphs.pose_graphs.information import checked_information
 from bundle.graphs.pose_graphs.largest_set import largest_set
 from bundle.graphs.pose_graphs.lie_groups import adjoints, compose, inverse, logarithm
-from bundle.graphs.pose_graphs.odometry_chain import OdometryChain, edge_covariance, odometry_chain
+from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
+from bundle.interface.pose_graph_options import PoseGraphOptions
 from bundle.model.pose_graph_arrays import PoseGraph
 
 PAIRS_AT_ONCE = 20_000
@@ -173,3 +196,158 @@ def _odometry_noise(
         + twice @ both @ twice.transpose(0, 2, 1)
     )
     return total
+
+
+UNPROVEN_SET = "unproven_set"
+MOST_LEFT_OUT = "most_left_out"
+
+Solve = Callable[[PoseGraph, PoseGraphOptions], tuple[PoseGraphResult, Floats]]
+
+
+def solve_consistent(graph: PoseGraph, options: PoseGraphOptions, solve: Solve) -> PoseGraphResult:
+    """Solve without the closures outside the largest consistent set; report on all edges.
+
+    Args:
+        graph: graph to solve; not modified.
+        options: options with ``consistency``.
+        solve: function from a graph and options without ``consistency`` to the result and the poses
+            at the start.
+
+    Raises:
+        InputError: for the reasons of :func:`closure_consistency` or of ``solve``.
+    """
+    begun = perf_counter()
+    weighed = checked_information(graph, options.information)
+    found = closure_consistency(weighed, options.num_threads or 1)
+    kept = np.ones(graph.num_edges, bool)
+    kept[[entry.edge for entry in found.left_out]] = False
+    edges = np.flatnonzero(kept)
+    check_time = perf_counter() - begun
+    solved, start = solve(
+        graph.replace(
+            edges=graph.edges[edges],
+            measurements=graph.measurements[edges],
+            information=graph.information[edges],
+            edge_lines=graph.edge_lines[edges],
+        ),
+        options.replace(consistency=False),
+    )
+    after = _core.edge_chi2(weighed, options.error, solved.problem.poses).copy()
+    before = _core.edge_chi2(weighed, options.error, start).copy()
+    after[edges], before[edges] = solved.chi2_after, solved.chi2_before
+    weights = np.zeros(graph.num_edges)
+    weights[edges] = solved.weights
+    said = _warnings(found)
+    return dataclasses.replace(
+        solved,
+        problem=graph.replace(poses=solved.problem.poses, has_poses=True),
+        initial_problem=graph,
+        options=options.replace(num_threads=solved.options.num_threads),
+        chi2_before=freeze(before),
+        chi2_after=freeze(after),
+        weights=freeze(weights),
+        rejected=tuple(int(edges[edge]) for edge in solved.rejected),
+        left_out=found.left_out,
+        build_time_in_seconds=solved.build_time_in_seconds + check_time,
+        summary=dataclasses.replace(
+            solved.summary,
+            num_left_out_edges=len(found.left_out),
+            warnings=(*solved.summary.warnings, *said.values()),
+            warning_kinds=(*solved.summary.warning_kinds, *said),
+        ),
+    )
+
+
+def _warnings(found: ClosureConsistency) -> dict[str, str]:
+    said = {}
+    if not found.proven:
+        said[UNPROVEN_SET] = (
+            "The search for the largest consistent set of closures reached its time limit: "
+            "the best set found is used, and a larger one may exist."
+        )
+    if 2 * len(found.left_out) >= found.num_closures > 1:
+        said[MOST_LEFT_OUT] = (
+            f"{plural(len(found.left_out), 'closure')} of {found.num_closures} contradict "
+            "the largest consistent set and are left out: no majority shows which are "
+            "correct."
+        )
+    return said
+
+
+SINGULAR = 1e-14
+"""Smallest eigenvalue of information with a unit diagonal that counts as invertible."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class OdometryChain:
+    """Odometry of a graph, relative to the centre of its poses.
+
+    Attributes:
+        poses: (n, 3) or (n, 7) in the order of the graph's poses.
+        place: (n,) place of each pose along the chain, from 0.
+        accumulated: (n, d, d) matrices W by place; zero at the first place.
+    """
+
+    poses: Floats
+    place: NDArray[np.intp]
+    accumulated: Floats
+
+
+def odometry_chain(graph: PoseGraph, num_threads: int) -> OdometryChain:
+    """Compose the odometry chain from the first edge between each two successive poses.
+
+    Raises:
+        InputError: two poses that follow each other in the order of ids have no edge, or the
+            information of such an edge is singular.
+    """
+    order = np.argsort(graph.ids, kind="stable")
+    first, second = _core.odometry_gap(graph)
+    if first >= 0:
+        raise InputError(
+            "consistency: expected odometry without gaps, found no edge between "
+            f"{graph.ids[first]} and {graph.ids[second]}"
+        )
+    held = np.zeros(graph.num_poses, bool)
+    held[order[0]] = True
+    poses = np.array(_core.initial_poses(graph, held, "odometry", num_threads))
+    position = slice(0, 2) if graph.dimension == 2 else slice(4, 7)
+    poses[:, position] -= poses[:, position].mean(axis=0)  # short levers lose fewer digits
+    place = np.empty(graph.num_poses, np.intp)
+    place[order] = np.arange(graph.num_poses)
+
+    ends = place[graph.edges]
+    steps = np.flatnonzero(~graph.is_closure)
+    later, which = np.unique(ends[steps].max(axis=1), return_index=True)  # first edge of each step
+    steps = steps[which]
+    covariance = edge_covariance(graph, steps)
+    back = ends[steps, 0] > ends[steps, 1]
+    # Relative to the later end of the edge, then in the chain's frame.
+    turned = adjoints(graph.measurements[steps[back]])
+    covariance[back] = turned @ covariance[back] @ turned.transpose(0, 2, 1)
+    moved = adjoints(poses[order[later]])
+    d = graph.tangent_size
+    accumulated = np.zeros((graph.num_poses, d, d))
+    accumulated[1:] = np.cumsum(moved @ covariance @ moved.transpose(0, 2, 1), axis=0)
+    return OdometryChain(poses=poses, place=place, accumulated=accumulated)
+
+
+def edge_covariance(graph: PoseGraph, edges: NDArray[np.intp]) -> Floats:
+    """Return the covariances (k, d, d) of some edges in tangent coordinates.
+
+    Raises:
+        InputError: information is singular or not finite; the message names the edge.
+    """
+    information = graph.information[edges]
+    information[~np.isfinite(information).all(axis=(1, 2))] = 0.0
+    diagonal = np.diagonal(information, axis1=1, axis2=2)
+    scale = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1))
+    scaled = scale[:, :, None] * information * scale[:, None, :]
+    singular = np.linalg.eigvalsh(scaled)[:, 0] < SINGULAR
+    if singular.any():
+        name = graph.edge_name(int(edges[np.argmax(singular)]))
+        raise InputError(
+            f"consistency: {name}: expected invertible information, found a singular matrix "
+            "or infinity"
+        )
+    inverse: Floats = scale[:, :, None] * np.linalg.inv(scaled) * scale[:, None, :]
+    return inverse

@@ -75,13 +75,13 @@ def solve_pose_graph(
     def solve(given: PoseGraph, how: PoseGraphOptions) -> PoseGraphResult:
         if not how.consistency:
             return _refined(given, how, progress)[0]
-        from bundle.graphs.pose_graphs.consistent_solve import solve_consistent
+        from bundle.graphs.pose_graphs.consistency import solve_consistent
 
         return solve_consistent(given, how, lambda kept, how: _refined(kept, how, progress))
 
     if not options.certify:
         return solve(graph, options)
-    from bundle.graphs.pose_graphs.certified_solve import certified
+    from bundle.graphs.pose_graphs.certify import certified
 
     return certified(graph, options, solve, progress)
 
@@ -152,14 +152,14 @@ def _refined(
         return find_doubt(there, options.error, doubted, chi2, c_squared, options.num_threads)
 
     if options.loss == "auto":
-        from bundle.graphs.pose_graphs.loss_choice import choose_loss
+        from bundle.graphs.pose_graphs.truncated_search import choose_loss
 
         used, output, why = choose_loss(solve, doubted, options, c_squared, doubts)
     else:
         used, output, why = options, solve(options), ""
 
     def cost(chi2: NDArray[np.float64]) -> float:
-        from bundle.graphs.pose_graphs.loss_choice import loss_cost
+        from bundle.graphs.pose_graphs.truncated_search import loss_cost
 
         return loss_cost(chi2, doubted, used, c_squared)
 

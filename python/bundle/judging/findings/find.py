@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bundle.analysis.diagnosis.track_table import TrackTable
-from bundle.analysis.diagnosis.weak_joints import weak_joint
+from bundle.analysis.diagnosis.track_table import TrackTable, weak_joint
 from bundle.interface.finding import Finding
 from bundle.interface.options import SolveOptions
 from bundle.judging.findings.duplicates import duplicate_points

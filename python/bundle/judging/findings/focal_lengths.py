@@ -34,7 +34,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.analysis.uncertainty.newton_step import newton_step
+from bundle.analysis.uncertainty.compute_covariance import newton_step
 from bundle.base.arrays import distinct, median
 from bundle.base.records import dataclass
 from bundle.base.words import named, noun, number, plural

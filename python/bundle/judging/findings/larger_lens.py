@@ -33,7 +33,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.analysis.uncertainty.newton_step import newton_step
+from bundle.analysis.uncertainty.compute_covariance import newton_step
 from bundle.base.arrays import distinct
 from bundle.base.words import named, number, plural
 from bundle.errors import InputError

@@ -8,7 +8,7 @@ from bundle.editing.cameras.camera_sharing import split_cameras
 from bundle.interface.options import SolveOptions
 from bundle.judging.validation.candidates import Candidate, groups_of, tying_rules
 from bundle.model.problem import Problem
-from bundle.planning.comparison.command_line import command_line
+from bundle.planning.comparison.recommendation import command_line
 
 
 def refine_command(

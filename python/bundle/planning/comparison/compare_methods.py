@@ -37,11 +37,15 @@ from bundle.interface.pose_graph_options import PoseGraphOptions
 from bundle.io.files import Source
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.planning.comparison import process_memory
-from bundle.planning.comparison.comparison_result import GAPS, Comparison
+from bundle.planning.comparison.comparison_result import (
+    GAPS,
+    Comparison,
+    PerformanceProfile,
+    performance_profiles,
+)
 from bundle.planning.comparison.factor_graph_comparison import compare_factor_graph
 from bundle.planning.comparison.graph_comparison import GraphComparison, compare_graph
 from bundle.planning.comparison.method import expand
-from bundle.planning.comparison.profiles import PerformanceProfile, performance_profiles
 from bundle.planning.comparison.recommendation import recommend
 from bundle.planning.comparison.work import Progress, Work
 

@@ -26,10 +26,10 @@ from bundle.interface.pose_graph_options import PoseGraphOptions
 from bundle.interface.tabular import Tabular
 from bundle.io.g2o_files import load_g2o
 from bundle.model.pose_graph_arrays import PoseGraph
-from bundle.planning.comparison.command_line import command_line
 from bundle.planning.comparison.graph_distance import graph_distance
 from bundle.planning.comparison.graph_runs import GraphRun, best_cost, measure, recommend_run
 from bundle.planning.comparison.method import as_tuple, thread_counts
+from bundle.planning.comparison.recommendation import command_line
 from bundle.planning.inspection.pose_graph_inspection import inspect_pose_graph
 
 __all__ = ["FactorGraphMethod", "GraphComparison", "GraphMethod", "GraphRun", "compare_graph"]

@@ -5,20 +5,49 @@ tell them apart. Single points at other positions do not count. A solution farth
 another minimum, or its method stopped too early. To distinguish these cases, one method continues
 from each solution at tight tolerances. Solutions whose continuations meet are at one minimum. Costs
 alone cannot distinguish them: an early stop and a poor minimum can have the same gap.
+
+The distance between two solutions in sigmas needs no covariance. Let x_a and x_b be two solutions,
+r their residuals in sigmas of the observations, J the Jacobian, and W = diag(rho') the weights of
+the loss at the solution of the lowest cost. The covariance is C = sigma0^2 (J^T W J)^-1 with
+sigma0^2 = r^T W r / (residuals - parameters). The distance
+
+    d^2 = (x_a - x_b)^T C^-1 (x_a - x_b) = ||W^1/2 J (x_a - x_b)||^2 / sigma0^2
+        = ||W^1/2 (r_a - r_b)||^2 / sigma0^2        to first order
+
+needs no Jacobian, and does not depend on the gauge: J maps free directions to 0. By Cauchy and
+Schwarz it bounds every parameter and every linear combination of parameters v,
+
+    |v^T (x_a - x_b)| <= d sqrt(v^T C v),
+
+with equality for one v (Scheffe's bound). At a minimum x_b the cost rises by d^2 sigma0^2 / 2, so a
+relative gap g of the cost is a distance of about sqrt(g (residuals - parameters)): for a million
+observations, a gap of 1e-6 is more than one sigma.
+
+A point with an outlier or without parallax often has several minima of its own, which the cameras
+do not notice. d^2 is a sum over observations, hence over points. Points that alone contribute more
+than one sigma are therefore counted and left out, if they are at most 0.2 % of all: the rest of the
+sum bounds all other parameters, for a covariance without the observations of these points.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from bundle.interface.options import SolveOptions
+from bundle.model.losses import evaluate_loss
 from bundle.model.problem import Problem
+from bundle.model.residuals import residuals
+from bundle.planning.comparison.hand_over import restore_solution
 from bundle.planning.comparison.measured_run import Run
 from bundle.planning.comparison.method import Method
 from bundle.planning.comparison.process import WorkerEnd
-from bundle.planning.comparison.solution_distance import SolutionDistance
 
 SAME = 1.0
 """Distance in sigmas up to which two solutions are at the same minimum."""
@@ -102,3 +131,65 @@ def _minima(
             centres.append(path)
         numbers[method] = number
     return numbers
+
+
+MOST_POINTS = 0.002
+"""Largest share of points that are left out."""
+
+LEAST_SIGMA0 = 1e-3
+"""Least sigma0. Data without noise would make rounding errors many sigmas."""
+
+
+class Distance(NamedTuple):
+    """Distance of two solutions.
+
+    Attributes:
+        sigmas: distance without the points that are counted.
+        num_points: number of points that are at other positions.
+    """
+
+    sigmas: float
+    num_points: int
+
+
+class SolutionDistance:
+    """Distances between stored solutions of one problem.
+
+    Args:
+        problem: the problem; its values are not used.
+        options: options of the solves.
+        best: stored solution of the lowest cost.
+        redundancy: number of residuals minus number of parameters.
+    """
+
+    def __init__(
+        self, problem: Problem, options: SolveOptions, best: Path, redundancy: int
+    ) -> None:
+        self._problem, self._options = problem, options
+        residual = self._residual(best)
+        squared = np.where(np.isfinite(residual), residual, 0.0) ** 2
+        lengths = squared.sum(axis=1)
+        rho = evaluate_loss(options.loss, options.loss_scale, lengths)
+        self._weight = rho[:, 1]
+        variance = float(self._weight @ lengths) / max(redundancy, 1)
+        self._sigma0 = max(math.sqrt(variance), LEAST_SIGMA0)
+
+    def between(self, one: Path, other: Path) -> Distance:
+        """Return the distance. Observations without a projection in one solution do not count."""
+        apart = self._residual(one) - self._residual(other)
+        squared = (np.where(np.isfinite(apart), apart, 0.0) ** 2).sum(axis=1)
+        problem = self._problem
+        weighted = self._weight * squared / self._sigma0**2
+        of_points = np.bincount(problem.observation_point, weighted, problem.num_points)
+        elsewhere = of_points > 1
+        if elsewhere.sum() > MOST_POINTS * problem.num_points:
+            elsewhere[:] = False
+        return Distance(math.sqrt(float(of_points[~elsewhere].sum())), int(elsewhere.sum()))
+
+    def _residual(self, path: Path) -> NDArray[np.float64]:
+        """Return (num_observations, 2) residuals in sigmas; NaN where they do not count."""
+        problem = restore_solution(self._problem, path)
+        found = residuals(problem, self._options.cheirality)
+        xy = np.where(found.counted[:, None], found.xy, np.nan)
+        sigma = problem.observation_sigma
+        return xy if sigma is None else xy / sigma[:, None]

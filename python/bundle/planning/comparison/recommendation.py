@@ -1,18 +1,25 @@
-"""Recommendation of one method from measurements, and the reason."""
+"""Recommendation of one method from measurements, with reason and command line."""
 
 from __future__ import annotations
 
+import dataclasses
 import math
+import shlex
 import statistics
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
+import bundle._core as _core
 from bundle.base.words import duration, plural
-from bundle.planning.comparison.command_line import command_line
+from bundle.interface.compare_options import COMPARED, CompareOptions
+from bundle.interface.options import SolveOptions
+from bundle.interface.pose_graph_options import PoseGraphOptions
 from bundle.planning.comparison.comparison_result import Comparison, Recommendation
 from bundle.planning.comparison.measured_run import Prediction, Run
 from bundle.planning.comparison.method import ITERATIVE, Method
+from bundle.planning.inspection.inspection_result import Inspection
 
 
 def reason_on_one(comparison: Comparison, method: Method, tolerance: float) -> str:
@@ -249,3 +256,58 @@ def _verdict(ratios: Sequence[dict[Method, float]], foreseen: Sequence[Method | 
         return f"{name}. This was right."
     verdict = "right" if right[0] else "wrong"
     return f"{name}. This was {verdict}: it takes {row[method]:.2f} times as long as the fastest."
+
+
+def command_line(
+    options: SolveOptions | PoseGraphOptions, source: str = "INPUT", output: str = "OUTPUT"
+) -> str:
+    """Return the `bundle refine` command with these options; default values are left out."""
+    words = ["bundle", "refine", source, "-o", output]
+    for field in dataclasses.fields(options):
+        value = getattr(options, field.name)
+        if value != field.default:
+            words += _flag(field, value)
+    return shlex.join(words)
+
+
+def comparison_command(comparison: Comparison, *, perturb: float) -> str:
+    """Return the `bundle compare` command of a comparison, with another perturbation."""
+    words = ["bundle", "compare"]
+    words += [problem.name if problem.is_file else "INPUT" for problem in comparison.problems]
+    words += ["--perturb", f"{perturb:g}"]
+    defaults = CompareOptions()
+    for name, listed in COMPARED.items():
+        of = [m for m in comparison.methods if m.is_iterative or name != "preconditioner_type"]
+        values = tuple(dict.fromkeys(getattr(method, name) for method in of))
+        usual = (_core.hardware_threads(),) if listed == "threads" else getattr(defaults, listed)
+        if values and values != usual:
+            words += [f"--{listed.replace('_', '-')}", ",".join(map(str, values)).replace("_", "-")]
+    for field in dataclasses.fields(comparison.options):
+        value = getattr(comparison.options, field.name)
+        if value != field.default:
+            words += _flag(field, value)
+    return shlex.join(words)
+
+
+def recommended_command(
+    inspection: Inspection, options: SolveOptions, source: str = "INPUT"
+) -> str:
+    """Return the `bundle refine` command that an inspection recommends; "" without one."""
+    if inspection.recommended < 0:
+        return ""
+    best = inspection.methods[inspection.recommended]
+    options = options.replace(
+        linear_solver_type=best.linear_solver_type.lower(),
+        preconditioner_type=best.preconditioner.lower() or "auto",
+        backend="ceres" if best.backend == "CERES" else "auto",
+    )
+    return command_line(options, source)
+
+
+def _flag(field: dataclasses.Field[Any], value: Any) -> list[str]:
+    flag = field.metadata["flag"]
+    if isinstance(value, bool):
+        return [flag if value else f"--no-{flag.lstrip('-')}"]
+    text = ",".join(map(str, value)) if isinstance(value, tuple) else str(value)
+    named = field.metadata["choices"] is not None or field.name == "refine"
+    return [flag, text.replace("_", "-") if named else text]

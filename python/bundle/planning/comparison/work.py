@@ -1,10 +1,23 @@
-"""Runs of a comparison: one worker process after the other, and their outcomes."""
+"""Runs of a comparison: one worker process after the other, and their outcomes.
+
+At a minimum, every method stops after a step, and their times say nothing. A seeded perturbation of
+relative size s gives a start from which all methods must work. With n standard normal:
+
+    centre of a pose    c + s D n,  D: median distance of its observed points
+    rotation of a pose  Exp(s n) R, about its centre
+    point               p + s d n,  d: distance of its nearest camera
+    focal lengths       (1 + s n) f, at least f / 2; one n per camera
+
+All sizes are relative to distances, so that the image moves by about s f pixels whatever the scale
+of the scene. Values that the options hold constant, and poses of rigs' sensors, stay.
+"""
 
 from __future__ import annotations
 
 import json
+import math
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import field
 from pathlib import Path
 from typing import Any
@@ -15,20 +28,29 @@ from numpy.typing import NDArray
 from bundle.base.memory_sizes import format_size
 from bundle.base.paths import is_path
 from bundle.base.records import dataclass
-from bundle.errors import shown
+from bundle.errors import InputError, shown
 from bundle.interface.compare_options import SECONDS_NOT_REPEATED
-from bundle.interface.options import SolveOptions
+from bundle.interface.options import AUTO_PRECONDITIONER, SolveOptions
 from bundle.interface.summary import Summary
 from bundle.io.files import Source, as_problem
+from bundle.model.cameras import camera_models
+from bundle.model.problem import Problem
+from bundle.model.rotations import (
+    quaternion_from_vector,
+    quaternion_inverse,
+    quaternion_multiply,
+    quaternion_rotate,
+)
 from bundle.model.unobserved import require_observations, require_tracks
 from bundle.planning.comparison import hand_over
 from bundle.planning.comparison.comparison_result import ComparedProblem
 from bundle.planning.comparison.measured_run import Measurement, Prediction, Run
 from bundle.planning.comparison.method import Method
 from bundle.planning.comparison.minima import find_minima
-from bundle.planning.comparison.perturbed_start import perturbed
-from bundle.planning.comparison.predictions import foresee, predict
 from bundle.planning.comparison.process import WorkerEnd, run_worker
+from bundle.planning.inspection.inspection_result import Inspection, MethodInspection
+from bundle.planning.inspection.problem_inspection import inspect
+from bundle.solving.solve import solve
 
 TIGHT = {
     "max_num_iterations": 200,
@@ -224,3 +246,215 @@ def _columns(iterations: Sequence[dict[str, Any]]) -> dict[str, NDArray[Any]] | 
     if not iterations:
         return None
     return {name: np.asarray([one[name] for one in iterations]) for name in iterations[0]}
+
+
+Array = NDArray[np.float64]
+
+_FOCAL = ("f", "fx", "fy")
+
+
+def perturbed(problem: Problem, options: SolveOptions, size: float, seed: int) -> Problem:
+    """Return the problem with perturbed values of everything that a solve refines.
+
+    Args:
+        problem: the problem.
+        options: refined and constant parameters.
+        size: relative size s.
+        seed: seed of the random numbers.
+    """
+    seeds = np.random.SeedSequence(seed).spawn(3)
+    of_poses, of_points, of_cameras = map(np.random.default_rng, seeds)
+    image, point = problem.observation_image, problem.observation_point
+    distance = np.linalg.norm(problem.points[point] - problem.projection_centers[image], axis=1)
+    changes: dict[str, Array] = {}
+    if "poses" in options.refine:
+        changes |= _poses(problem, options, size, of_poses, distance)
+    if "points" in options.refine:
+        fixed = np.isin(problem.point_ids, options.fixed_point_ids)
+        nearest = _quantile_by(point, distance, problem.num_points, 0.0)
+        moved = np.where(fixed | np.isnan(nearest), 0.0, nearest)
+        step = size * moved[:, None] * of_points.standard_normal((len(moved), 3))
+        changes["points"] = problem.points + step
+    if "focal" in options.refine:
+        changes["camera_params"] = _focal(problem, options, size, of_cameras)
+    return problem.replace(**changes)
+
+
+def _poses(
+    problem: Problem,
+    options: SolveOptions,
+    size: float,
+    rng: np.random.Generator,
+    distance: Array,
+) -> dict[str, Array]:
+    """Return new poses of frames, and of images without a frame.
+
+    Frames come first, then one unit per image; units of images with a frame are not used.
+    """
+    count = problem.num_frames
+    own = np.full(problem.num_images, -1)
+    if count:
+        own = problem.image_frame
+    unit = np.where(own >= 0, own, count + np.arange(problem.num_images))
+    poses = np.concatenate([problem.rig_from_world, problem.cam_from_world])
+    scale = _quantile_by(unit[problem.observation_image], distance, len(poses), 0.5)
+    scale[unit[np.isin(problem.image_ids, options.fixed_image_ids)]] = np.nan
+    moves = np.isfinite(scale)  # NaN: constant, or without observations
+    noise = size * rng.standard_normal((2, len(poses), 3))
+    rotation = poses[moves, :4] / np.linalg.norm(poses[moves, :4], axis=1, keepdims=True)
+    centre = -quaternion_rotate(quaternion_inverse(rotation), poses[moves, 4:])
+    centre = centre + scale[moves, None] * noise[0, moves]
+    turned = quaternion_multiply(quaternion_from_vector(noise[1, moves]), rotation)
+    poses[moves] = np.concatenate([turned, -quaternion_rotate(turned, centre)], axis=1)
+    if not count:
+        return {"cam_from_world": poses}
+    frames, images = problem.replace(rig_from_world=poses[:count]), poses[count:]
+    alone = (own < 0)[:, None]
+    return {
+        "rig_from_world": frames.rig_from_world,
+        "cam_from_world": np.where(alone, images, frames.cam_from_world),
+    }
+
+
+def _focal(problem: Problem, options: SolveOptions, size: float, rng: np.random.Generator) -> Array:
+    params = problem.camera_params.copy()
+    factor = np.maximum(1.0 + size * rng.standard_normal(len(params)), 0.5)
+    factor[np.isin(problem.camera_ids, options.fixed_camera_ids)] = 1.0
+    names = camera_models()
+    models = np.array(problem.camera_models)
+    for model in dict.fromkeys(problem.camera_models):
+        columns = [k for k, name in enumerate(names[model]) if name in _FOCAL]
+        rows = np.flatnonzero(models == model)
+        params[rows[:, None], columns] *= factor[rows, None]
+    return params
+
+
+def _quantile_by(group: NDArray[np.integer], values: Array, count: int, share: float) -> Array:
+    """Return a quantile of the values of each group, (count,); NaN for empty groups."""
+    order = np.lexsort((values, group))
+    sizes = np.bincount(group, minlength=count)
+    first = np.cumsum(sizes) - sizes
+    found = np.full(count, np.nan)
+    filled = sizes > 0
+    at = first[filled] + (share * (sizes[filled] - 1)).astype(np.int64)
+    found[filled] = values[order][at]
+    return found
+
+
+def predict(
+    problem: Problem, options: SolveOptions, methods: Iterable[Method]
+) -> dict[Method, Prediction]:
+    """Return the predictions by method.
+
+    Methods without an inspection have no prediction. If the inspection refuses the options, all
+    predictions are missing; the runs then report the reason.
+    """
+    methods = tuple(methods)
+    found: dict[Method, Prediction] = {}
+    for num_threads in {method.num_threads for method in methods}:
+        try:
+            inspection = inspect(problem, options, num_threads=num_threads)
+        except (InputError, MemoryError):
+            continue
+        for method in methods:
+            match = _match(method, inspection) if method.num_threads == num_threads else None
+            if match is not None:
+                found[method] = _prediction(match, inspection)
+    return found
+
+
+def _match(method: Method, inspection: Inspection) -> MethodInspection | None:
+    """Return the inspection of a method; of several orders, the cheapest."""
+    fitting = [one for one in inspection.methods if one.is_taken and _is_that(method, one)]
+    return min(fitting, key=lambda one: one.flops, default=None)
+
+
+def _is_that(method: Method, inspected: MethodInspection) -> bool:
+    same = (method.linear_solver_type, method.backend) == (
+        inspected.linear_solver_type.lower(),
+        inspected.backend.lower(),
+    )
+    cameras_first = inspected.ordering == "cameras_first"
+    if not same or method.linear_solver_ordering != (
+        "cameras_first" if cameras_first else "points_first"
+    ):
+        return False
+    if method.is_iterative:
+        wanted = method.preconditioner_type
+        if wanted == "auto":
+            wanted = AUTO_PRECONDITIONER[method.backend, method.linear_solver_type]
+        return inspected.preconditioner.lower() == wanted
+    return True
+
+
+def _prediction(inspected: MethodInspection, inspection: Inspection) -> Prediction:
+    columns = inspection.num_camera_columns
+    reduces = "SCHUR" in inspected.linear_solver_type and inspected.ordering != "cameras_first"
+    return Prediction(
+        ordering=inspected.ordering if inspected.linear_solver_type.startswith("SPARSE") else "",
+        num_unknowns=columns if reduces else inspected.num_unknowns,
+        nnz_reduced=round(inspection.reduced_density * columns**2) if reduces else 0,
+        nnz_factor=inspected.nnz_factor,
+        flops=inspected.flops,
+        memory_in_bytes=inspected.memory_in_bytes,
+        time_per_step_in_seconds=inspected.time_per_step_in_seconds,
+        fits_in_memory=inspected.fits_in_memory,
+        note=inspected.note,
+    )
+
+
+def foresee(
+    problem: Problem,
+    options: SolveOptions,
+    methods: Sequence[Method],
+    predictions: Mapping[Method, Prediction],
+    memory_cap: int = 0,
+) -> Method | None:
+    """Return the method that is predicted to be the fastest, without solving.
+
+    With predicted times, it is the fastest method that fits into memory and under the cap (bytes
+    beyond the problem; 0: no cap). Otherwise it is the choice of ``auto`` with the most threads, or
+    None if that choice is not among the methods.
+    """
+    times = {
+        method: predictions[method].time_per_step_in_seconds
+        for method in methods
+        if method in predictions and _fits(predictions[method], memory_cap)
+    }
+    times = {method: time for method, time in times.items() if math.isfinite(time)}
+    if times:
+        return min(times, key=lambda method: times[method])
+    most = max(method.num_threads for method in methods)
+    taken = taken_by_auto(problem, options, most)
+    return taken if taken in methods else None
+
+
+def _fits(prediction: Prediction, memory_cap: int) -> bool:
+    within = not memory_cap or prediction.memory_in_bytes <= memory_cap
+    return prediction.fits_in_memory and within
+
+
+def taken_by_auto(problem: Problem, options: SolveOptions, num_threads: int) -> Method | None:
+    """Return the backend and linear solver that ``auto`` chooses; None if these options fail.
+
+    The choice comes from a solve without steps, which also evaluates the start.
+    """
+    asked = options.replace(
+        backend="auto",
+        linear_solver_type="auto",
+        preconditioner_type="auto",
+        linear_solver_ordering="points_first",
+        num_threads=num_threads,
+        max_num_iterations=0,
+    )
+    try:
+        summary = solve(problem, asked).summary
+    except (InputError, MemoryError):
+        return None
+    if summary.interrupted:  # a solve handles Ctrl-C itself
+        raise KeyboardInterrupt
+    return Method(
+        backend=summary.backend_used.lower(),
+        linear_solver_type=summary.linear_solver_type_used.lower(),
+        num_threads=num_threads,
+    )

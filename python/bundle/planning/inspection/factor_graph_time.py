@@ -25,14 +25,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import bundle._core as _core
-from bundle.graphs.factors.factor_counts import free_pattern
-from bundle.graphs.factors.factor_graph import FactorGraph
+from bundle.graphs.factors.factor_check import choose, kind_of
+from bundle.graphs.factors.factor_graph import FactorGraph, free_pattern
 from bundle.graphs.factors.factors import BetweenFactor, Factor
-from bundle.graphs.factors.graph_check import choose, kind_of
 from bundle.interface.options import GraphOptions
-from bundle.planning.inspection.fitted_rates import fit_rates
 from bundle.planning.inspection.graph_rates import made_graph
 from bundle.planning.inspection.peak_memory import Terms
+from bundle.planning.inspection.rates import fit_rates
 
 FEATURES = (
     *("step", "entry", "block_product", "product_flop"),

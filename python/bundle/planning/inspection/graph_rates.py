@@ -37,9 +37,9 @@ from bundle.graphs.pose_graphs.lie_groups import compose, inverse
 from bundle.graphs.pose_graphs.solve_pose_graph import solve_pose_graph
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.planning.inspection.elimination_costs import Pattern
-from bundle.planning.inspection.fitted_rates import fit_rates
 from bundle.planning.inspection.graph_inspection import pattern_of_edges
 from bundle.planning.inspection.peak_memory import Terms
+from bundle.planning.inspection.rates import fit_rates
 
 NEAR_CACHE, FAR_CACHE = 1e6, 24e6
 """Bytes from which data leave the second-level cache, and the share of a third-level cache of 32 MB

@@ -13,8 +13,7 @@ from bundle.reports.page.table import table
 from bundle.reports.page.vertex_positions import place
 
 if TYPE_CHECKING:
-    from bundle.planning.inspection.elimination import EliminationStep
-    from bundle.planning.inspection.graph_inspection import GraphInspection
+    from bundle.planning.inspection.graph_inspection import EliminationStep, GraphInspection
 
 # A larger graph would be unreadable on the page.
 MOST_VARIABLES = 120

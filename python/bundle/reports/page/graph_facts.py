@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 
 import bundle._core as _core
 from bundle.analysis.diagnosis.diagnose_problem import diagnose
-from bundle.analysis.diagnosis.graph_diagnosis import GraphDiagnosis
+from bundle.analysis.diagnosis.diagnosis_result import GraphDiagnosis
 from bundle.base.records import dataclass
 from bundle.base.words import change, number, plural
 from bundle.errors import InputError, brief
 from bundle.graphs.factors.factor_graph import FactorGraph, GraphResult
 from bundle.graphs.factors.factors import PositionFactor, RelativePoseFactor, ReprojectionFactor
-from bundle.graphs.pose_graphs.edge_values import pose_graph_chi2
+from bundle.graphs.pose_graphs.edge_weights import pose_graph_chi2
 from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.model.rotations import rotation_matrices

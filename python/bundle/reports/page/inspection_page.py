@@ -24,7 +24,7 @@ from bundle.figures.matplotlib.problem_patterns import (
 )
 from bundle.interface.options import SolveOptions
 from bundle.model.problem import Problem
-from bundle.planning.comparison.command_line import recommended_command
+from bundle.planning.comparison.recommendation import recommended_command
 from bundle.planning.inspection.graph_inspection import GraphInspection, inspect_graph
 from bundle.planning.inspection.inspection_result import Inspection, MethodInspection
 from bundle.planning.inspection.rank_prediction import NETWORK, RankPrediction

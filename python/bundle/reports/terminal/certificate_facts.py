@@ -10,8 +10,14 @@ import math
 from typing import Any
 
 from bundle.base.words import number, plural
-from bundle.graphs.pose_graphs.certificate import CERTIFIED, NOT_CERTIFIED, Certificate, Staircase
-from bundle.graphs.pose_graphs.certified_solve import CHORDAL_MINIMUM, STAIRCASE
+from bundle.graphs.pose_graphs.certificate import (
+    CERTIFIED,
+    CHORDAL_MINIMUM,
+    NOT_CERTIFIED,
+    STAIRCASE,
+    Certificate,
+    Staircase,
+)
 from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
 from bundle.reports.sections import Section
 

@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from bundle.analysis.diagnosis.diagnosis_result import Diagnosis
-from bundle.analysis.diagnosis.graph_diagnosis import GraphDiagnosis
+from bundle.analysis.diagnosis.diagnosis_result import Diagnosis, GraphDiagnosis
 from bundle.base.words import number, plural
 from bundle.interface.finding import Finding
 from bundle.judging.findings.find import one_list

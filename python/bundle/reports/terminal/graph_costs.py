@@ -7,7 +7,7 @@ from typing import Any
 
 from bundle.base.memory_sizes import format_size
 from bundle.base.words import amount, number, plural, seconds, span
-from bundle.graphs.pose_graphs.densest_set import densest_set
+from bundle.graphs.pose_graphs.edge_weights import densest_set
 from bundle.model.content_digests import content_digests
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.planning.comparison.graph_comparison import GraphComparison, GraphRun

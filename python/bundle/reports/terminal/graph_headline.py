@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from bundle.base.words import number, plural, rounded
-from bundle.graphs.pose_graphs.certified_solve import ESCAPES
+from bundle.graphs.pose_graphs.certificate import ESCAPES
 from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
 from bundle.interface.termination import short_outcome
 from bundle.model.pose_graph_arrays import PoseGraph

@@ -10,7 +10,7 @@ from bundle.base.words import duration, number, plural
 from bundle.errors import shown
 from bundle.interface.options import SolveOptions
 from bundle.model.problem import Problem
-from bundle.planning.comparison.command_line import recommended_command
+from bundle.planning.comparison.recommendation import recommended_command
 from bundle.planning.inspection.elimination_costs import CONVENTION
 from bundle.planning.inspection.inspection_result import Inspection, MethodInspection
 from bundle.planning.inspection.peak_memory import ON_DISK

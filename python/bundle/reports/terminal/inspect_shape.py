@@ -6,8 +6,7 @@ from collections.abc import Mapping
 
 from bundle.base.memory_sizes import format_size
 from bundle.base.words import number, plural
-from bundle.planning.inspection.problem_needs import ProblemNeeds
-from bundle.planning.inspection.schur_counts import SchurCounts
+from bundle.planning.inspection.problem_needs import ProblemNeeds, SchurCounts
 from bundle.reports.sections import Report, Section, Table, fields
 
 
