@@ -13,9 +13,11 @@ if TYPE_CHECKING:
     from bundle.analysis.diagnosis.diagnosis_result import Diagnosis, GraphDiagnosis
     from bundle.analysis.statistics.description import Description, describe
     from bundle.analysis.uncertainty.covariance_by_input import covariance
-    from bundle.analysis.uncertainty.covariance_result import Covariance
-    from bundle.analysis.uncertainty.factor_graph_covariance import FactorGraphCovariance
-    from bundle.analysis.uncertainty.graph_covariance import GraphCovariance
+    from bundle.analysis.uncertainty.covariance_result import (
+        Covariance,
+        FactorGraphCovariance,
+        GraphCovariance,
+    )
     from bundle.base.paths import get_include
     from bundle.checking.gradient_report import GradientReport
     from bundle.editing.cameras.camera_sharing import share_cameras, split_cameras
@@ -313,13 +315,14 @@ _DEFERRED = {
     "_core": ("__version__",),
     "analysis.diagnosis.chi2_kinds": ("Chi2Kind", "chi2_kinds"),
     "analysis.diagnosis.diagnose_problem": ("diagnose",),
-    "analysis.diagnosis.diagnosis_result": ("Diagnosis",),
-    "analysis.diagnosis.graph_diagnosis": ("GraphDiagnosis",),
+    "analysis.diagnosis.diagnosis_result": ("Diagnosis", "GraphDiagnosis"),
     "analysis.statistics.description": ("Description", "describe"),
     "analysis.uncertainty.covariance_by_input": ("covariance",),
-    "analysis.uncertainty.covariance_result": ("Covariance",),
-    "analysis.uncertainty.factor_graph_covariance": ("FactorGraphCovariance",),
-    "analysis.uncertainty.graph_covariance": ("GraphCovariance",),
+    "analysis.uncertainty.covariance_result": (
+        "Covariance",
+        "FactorGraphCovariance",
+        "GraphCovariance",
+    ),
     "base.paths": ("get_include",),
     "checking.gradient_report": ("GradientReport",),
     "editing.cameras.camera_sharing": ("share_cameras", "split_cameras"),
@@ -337,26 +340,24 @@ _DEFERRED = {
     "georeference.velocity_prior": ("VelocityPrior",),
     "graphs.factors.attitude_factors": ("DirectionFactor", "HeadingFactor", "RotationFactor"),
     "graphs.factors.checks": ("check_gradients", "check_jacobians"),
-    "graphs.factors.digits_left": ("DigitsLeft",),
-    "graphs.factors.factor_graph": ("FactorGraph", "GraphResult"),
+    "graphs.factors.factor_graph": ("DigitsLeft", "FactorGraph", "GraphResult"),
     "graphs.factors.factors": (
         "BetweenFactor",
+        "FunctionFactor",
         "PositionFactor",
         "PriorFactor",
         "RelativePoseFactor",
         "ReprojectionFactor",
         "ScalarPriorFactor",
     ),
-    "graphs.factors.function_factor": ("FunctionFactor",),
     "graphs.factors.incremental_smoother": ("IncrementalSmoother", "IncrementalUpdate"),
-    "graphs.factors.linear_prior": ("LinearPrior", "SquareRootPrior"),
+    "graphs.factors.linear_prior": ("LinearPrior", "PriorSpectrum", "SquareRootPrior"),
     "graphs.factors.problem_factors": ("check_factors",),
-    "graphs.factors.spectrum": ("PriorSpectrum",),
     "graphs.loops.loop_closing": ("LoopClosing", "LoopClosure"),
     "graphs.loops.loop_graph": ("close_loops",),
     "graphs.pose_graphs.certificate": ("Certificate", "Staircase"),
     "graphs.pose_graphs.certify": ("certify",),
-    "graphs.pose_graphs.edge_values": ("initial_poses", "pose_graph_chi2"),
+    "graphs.pose_graphs.edge_weights": ("initial_poses", "pose_graph_chi2"),
     "graphs.pose_graphs.pose_graph_result": ("PoseGraphResult", "PoseGraphSummary"),
     "inertial.preintegration.imu_factors": ("BiasWalkFactor", "ImuFactor"),
     "inertial.preintegration.motion_excitation": ("Excitation", "excitation"),
@@ -411,8 +412,7 @@ _DEFERRED = {
     "model.sequence.imu_samples": ("check_imu_samples",),
     "model.sequence.sequence": ("Sequence",),
     "planning.comparison.compare_methods": ("compare",),
-    "planning.comparison.comparison_file": ("read_comparison",),
-    "planning.comparison.comparison_result": ("Comparison",),
+    "planning.comparison.comparison_result": ("Comparison", "read_comparison"),
     "planning.comparison.graph_comparison": ("GraphComparison",),
     "planning.inspection.factor_graph_inspection": ("FactorGraphInspection",),
     "planning.inspection.graph_inspection": ("GraphInspection", "inspect_graph"),

@@ -20,7 +20,6 @@ STAYED = ("checking", "errors", "georeference", "synthetic", "_core")
 NEW = (
     "graphs.factors.attitude_factors",
     *("graphs.factors.factor_report", "planning.inspection.elimination_costs"),
-    *("analysis.uncertainty.factor_graph_covariance", "planning.comparison.graph_runs"),
     "planning.inspection.factor_graph_inspection",
     "analysis.diagnosis.chi2_kinds",
     *("interface.triage_options", "judging.triage.cause_words", "judging.triage.triage_result"),

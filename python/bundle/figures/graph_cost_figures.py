@@ -10,8 +10,7 @@ from bundle.figures.cost_figures import cost_against_time
 from bundle.figures.drawing import Figure
 from bundle.figures.marks import StackedBars, Steps
 from bundle.figures.series import gaps_to
-from bundle.planning.comparison.graph_comparison import GraphComparison
-from bundle.planning.comparison.graph_runs import GraphRun, best_cost
+from bundle.planning.comparison.graph_comparison import GraphComparison, GraphRun, best_cost
 
 MOST_DRAWN = 8
 """Number of the fastest methods in a figure."""

@@ -7,7 +7,7 @@ import pytest
 
 import bundle
 from bundle.planning.comparison import graph_comparison
-from bundle.planning.comparison.graph_runs import GraphRun, recommend_run
+from bundle.planning.comparison.graph_comparison import GraphRun, recommend_run
 from tests.graphs.pose_graphs import graphs
 
 

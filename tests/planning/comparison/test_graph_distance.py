@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import bundle
-from bundle.planning.comparison.graph_distance import graph_distance
+from bundle.planning.comparison.graph_comparison import graph_distance
 from tests.campaigns.triage_inputs import chain_of_poses
 
 

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import bundle._core as _core
-from bundle.analysis.diagnosis.graph_findings import is_at_minimum
+from bundle.analysis.diagnosis.diagnose_graph import is_at_minimum
 from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
 from bundle.base.words import number

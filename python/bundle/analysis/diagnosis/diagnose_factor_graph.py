@@ -22,115 +22,75 @@ import numpy as np
 from numpy.typing import NDArray
 
 import bundle._core as _core
+from bundle.analysis.diagnosis.diagnose_graph import (
+    MOST_MODES,
+    MOST_NAMED,
+    EdgeTests,
+    graph_diagnosis,
+    suspicious_edge,
+)
 from bundle.analysis.diagnosis.diagnosis_result import (
     GraphComponent,
     GraphDiagnosis,
     GraphWeakMode,
     SuspiciousEdge,
 )
-from bundle.analysis.diagnosis.graph_findings import (
-    about_conditioning,
-    about_edges,
-    about_minimum,
-    about_noise,
-    is_at_minimum,
-    noise_scale,
-    note,
-    problem,
-    worst_first,
-)
-from bundle.base.arrays import freeze
 from bundle.base.words import named, number, plural
 from bundle.errors import brief
 from bundle.graphs.factors.contents import factor_name
 from bundle.graphs.factors.factor_graph import FactorGraph
 from bundle.graphs.factors.null_space import NullSpace, find_null_space
 from bundle.graphs.factors.same_problem import AsPoseGraph
-from bundle.interface.finding import Finding
 
 WEAK, GAP = 1e-6, 1e3
 
 SHARE = 0.1
 """Share of the largest motion above which a sentence names a variable or a coordinate."""
 
-MOST_NAMED = 5
-
-MOST_MODES = 20
-"""Largest number of findings per kind; the nullity counts all."""
-
 Floats = NDArray[np.float64]
 
 
 def diagnose_factor_graph(graph: FactorGraph, num_threads: int = 0) -> GraphDiagnosis:
-    """Diagnose a factor graph by its Jacobian; see :func:`bundle.diagnose`.
-
-    Raises:
-        InputError: the graph has nothing to estimate, or a factor has no finite value.
-    """
+    """Diagnose a factor graph by its Jacobian; see :func:`bundle.diagnose`."""
     threads = num_threads or _core.hardware_threads()
     space = find_null_space(graph)
     components = _components(graph, space)
     held = space.held()
-    is_determined = space.is_exact and not space.others.shape[1]
     modes = [*_component_modes(graph, components, space), *_open_modes(graph, space)]
     core = graph.core()
     spectrum = _core.factor_graph_spectrum(*core, held, 0, threads) if space.is_exact else None
     if spectrum is not None:
         modes += _weak_modes(graph, space, spectrum)
     costs, squares, _ = _core.factor_costs(*core)
-    count = len(graph.factors)
-    redundancy, test = np.full(count, np.nan), np.full(count, np.nan)
-    rank = np.zeros(count, np.int64)
-    decrease, cost = 0.0, float(costs.sum())
-    if is_determined:
-        none = np.zeros((len(held), 0))
-        out = _core.factor_graph_certainty(*core, held, [], none, True, threads)
+    tests = EdgeTests.unknown(len(graph.factors))
+    if space.is_exact and not space.others.shape[1]:
+        out = _core.factor_graph_certainty(*core, held, [], np.zeros((len(held), 0)), True, threads)
         if out["undetermined"] < 0:
-            redundancy, test = np.array(out["redundancy"]), np.array(out["test"])
-            rank = np.array(out["rank"], np.int64)
-            decrease = float(out["predicted_decrease"])
-    at_minimum = is_at_minimum(decrease, cost)
-    if not at_minimum:  # the test applies to errors of a fit only
-        test = np.full(count, np.nan)
-    scale = noise_scale(test, rank)
-    worst = worst_first(test, rank, scale)
-    suspicious = tuple(
-        SuspiciousEdge(
-            edge=graph.factors[k].keys,
-            line=None,
-            chi2=float(squares[k]),
-            test=float(test[k]),
-            degrees=int(rank[k]),
-        )
-        for k in worst
-    )
-    names = [factor_name(k, graph.factors[k]) for k in worst]
-    condition = float(spectrum["condition_number"]) if spectrum else float("nan")
-    said = [
-        *((problem if mode.dimension else note)(mode.kind, mode.sentence) for mode in modes),
-        *about_edges(suspicious, scale, names, "factor"),
-        *about_conditioning(condition),
-        *(() if at_minimum else about_minimum(decrease, cost)),
-        *_about_unchecked(redundancy, rank),
-        *about_noise(scale),
-    ]
-    return GraphDiagnosis(
-        nullity=space.nullity,
-        expected_nullity=space.gauge,
-        nullity_is_exact=space.is_exact,
-        components=components,
-        weak_modes=tuple(modes),
-        held_pose_ids=_held_keys(graph, space, held),
-        condition_number=condition,
-        condition_number_unscaled=float(spectrum["condition_number_unscaled"])
-        if spectrum
-        else float("nan"),
-        eigenvalues=freeze(np.array(spectrum["eigenvalues"] if spectrum else np.zeros(0))),
-        suspicious_edges=suspicious,
-        edge_redundancy=freeze(redundancy),
-        edge_test=freeze(test),
-        noise_scale=scale,
-        findings=tuple(sorted(said, key=lambda finding: not finding.is_problem)),
+            tests = EdgeTests(
+                np.array(out["redundancy"]),
+                np.array(out["test"]),
+                np.array(out["rank"], np.int64),
+                float(out["predicted_decrease"]),
+            )
+
+    def factor(k: int) -> tuple[SuspiciousEdge, str]:
+        one = graph.factors[k]
+        return suspicious_edge(one.keys, None, squares, tests, k), factor_name(k, one)
+
+    return graph_diagnosis(
+        "factor",
+        tests,
+        float(costs.sum()),
+        factor,
+        spectrum,
+        {
+            "nullity": space.nullity,
+            "expected_nullity": space.gauge,
+            "nullity_is_exact": space.is_exact,
+            "components": components,
+            "weak_modes": tuple(modes),
+            "held_pose_ids": _held_keys(graph, space, held),
+        },
     )
 
 
@@ -285,16 +245,3 @@ def _factors_of(graph: FactorGraph, keys: tuple[Any, ...]) -> tuple[Any, ...]:
 
 def _named(keys: tuple[Any, ...]) -> str:
     return named("Variable", [brief(key) for key in keys])
-
-
-def _about_unchecked(redundancy: Floats, rank: NDArray[np.int64]) -> list[Finding]:
-    unchecked = int((np.isfinite(redundancy) & (rank == 0)).sum())
-    if not unchecked:
-        return []
-    whole = "all of them" if unchecked == len(rank) else plural(unchecked, "factor")
-    return [
-        note(
-            "unchecked_edges",
-            f"No other factor checks {whole}: in no loop, an error would not show.",
-        )
-    ]

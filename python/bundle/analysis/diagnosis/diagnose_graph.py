@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,36 +15,46 @@ from bundle.analysis.diagnosis.diagnosis_result import (
     GraphWeakMode,
     SuspiciousEdge,
 )
-from bundle.analysis.diagnosis.graph_findings import (
-    about_conditioning,
-    about_edges,
-    about_minimum,
-    about_noise,
-    is_at_minimum,
-    noise_scale,
-    note,
-    problem,
-    worst_first,
-)
-from bundle.analysis.diagnosis.graph_modes import component_modes_of_graph, joint_modes
 from bundle.base.arrays import freeze
-from bundle.base.words import plural
+from bundle.base.words import named, number, plural, sorted_ids
+from bundle.graphs.pose_graphs.chi2_quantiles import chi2_limit, chi2_median
 from bundle.graphs.pose_graphs.edge_weights import WeightedGraph, weighted_graph
-from bundle.graphs.pose_graphs.joints import Joints, find_joints
+from bundle.graphs.pose_graphs.joints import Joint, Joints, find_joints
 from bundle.interface.finding import Finding
 from bundle.interface.pose_graph_options import PoseGraphOptions
 from bundle.model.pose_graph_arrays import PoseGraph
+
+AT_MINIMUM = 1e-4
+"""Relative decrease of the cost by one more step, below which a state counts as a minimum."""
+
+FEW_DIGITS = 4
+"""Number of digits of a step below which the normal equations are a problem."""
+
+MOST_NAMED = 5
+"""Number of suspicious edges that a sentence names."""
+
+REMEDIES = {
+    "edge": "refine with a loss for wrong closures (dcs, gnc-tls)",
+    "factor": "solve with a loss on it",
+}
+
+COORDINATES = {
+    3: ("x", "y", "angle"),
+    6: ("rotation x", "rotation y", "rotation z", "x", "y", "z"),
+}
+DOMINANT = 0.5
+"""Share of the largest coordinate above which a sentence names a coordinate."""
+MOST_EDGES = 4
+MOST_MODES = 20
+"""Largest number of findings per kind; the nullity counts all."""
+
+Floats = NDArray[np.float64]
 
 
 def diagnose_graph(
     source: Any, options: PoseGraphOptions | None = None, **changes: Any
 ) -> GraphDiagnosis:
-    """Diagnose a pose graph; see :func:`bundle.diagnose`.
-
-    Raises:
-        InputError: an option is wrong, or an edge has an invalid information matrix.
-        OSError: the path cannot be read.
-    """
+    """Diagnose a pose graph; see :func:`bundle.diagnose`."""
     weighted = weighted_graph(source, options, changes, "diagnose")
     graph, error = weighted.graph, weighted.options.error
     threads = weighted.options.num_threads
@@ -51,43 +62,116 @@ def diagnose_graph(
     joints = find_joints(graph, held, error)
     components = _components(graph)
     expected = graph.tangent_size * len(for_gauge)
-    modes = [*component_modes_of_graph(graph, components), *joint_modes(graph, joints)]
-    spectrum: dict[str, Any] = {
-        "condition_number": float("nan"),
-        "condition_number_unscaled": float("nan"),
-        "eigenvalues": np.zeros(0),
-    }
+    spectrum = None
     if not held.all():
         spectrum = _core.graph_spectrum(graph, held, error, joints.directions, threads)
-    redundancy, test, rank, decrease = _tests(weighted, joints, threads)
-    cost = 0.5 * float(_core.edge_chi2(graph, error).sum())
-    is_minimum = is_at_minimum(decrease, cost)
-    if not is_minimum:  # the test applies to errors of a fit only
-        test = np.full(len(test), np.nan)
-    scale = noise_scale(test, rank)
-    suspicious, names = _suspicious(weighted, test, rank, scale)
+    given = weighted.given
+    squares = _core.edge_chi2(graph, error)
+    chi2 = np.full(given.num_edges, np.nan)
+    chi2[weighted.edges] = squares
+    tests = _tests(weighted, joints, threads)
+
+    def edge(k: int) -> tuple[SuspiciousEdge, str]:
+        first, second = given.ids[given.edges[k]].tolist()
+        line = int(given.edge_lines[k]) or None
+        return suspicious_edge((first, second), line, chi2, tests, k), " ".join(given.ends_of(k))
+
+    return graph_diagnosis(
+        "edge",
+        tests,
+        0.5 * float(squares.sum()),
+        edge,
+        spectrum,
+        {
+            "nullity": expected + joints.num_open,
+            "expected_nullity": expected,
+            "nullity_is_exact": joints.is_exact,
+            "components": components,
+            "weak_modes": (
+                *_component_modes(graph, components),
+                *joint_modes(graph, joints),
+            ),
+            "held_pose_ids": tuple(int(graph.ids[pose]) for pose in for_gauge),
+        },
+        notes=_about_unjudged(weighted, tests.redundancy, joints),
+        last=_about_weights(weighted),
+    )
+
+
+class EdgeTests(NamedTuple):
+    """Redundancy and test (m,) of edges or factors, NaN where unknown, with the test's degrees.
+
+    ``decrease`` is that of the cost by one more step.
+    """
+
+    redundancy: Floats
+    test: Floats
+    rank: NDArray[np.int64]
+    decrease: float = 0.0
+
+    @classmethod
+    def unknown(cls, count: int) -> EdgeTests:
+        """Return tests of edges of which nothing is known."""
+        return cls(np.full(count, np.nan), np.full(count, np.nan), np.zeros(count, np.int64))
+
+
+def suspicious_edge(
+    ends: tuple[Any, ...], line: int | None, chi2: Floats, tests: EdgeTests, k: int
+) -> SuspiciousEdge:
+    """Return the record of the k-th edge or factor."""
+    return SuspiciousEdge(
+        edge=ends,
+        line=line,
+        chi2=float(chi2[k]),
+        test=float(tests.test[k]),
+        degrees=int(tests.rank[k]),
+    )
+
+
+def graph_diagnosis(
+    noun: str,
+    tests: EdgeTests,
+    cost: float,
+    edge: Callable[[int], tuple[SuspiciousEdge, str]],
+    spectrum: dict[str, Any] | None,
+    fields: dict[str, Any],
+    *,
+    notes: Iterable[Finding] = (),
+    last: Iterable[Finding] = (),
+) -> GraphDiagnosis:
+    """Return the diagnosis of a graph of either kind.
+
+    Modes without a dimension are notes, those of pose graphs never. ``edge`` returns a suspicious
+    edge and its name.
+    """
+    at_minimum = is_at_minimum(tests.decrease, cost)
+    # The test applies to errors of a fit only.
+    test = tests.test if at_minimum else np.full(len(tests.test), np.nan)
+    scale = noise_scale(test, tests.rank)
+    worst = [edge(k) for k in worst_first(test, tests.rank, scale)]
+    suspicious = tuple(one for one, _ in worst)
+    values = spectrum or {}
+    condition = float(values.get("condition_number", np.nan))
     said = [
-        *_about_modes(modes),
-        *about_edges(suspicious, scale, names, "edge"),
-        *about_conditioning(float(spectrum["condition_number"])),
-        *(() if is_minimum else about_minimum(decrease, cost)),
-        *_about_unchecked(graph, redundancy, rank),
-        *_about_unjudged(weighted, redundancy, joints),
-        *about_noise(scale),
-        *_about_weights(weighted),
+        *(
+            (problem if mode.dimension or noun == "edge" else note)(mode.kind, mode.sentence)
+            for mode in fields["weak_modes"]
+        ),
+        *_about_edges(suspicious, scale, [name for _, name in worst], noun),
+        *_about_conditioning(condition),
+        *(() if at_minimum else _about_minimum(tests.decrease, cost)),
+        *_about_unchecked(tests, noun),
+        *notes,
+        *_about_noise(scale),
+        *last,
     ]
     return GraphDiagnosis(
-        nullity=expected + joints.num_open,
-        expected_nullity=expected,
-        nullity_is_exact=joints.is_exact,
-        components=components,
-        weak_modes=tuple(modes),
-        held_pose_ids=tuple(int(graph.ids[pose]) for pose in for_gauge),
-        condition_number=float(spectrum["condition_number"]),
-        condition_number_unscaled=float(spectrum["condition_number_unscaled"]),
-        eigenvalues=freeze(np.array(spectrum["eigenvalues"])),
+        **fields,
+        condition_number=condition,
+        condition_number_unscaled=float(values.get("condition_number_unscaled", np.nan)),
+        eigenvalues=freeze(np.array(values.get("eigenvalues", np.zeros(0)))),
         suspicious_edges=suspicious,
-        edge_redundancy=freeze(redundancy),
+        edge_redundancy=freeze(tests.redundancy),
         edge_test=freeze(test),
         noise_scale=scale,
         findings=tuple(sorted(said, key=lambda finding: not finding.is_problem)),
@@ -110,66 +194,115 @@ def _components(graph: PoseGraph) -> tuple[GraphComponent, ...]:
     return tuple(sorted(parts, key=lambda part: -len(part.pose_ids)))
 
 
-def _tests(
-    weighted: WeightedGraph, joints: Joints, threads: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64], float]:
-    """Return redundancy, test and rank of the given edges, and the cost decrease of a step."""
-    count = weighted.given.num_edges
-    redundancy, test = np.full(count, np.nan), np.full(count, np.nan)
-    rank = np.zeros(count, np.int64)
+def _tests(weighted: WeightedGraph, joints: Joints, threads: int) -> EdgeTests:
+    """Return the tests of the given edges; unknown for edges of weight 0."""
+    tests = EdgeTests.unknown(weighted.given.num_edges)
     if joints.num_open:
-        return redundancy, test, rank, 0.0
+        return tests
     out = _core.graph_covariance(weighted.graph, weighted.options.error, False, True, [], threads)
     if out["undetermined_pose"] >= 0:
-        return redundancy, test, rank, 0.0
-    redundancy[weighted.edges] = out["edge_redundancy"]
-    test[weighted.edges] = out["edge_test"]
-    rank[weighted.edges] = out["edge_rank"]
-    return redundancy, test, rank, float(out["predicted_decrease"])
+        return tests
+    tests.redundancy[weighted.edges] = out["edge_redundancy"]
+    tests.test[weighted.edges] = out["edge_test"]
+    tests.rank[weighted.edges] = out["edge_rank"]
+    return tests._replace(decrease=float(out["predicted_decrease"]))
 
 
-def _suspicious(
-    weighted: WeightedGraph,
-    test: NDArray[np.float64],
-    rank: NDArray[np.int64],
-    scale: float,
-) -> tuple[tuple[SuspiciousEdge, ...], list[str]]:
-    """Return the suspicious edges and their names."""
-    graph = weighted.given
-    chi2 = np.full(graph.num_edges, np.nan)
-    chi2[weighted.edges] = _core.edge_chi2(weighted.graph, weighted.options.error)
-    found = []
-    names = []
-    for edge in worst_first(test, rank, scale):
-        names.append(" ".join(graph.ends_of(edge)))
-        first, second = graph.ids[graph.edges[edge]].tolist()
-        found.append(
-            SuspiciousEdge(
-                edge=(first, second),
-                line=int(graph.edge_lines[edge]) or None,
-                chi2=float(chi2[edge]),
-                test=float(test[edge]),
-                degrees=int(rank[edge]),
-            )
-        )
-    return tuple(found), names
+def is_at_minimum(decrease: float, cost: float) -> bool:
+    """Tell whether one more step would hardly lower the cost."""
+    return not (decrease > AT_MINIMUM * cost and decrease > 1e-9)
 
 
-def _about_modes(modes: list[GraphWeakMode]) -> list[Finding]:
-    return [problem(mode.kind, mode.sentence) for mode in modes]
+def worst_first(test: NDArray[np.float64], rank: NDArray[np.int64], scale: float) -> list[int]:
+    """Return the positions of edges that others contradict, the worst first."""
+    limit = np.array([chi2_limit(degrees) for degrees in rank.tolist()])
+    ratio = np.where(np.isfinite(test) & (rank > 0), test, 0.0) / limit
+    order = np.argsort(-ratio, kind="stable")
+    return [int(edge) for edge in order[ratio[order] > scale]]
 
 
-def _about_unchecked(
-    graph: PoseGraph, redundancy: NDArray[np.float64], rank: NDArray[np.int64]
+def noise_scale(test: NDArray[np.float64], rank: NDArray[np.int64]) -> float:
+    """Return the ratio of actual to expected scatter of correct edges; half may be wrong."""
+    checked = np.isfinite(test) & (rank > 0)
+    if not checked.any():
+        return 1.0
+    medians = np.array([chi2_median(degrees) for degrees in rank[checked].tolist()])
+    return max(1.0, float(np.median(test[checked] / medians)))
+
+
+def _about_edges(
+    suspicious: Sequence[SuspiciousEdge], scale: float, names: Sequence[str], noun: str
 ) -> list[Finding]:
-    unchecked = int((np.isfinite(redundancy) & (rank == 0)).sum())
+    """Return the finding about edges or factors, the worst first, that the others contradict."""
+    if not suspicious:
+        return []
+    listed = [
+        f"{name}{f' (line {one.line})' if one.line else ''}: {number(one.test)} on {one.degrees}"
+        for name, one in zip(names[:MOST_NAMED], suspicious, strict=False)
+    ]
+    more = f" and {len(suspicious) - MOST_NAMED} more" if len(suspicious) > MOST_NAMED else ""
+    against = f" times {number(scale)}, the noise" if scale > 1 else ""
+    return [
+        problem(
+            "suspicious_edges",
+            f"{plural(len(suspicious), noun)} with an error that one right {noun} in a million has "
+            f"(chi2 of the test on degrees of freedom{against}): {'; '.join(listed)}{more}. A "
+            f"wrong {noun} spoils its neighbours' errors, too: look at the first, or "
+            f"{REMEDIES[noun]}.",
+        )
+    ]
+
+
+def _about_conditioning(condition: float) -> list[Finding]:
+    """Return the finding about a condition number that leaves few digits."""
+    if not np.isfinite(condition):
+        return []
+    digits = 16 - np.log10(max(condition, 1.0))
+    if digits >= FEW_DIGITS:
+        return []
+    return [
+        problem(
+            "ill_conditioned",
+            f"A step has about {max(0, round(digits))} digits by the normal equations (condition "
+            f"number {number(condition)}).",
+        )
+    ]
+
+
+def _about_minimum(decrease: float, cost: float) -> list[Finding]:
+    """Return the note on values that are no minimum."""
+    return [
+        note(
+            "no_minimum",
+            f"This is no minimum: a step of a solve would lower the cost by about "
+            f"{number(min(100.0, 100 * decrease / cost))} %. Which edges the others contradict is "
+            "told at a minimum only: refine first.",
+        )
+    ]
+
+
+def _about_noise(scale: float) -> list[Finding]:
+    """Return the note on information that is too optimistic."""
+    if scale < 2:
+        return []
+    return [
+        note(
+            "optimistic_information",
+            f"Errors scatter {number(float(np.sqrt(scale)))} times as much as the information "
+            "says: it is optimistic, or many edges are wrong.",
+        )
+    ]
+
+
+def _about_unchecked(tests: EdgeTests, noun: str) -> list[Finding]:
+    unchecked = int((np.isfinite(tests.redundancy) & (tests.rank == 0)).sum())
     if not unchecked:
         return []
-    whole = "all of them" if unchecked == graph.num_edges else plural(unchecked, "edge")
+    whole = "all of them" if unchecked == len(tests.rank) else plural(unchecked, noun)
     return [
         note(
             "unchecked_edges",
-            f"No other edge checks {whole}: in no loop, an error would not show.",
+            f"No other {noun} checks {whole}: in no loop, an error would not show.",
         )
     ]
 
@@ -199,3 +332,143 @@ def _about_weights(weighted: WeightedGraph) -> list[Finding]:
             f"{plural(count, 'edge')} of weight 0 left out (by the loss or the consistency check).",
         )
     ]
+
+
+def problem(kind: str, sentence: str) -> Finding:
+    """Return a finding that makes a diagnosis not ok."""
+    return Finding(kind=kind, is_problem=True, sentence=sentence)
+
+
+def note(kind: str, sentence: str) -> Finding:
+    """Return a finding that does not."""
+    return Finding(kind=kind, is_problem=False, sentence=sentence)
+
+
+def _component_modes(
+    graph: PoseGraph, components: tuple[GraphComponent, ...]
+) -> list[GraphWeakMode]:
+    """Return a mode for each component but the largest, with advice on connecting it."""
+    order = np.argsort(graph.ids, kind="stable")
+    ids = graph.ids[order]
+    modes = []
+    for part in components[1 : 1 + MOST_MODES]:
+        inside = np.isin(ids, part.pose_ids)
+        ends = np.flatnonzero(inside[1:] != inside[:-1])
+        near = ends[np.argmin(ids[ends + 1] - ids[ends])]
+        first, second = (graph.pose_name(int(order[k])) for k in (near, near + 1))
+        members = order[inside]
+        free = "it is held by its fixed poses" if part.num_fixed else "it floats by itself"
+        modes.append(
+            GraphWeakMode(
+                kind="component",
+                sentence=f"{_named(graph, members)} ({plural(part.num_edges, 'edge')}): no "
+                f"edge joins this component with the largest, of "
+                f"{plural(len(components[0].pose_ids), 'pose')}; {free}. An edge between poses "
+                f"{first} and {second}, the nearest by their ids, would join it to another.",
+                pose_ids=part.pose_ids,
+                edges=(),
+                eigenvalue=0.0,
+                dimension=0 if part.num_fixed else graph.tangent_size,
+            )
+        )
+    return modes
+
+
+def joint_modes(graph: PoseGraph, joints: Joints) -> list[GraphWeakMode]:
+    """Return modes of clusters that edges connect with little or no information."""
+    opened = [_open(graph, joint) for joint in joints.opened]
+    weak = [_weak(graph, joint) for joint in joints.weak]
+    by_themselves = sum(mode.dimension for mode in opened)
+    if joints.is_exact and joints.num_open > by_themselves:
+        opened.append(_together(graph, joints, joints.num_open - by_themselves))
+    return opened[:MOST_MODES] + weak[:MOST_MODES]
+
+
+def _open(graph: PoseGraph, joint: Joint) -> GraphWeakMode:
+    count = joint.num_open
+    edges = _edges(graph, joint.edges)
+    what = _coordinates(graph, joint, joint.vectors[:, :count])
+    return GraphWeakMode(
+        kind="open_joint",
+        sentence=f"{_named(graph, joint.poses)} against the others: {edges} "
+        f"{'says' if len(joint.edges) == 1 else 'say'} nothing of {what}, which leaves "
+        f"{plural(count, 'direction')} open. Give the information a value there, add an edge, or "
+        "fix a pose among them.",
+        pose_ids=_ids(graph, joint),
+        edges=_pairs(graph, joint.edges),
+        eigenvalue=0.0,
+        dimension=count,
+    )
+
+
+def _weak(graph: PoseGraph, joint: Joint) -> GraphWeakMode:
+    first = joint.num_open
+    count = joint.num_weak
+    lowest = float(joint.eigenvalues[first])
+    what = _coordinates(graph, joint, joint.vectors[:, first : first + count])
+    hangs = "hangs" if len(joint.poses) == 1 else "hang"
+    return GraphWeakMode(
+        kind="weak_joint",
+        sentence=f"{_named(graph, joint.poses)} {hangs} on {_edges(graph, joint.edges)}, "
+        f"which leaves a sigma of up to {number(1 / np.sqrt(lowest))} times that of a typical edge "
+        f"in {what}. Add an edge, or check the information of this one.",
+        pose_ids=_ids(graph, joint),
+        edges=_pairs(graph, joint.edges),
+        eigenvalue=lowest,
+        dimension=count,
+    )
+
+
+def _together(graph: PoseGraph, joints: Joints, count: int) -> GraphWeakMode:
+    moved = np.flatnonzero(
+        joints.directions.reshape(graph.num_poses, -1).any(axis=1)
+        if joints.directions.size
+        else np.zeros(graph.num_poses, bool)
+    )
+    ids = sorted_ids(graph.ids, moved)
+    return GraphWeakMode(
+        kind="open_together",
+        sentence=f"{_named(graph, moved)} against the others: edges without information in some "
+        f"direction leave {plural(count, 'direction')} open together, beside what single groups of "
+        "poses can do. Add an edge with full information among them.",
+        pose_ids=ids,
+        edges=(),
+        eigenvalue=0.0,
+        dimension=count,
+    )
+
+
+def _coordinates(graph: PoseGraph, joint: Joint, vectors: Floats) -> str:
+    """Return the coordinates, in the frame of the reference pose, that directions change."""
+    names = COORDINATES[graph.tangent_size]
+    frame = f" in the frame of pose {graph.pose_name(int(joint.poses[0]))}"
+    if vectors.shape[1] == len(names):
+        return "their whole relative pose"
+    shares = (vectors**2).sum(axis=1)
+    chosen = [names[k] for k in np.flatnonzero(shares >= DOMINANT * shares.max())]
+    return ", ".join(chosen) + frame
+
+
+def _named(graph: PoseGraph, poses: NDArray[np.int64]) -> str:
+    """Return the names of poses in the order of their ids."""
+    ordered = poses[np.argsort(graph.ids[poses], kind="stable")]
+    return named("Pose", [graph.pose_name(pose) for pose in ordered.tolist()])
+
+
+def _ids(graph: PoseGraph, joint: Joint) -> tuple[int, ...]:
+    return sorted_ids(graph.ids, joint.poses)
+
+
+def _pairs(graph: PoseGraph, edges: Iterable[int]) -> tuple[tuple[int, int], ...]:
+    pairs = (graph.ids[graph.edges[edge]].tolist() for edge in edges)
+    return tuple((first, second) for first, second in pairs)
+
+
+def _edges(graph: PoseGraph, edges: NDArray[np.int64]) -> str:
+    words = []
+    for edge in edges[:MOST_EDGES].tolist():
+        first, second = graph.ends_of(edge)
+        line = int(graph.edge_lines[edge])
+        words.append(f"{first} {second}" + (f" (line {line})" if line else ""))
+    more = f" and {len(edges) - MOST_EDGES} more" if len(edges) > MOST_EDGES else ""
+    return f"{'edge' if len(edges) == 1 else 'edges'} {', '.join(words)}{more}"

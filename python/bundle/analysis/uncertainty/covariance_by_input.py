@@ -8,7 +8,11 @@ from typing import TYPE_CHECKING, Any, Unpack, overload
 from numpy.typing import ArrayLike
 
 from bundle.analysis.uncertainty.compute_covariance import problem_covariance
-from bundle.analysis.uncertainty.covariance_result import Covariance
+from bundle.analysis.uncertainty.covariance_result import (
+    Covariance,
+    FactorGraphCovariance,
+    GraphCovariance,
+)
 from bundle.graphs.factors.factor_graph import FactorGraph
 from bundle.interface.covariance_options import PARTS
 from bundle.interface.option_class import takes_options
@@ -19,8 +23,6 @@ from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.solving.result import Result
 
 if TYPE_CHECKING:
-    from bundle.analysis.uncertainty.factor_graph_covariance import FactorGraphCovariance
-    from bundle.analysis.uncertainty.graph_covariance import GraphCovariance
     from bundle.graphs.factors.factors import Factor
     from bundle.graphs.factors.variables import Key
     from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult

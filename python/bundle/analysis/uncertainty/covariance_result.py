@@ -1,9 +1,9 @@
-"""Covariances, indexed by the ids of images, points and cameras."""
+"""Covariances by the ids of images, points and cameras, of poses, or by keys of variables."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,10 +17,13 @@ from bundle.base.records import dataclass
 from bundle.base.words import number, plural
 from bundle.errors import InputError, brief
 from bundle.interface.option_fields import choice
+from bundle.interface.tabular import Tabular
 from bundle.io.atomic import atomic_write as atomic
 
 if TYPE_CHECKING:
     import pandas
+
+    from bundle.graphs.factors.variables import Key
 
 _ID_COLUMNS = {"sensor": ("rig_id", "camera_id"), "relative": ("image_id_a", "image_id_b")}
 _AXES = {3: ("x", "y", "z"), 6: ("wx", "wy", "wz", "tx", "ty", "tz")}
@@ -29,8 +32,42 @@ _Floats = NDArray[np.float64]
 _Ids = NDArray[np.int64]
 
 
+class _Saved(FrozenArrays, Displayed):
+    """File and display of the covariances of any input."""
+
+    gauge: str
+    scale: str
+    sigma0: float
+    dof: int
+
+    def save(self, path: str | Path) -> None:
+        """Write all arrays and settings to an .npz file; a failed write leaves no partial file.
+
+        Raises:
+            OSError: the file cannot be written.
+        """
+        with atomic.replace_file(Path(path)) as temporary, temporary.open("wb") as stream:
+            np.savez(stream, **self._arrays())
+
+    def _arrays(self) -> dict[str, Any]:
+        names = (field.name for field in dataclasses.fields(self))  # type: ignore[arg-type]
+        return {name: np.asarray(getattr(self, name)) for name in names if name[0] != "_"}
+
+    def _counts(self) -> list[str]:
+        raise NotImplementedError
+
+    def _display(self) -> Display:
+        facts = (
+            *(("of", words) for words in self._counts()),
+            ("gauge", self.gauge),
+            ("scale", self.scale),
+            ("sigma0", f"{number(self.sigma0)} ({plural(self.dof, 'degree')} of freedom)"),
+        )
+        return Display(title=type(self).__name__, facts=facts)
+
+
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class Covariance(FrozenArrays, Displayed):
+class Covariance(_Saved):
     """Marginal covariances of a solution: of each block, with all others estimated as well.
 
     A pose has (w, t): w [rad] is the left perturbation of cam_from_world, R to Exp(w) R, and t its
@@ -171,19 +208,6 @@ class Covariance(FrozenArrays, Displayed):
             | {f"sigma_{axis}": sigmas[:, k] for k, axis in enumerate(axes)}
         )
 
-    def save(self, path: str | Path) -> None:
-        """Write all arrays and settings to an .npz file; a failed write leaves no partial file.
-
-        Raises:
-            OSError: the file cannot be written.
-        """
-        with atomic.replace_file(Path(path)) as temporary, temporary.open("wb") as stream:
-            np.savez(stream, **self._arrays())
-
-    def _arrays(self) -> dict[str, Any]:
-        fields = (f.name for f in dataclasses.fields(self) if f.name[0] != "_")
-        return {name: np.asarray(getattr(self, name)) for name in fields}
-
     @staticmethod
     def _one(kind: str, ids: _Ids, values: _Floats, wanted: int) -> _Floats:
         found = np.flatnonzero(ids == wanted) if isinstance(wanted, int | np.integer) else ()
@@ -206,3 +230,179 @@ class Covariance(FrozenArrays, Displayed):
         if len(self.null_point_ids):
             facts.append(("without parallax", plural(len(self.null_point_ids), "point")))
         return Display(title="Covariance", facts=tuple(facts))
+
+
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class GraphCovariance(_Saved, Tabular):
+    """Marginal covariances of the poses of a graph: of each, with all others estimated as well.
+
+    A pose X (world_from_body) has the covariance of d in X Exp(d), a right perturbation: in the
+    plane x y angle, in space rotation [rad] and then translation, both in the frame of the body.
+    Constant poses have covariance 0.
+
+    Attributes:
+        pose_ids: (n,) ids of poses.
+        pose_covariance: (n, d, d) with d = 3 or 6.
+        relative_ids: (m, 2) ids of poses a and b.
+        relative_covariance: (m, d, d) of X_a^-1 X_b, a right perturbation; independent of the
+            gauge.
+        cross_covariance: (m, d, d) of d_a with d_b.
+        sigma0: root of sum r^T W Omega r over the degrees of freedom; 1 if the information of the
+            edges is right. NaN without degrees of freedom.
+        dof: d times the number of edges, minus d times the number of free poses under the gauge.
+        gauge: "first", "inner" or "none".
+        held_pose_ids: constant poses without a FIX.
+        scale: "unit": from the information of the edges; "sigma0": multiplied by sigma0^2.
+        notes: sentences with remarks on the covariance.
+    """
+
+    pose_ids: _Ids
+    pose_covariance: _Floats
+    relative_ids: _Ids
+    relative_covariance: _Floats
+    cross_covariance: _Floats
+    sigma0: float
+    dof: int
+    gauge: str
+    held_pose_ids: tuple[int, ...]
+    scale: str
+    notes: tuple[str, ...] = ()
+
+    def _tables(self) -> dict[str, Mapping[str, Any]]:
+        """Return standard deviations, one row per pose or pair."""
+        pairs = {"pose_id_a": self.relative_ids[:, 0], "pose_id_b": self.relative_ids[:, 1]}
+        return {
+            "poses": {"pose_id": self.pose_ids, **_sigmas(self.pose_covariance)},
+            "relative": {**pairs, **_sigmas(self.relative_covariance)},
+        }
+
+    def pose(self, pose_id: int) -> _Floats:
+        """Return the (d, d) covariance of a pose.
+
+        Raises:
+            InputError: the pose does not exist.
+        """
+        found = np.flatnonzero(self.pose_ids == pose_id)
+        if not is_id(pose_id) or not len(found):
+            count = plural(len(self.pose_ids), "pose")
+            raise InputError(f"pose: expected the id of one of {count}, found {brief(pose_id)}")
+        one: _Floats = self.pose_covariance[found[0]]
+        return one
+
+    def relative(self, id_a: int, id_b: int) -> _Floats:
+        """Return the (d, d) covariance of X_a^-1 X_b.
+
+        Raises:
+            InputError: the pair was not requested.
+        """
+        found = np.flatnonzero((self.relative_ids == (id_a, id_b)).all(axis=1))
+        if not found.size:
+            raise InputError(
+                f"relative: expected a pair of {self.relative_ids.tolist()}, "
+                f"found {brief((id_a, id_b))}"
+            )
+        of_pair: _Floats = self.relative_covariance[found[0]]
+        return of_pair
+
+    def _counts(self) -> list[str]:
+        return [plural(len(self.pose_ids), "pose")]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class FactorGraphCovariance(_Saved, Tabular):
+    """Marginal covariances of the variables of a graph, each with all others estimated as well.
+
+    A covariance is that of the tangent coordinates d in X Exp(d), in the order that
+    :class:`bundle.FactorGraph` lists. Constant coordinates have covariance 0.
+
+    Attributes:
+        covariances: (t, t) covariance of each variable by key.
+        relative_covariances: by pair (a, b) of keys the covariance of X_a^-1 X_b; of X_b X_a^-1 if
+            a factor uses one of the poses as cam_from_world. Independent of the gauge, apart from a
+            free scale.
+        cross_covariances: by pair (a, b) the covariance of d_a with d_b.
+        sigma0: root of the weighted squares over the degrees of freedom; 1 if the information of
+            the factors is right. NaN without degrees of freedom.
+        dof: residuals, minus free coordinates under the gauge.
+        gauge: "first", "inner" or "none".
+        num_gauge_freedoms: directions of the gauge that the factors leave free.
+        scale: "unit": from the information of the factors; "sigma0": multiplied by sigma0^2.
+        notes: sentences with remarks on the covariance.
+    """
+
+    covariances: Mapping[Key, _Floats]
+    relative_covariances: Mapping[tuple[Key, Key], _Floats]
+    cross_covariances: Mapping[tuple[Key, Key], _Floats]
+    sigma0: float
+    dof: int
+    gauge: str
+    num_gauge_freedoms: int
+    scale: str
+    notes: tuple[str, ...] = ()
+
+    def _tables(self) -> dict[str, Mapping[str, Any]]:
+        """Return standard deviations, one row per coordinate of a variable."""
+        rows = [
+            (key, coordinate, sigma)
+            for key, covariance in self.covariances.items()
+            for coordinate, sigma in enumerate(np.sqrt(np.diag(covariance)).tolist())
+        ]
+        names = ("key", "coordinate", "sigma")
+        return {"variables": {name: [row[k] for row in rows] for k, name in enumerate(names)}}
+
+    def variable(self, key: Key) -> _Floats:
+        """Return the covariance of a variable.
+
+        Raises:
+            InputError: the variable does not exist, or was not requested.
+        """
+        if key not in self.covariances:
+            count = plural(len(self.covariances), "variable")
+            raise InputError(f"key: expected the key of one of {count}, found {brief(key)}")
+        return self.covariances[key]
+
+    def relative(self, key_a: Key, key_b: Key) -> _Floats:
+        """Return the covariance of a relative variable.
+
+        Raises:
+            InputError: the pair was not requested.
+        """
+        pair = (key_a, key_b)
+        if pair not in self.relative_covariances:
+            raise InputError(
+                f"relative: expected a pair of {[*self.relative_covariances]}, found {brief(pair)}"
+            )
+        return self.relative_covariances[pair]
+
+    def _arrays(self) -> dict[str, Any]:
+        """Return ``keys`` as text, ``covariance_<position>``, ``relative_keys`` and so on."""
+        arrays: dict[str, Any] = {
+            "keys": np.array([str(key) for key in self.covariances]),
+            "relative_keys": np.array(
+                [[str(a), str(b)] for a, b in self.relative_covariances]
+            ).reshape(-1, 2),
+        }
+        for name, blocks in (
+            ("covariance", self.covariances),
+            ("relative_covariance", self.relative_covariances),
+            ("cross_covariance", self.cross_covariances),
+        ):
+            arrays |= {f"{name}_{k}": block for k, block in enumerate(blocks.values())}
+        for name in ("sigma0", "dof", "gauge", "scale", "notes"):
+            arrays[name] = np.asarray(getattr(self, name))
+        return arrays
+
+    def _counts(self) -> list[str]:
+        return [plural(len(self.covariances), "variable")]
+
+
+def is_id(value: object) -> bool:
+    """Tell whether a value is a whole number."""
+    return isinstance(value, int | np.integer) and not isinstance(value, bool)
+
+
+def _sigmas(covariance: _Floats) -> dict[str, _Floats]:
+    """Return the standard deviation of each tangent coordinate, in the plane or in space."""
+    axes = ("x", "y", "angle") if covariance.shape[-1] == 3 else ("wx", "wy", "wz", "x", "y", "z")
+    sigmas = np.sqrt(np.einsum("nii->ni", covariance))
+    return {f"sigma_{axis}": sigmas[:, k] for k, axis in enumerate(axes)}

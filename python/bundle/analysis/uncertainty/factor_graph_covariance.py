@@ -1,144 +1,58 @@
 """Covariances of the variables of a factor graph; ``factor_graph_certainty.cpp`` derives them.
 
-A graph of relative poses has those of the pose graph that it states (``graph_covariance.cpp``),
-whose gauge is known without a search for null directions.
+A graph of relative poses has those of the pose graph that it states, whose gauge is known without a
+search for null directions.
+
+A relative variable B = X_a^-1 X_b moves by B Exp(d_b - Ad d_a) with Ad = Ad(X_b^-1 X_a), the
+identity on a Euclidean space, so that its covariance is
+
+    C = G_bb - Ad G_ab - G_ab^T Ad^T + Ad G_aa Ad^T.
+
+Poses that a factor uses as cam_from_world have the relative pose B = X_b X_a^-1 in its place, which
+a motion of the world does not change. It moves by B Exp(Ad(X_a) (d_b - d_a)).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from pathlib import Path
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 import bundle._core as _core
-from bundle.analysis.uncertainty.graph_covariance import graph_covariance
-from bundle.analysis.uncertainty.relative_variable import relative_covariance
-from bundle.base.arrays import FrozenArrays, freeze
-from bundle.base.display import Display, Displayed
-from bundle.base.records import dataclass
-from bundle.base.words import not_converged, number, plural
+from bundle.analysis.uncertainty.covariance_result import (
+    FactorGraphCovariance,
+)
+from bundle.analysis.uncertainty.graph_covariance import (
+    GRAPH_GAUGES,
+    GraphWords,
+    graph_covariance,
+    scaled,
+    unconnected,
+    undetermined,
+)
+from bundle.base.arrays import freeze
+from bundle.base.words import plural
 from bundle.errors import InputError, brief
 from bundle.graphs.factors.factor_graph import FactorGraph
+from bundle.graphs.factors.factors import PositionFactor, RelativePoseFactor, ReprojectionFactor
 from bundle.graphs.factors.null_space import NullSpace, find_null_space
 from bundle.graphs.factors.same_problem import AsPoseGraph, pose_graph_of
-from bundle.graphs.factors.variables import Key, as_list, variable_name
+from bundle.graphs.factors.variables import Key, Variable, as_list, variable_name
+from bundle.graphs.pose_graphs.lie_groups import adjoint_between, adjoints
 from bundle.interface.covariance_options import SCALES, one_of
-from bundle.interface.tabular import Tabular
-from bundle.io.atomic import atomic_write as atomic
+from bundle.model.rotations import rotation_matrices
 
-GAUGES = ("first", "inner", "none")
+FROM_WORLD = (PositionFactor, RelativePoseFactor, ReprojectionFactor)
+"""Factors whose poses are cam_from_world."""
 
-AT_MINIMUM = 1e-4
-"""Relative decrease of the cost by one more step, below which a state counts as a minimum."""
-
-LOST = 1e10
-"""Inflation above which the variances have fewer than six digits."""
+VARIABLES = GraphWords(
+    *("variable", "factor", "constant variable", "bundle.diagnose"),
+    "hold another variable constant",
+)
 
 Floats = NDArray[np.float64]
-
-
-@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class FactorGraphCovariance(FrozenArrays, Displayed, Tabular):
-    """Marginal covariances of the variables of a graph, each with all others estimated as well.
-
-    A covariance is that of the tangent coordinates d in X Exp(d), in the order that
-    :class:`bundle.FactorGraph` lists. Constant coordinates have covariance 0.
-
-    Attributes:
-        covariances: (t, t) covariance of each variable by key.
-        relative_covariances: by pair (a, b) of keys the covariance of X_a^-1 X_b; of X_b X_a^-1 if
-            a factor uses one of the poses as cam_from_world. Independent of the gauge, apart from a
-            free scale.
-        cross_covariances: by pair (a, b) the covariance of d_a with d_b.
-        sigma0: root of the weighted squares over the degrees of freedom; 1 if the information of
-            the factors is right. NaN without degrees of freedom.
-        dof: residuals, minus free coordinates under the gauge.
-        gauge: "first", "inner" or "none".
-        num_gauge_freedoms: directions of the gauge that the factors leave free.
-        scale: "unit": from the information of the factors; "sigma0": multiplied by sigma0^2.
-        notes: sentences with remarks on the covariance.
-    """
-
-    covariances: Mapping[Key, Floats]
-    relative_covariances: Mapping[tuple[Key, Key], Floats]
-    cross_covariances: Mapping[tuple[Key, Key], Floats]
-    sigma0: float
-    dof: int
-    gauge: str
-    num_gauge_freedoms: int
-    scale: str
-    notes: tuple[str, ...] = ()
-
-    def _tables(self) -> dict[str, Mapping[str, Any]]:
-        """Return standard deviations, one row per coordinate of a variable."""
-        rows = [
-            (key, coordinate, sigma)
-            for key, covariance in self.covariances.items()
-            for coordinate, sigma in enumerate(np.sqrt(np.diag(covariance)).tolist())
-        ]
-        names = ("key", "coordinate", "sigma")
-        return {"variables": {name: [row[k] for row in rows] for k, name in enumerate(names)}}
-
-    def variable(self, key: Key) -> Floats:
-        """Return the covariance of a variable.
-
-        Raises:
-            InputError: the variable does not exist, or was not requested.
-        """
-        if key not in self.covariances:
-            count = plural(len(self.covariances), "variable")
-            raise InputError(f"key: expected the key of one of {count}, found {brief(key)}")
-        return self.covariances[key]
-
-    def relative(self, key_a: Key, key_b: Key) -> Floats:
-        """Return the covariance of a relative variable.
-
-        Raises:
-            InputError: the pair was not requested.
-        """
-        pair = (key_a, key_b)
-        if pair not in self.relative_covariances:
-            raise InputError(
-                f"relative: expected a pair of {[*self.relative_covariances]}, found {brief(pair)}"
-            )
-        return self.relative_covariances[pair]
-
-    def save(self, path: str | Path) -> None:
-        """Write an .npz file: ``keys`` as text, ``covariance_<position>``, ``relative_keys``, ...
-
-        A failed write leaves no partial file.
-
-        Raises:
-            OSError: the file cannot be written.
-        """
-        arrays: dict[str, Any] = {
-            "keys": np.array([str(key) for key in self.covariances]),
-            "relative_keys": np.array(
-                [[str(a), str(b)] for a, b in self.relative_covariances]
-            ).reshape(-1, 2),
-        }
-        for name, blocks in (
-            ("covariance", self.covariances),
-            ("relative_covariance", self.relative_covariances),
-            ("cross_covariance", self.cross_covariances),
-        ):
-            arrays |= {f"{name}_{k}": block for k, block in enumerate(blocks.values())}
-        for name in ("sigma0", "dof", "gauge", "scale", "notes"):
-            arrays[name] = np.asarray(getattr(self, name))
-        with atomic.replace_file(Path(path)) as temporary, temporary.open("wb") as stream:
-            np.savez(stream, **arrays)
-
-    def _display(self) -> Display:
-        facts = (
-            ("of", plural(len(self.covariances), "variable")),
-            ("gauge", self.gauge),
-            ("scale", self.scale),
-            ("sigma0", f"{number(self.sigma0)} ({plural(self.dof, 'degree')} of freedom)"),
-        )
-        return Display(title="FactorGraphCovariance", facts=facts)
 
 
 def factor_graph_covariance(
@@ -150,21 +64,15 @@ def factor_graph_covariance(
     scale: str = "unit",
     num_threads: int = 0,
 ) -> FactorGraphCovariance:
-    """Compute the covariances of the variables of a graph; see :func:`bundle.covariance`.
-
-    Raises:
-        InputError: an argument is wrong, a key does not exist, all coordinates are constant, the
-            gauge or the factors leave directions free, or sigma0 has no degrees of freedom.
-    """
-    gauge, scale = one_of("gauge", gauge, GAUGES), one_of("scale", scale, SCALES)
+    """Compute the covariances of the variables of a graph; see :func:`bundle.covariance`."""
+    gauge, scale = one_of("gauge", gauge, GRAPH_GAUGES), one_of("scale", scale, SCALES)
     keys = graph.keys if of is None else _known(graph, "of", as_list("of", "keys", of))
     pairs = [_pair(graph, pair, k) for k, pair in enumerate(as_list("relative", "pairs", relative))]
     if (poses := pose_graph_of(graph)) is not None:
         graph.check_free()
         return _of_pose_graph(poses, keys, pairs, gauge=gauge, scale=scale, num_threads=num_threads)
     space = find_null_space(graph)
-    _check_determined(graph, space, gauge)
-    _check_connected(graph, space, pairs)
+    _check_variables(graph, space, gauge, pairs)
     held = space.held()
     place = {key: k for k, key in enumerate(graph.keys)}
     rows = [(place[a], place[b]) for a, b in pairs]
@@ -174,27 +82,17 @@ def factor_graph_covariance(
         *graph.core(), held, rows, seed if gauge == "inner" else seed[:, :0], False, threads
     )
     if out["undetermined"] >= 0:
-        raise _undetermined(graph, [int(out["undetermined"])])
-    if not np.isfinite(out["inflation"]):
-        raise InputError(
-            "graph: expected well-conditioned normal equations, found variances that are only "
-            "rounding errors; hold another variable constant"
-        )
+        raise undetermined(VARIABLES, [brief(graph.keys[int(out["undetermined"])])])
     weighted, num_residuals = _weighted_squares(graph)
     dof = num_residuals - int((~held).sum())
-    sigma0 = float(np.sqrt(weighted / dof)) if dof > 0 else float("nan")
-    if scale == "sigma0" and not dof > 0:
-        raise InputError(
-            f"scale: expected degrees of freedom to estimate sigma0 from, found {dof}; use unit"
-        )
-    factor = sigma0 * sigma0 if scale == "sigma0" else 1.0
+    sigma0, factor, notes = scaled(VARIABLES, out, weighted, dof, scale)
     blocks = [factor * block for block in out["variables"]]
     cross = {pair: freeze(factor * block) for pair, block in zip(pairs, out["across"], strict=True)}
     return FactorGraphCovariance(
         covariances={key: freeze(blocks[place[key]]) for key in keys},
         relative_covariances={
             (a, b): freeze(
-                relative_covariance(graph, a, b, blocks[place[a]], blocks[place[b]], cross[a, b])
+                _relative_covariance(graph, a, b, blocks[place[a]], blocks[place[b]], cross[a, b])
             )
             for a, b in pairs
         },
@@ -204,7 +102,7 @@ def factor_graph_covariance(
         gauge=gauge,
         num_gauge_freedoms=space.gauge,
         scale=scale,
-        notes=_notes(out, weighted),
+        notes=notes,
     )
 
 
@@ -227,64 +125,27 @@ def _of_pose_graph(
     )
 
 
-def _notes(out: dict[str, Any], weighted: float) -> tuple[str, ...]:
-    notes = []
-    decrease = float(out["predicted_decrease"])
-    if decrease > AT_MINIMUM * 0.5 * weighted and decrease > 1e-9:
-        notes.append(not_converged(200 * decrease / weighted, without_loss=False))
-    if out["inflation"] > LOST:
-        digits = max(0, round(16 - np.log10(out["inflation"])))
-        notes.append(
-            f"Some variable is {number(float(np.sqrt(out['inflation'])))} times less certain than "
-            f"with all others known: its covariance has about {plural(digits, 'digit')}."
-        )
-    return tuple(notes)
-
-
-def _weighted_squares(graph: FactorGraph) -> tuple[float, int]:
-    """Return the sum of rho' ||r||^2 over the factors, and the number of residuals."""
-    _, squares, sizes = _core.factor_costs(*graph.core())
-    weights = np.ones(len(squares))
-    for k, factor in enumerate(graph.factors):
-        if factor.loss != "trivial":
-            weights[k] = _core.edge_loss(factor.loss, factor.loss_scale, float(squares[k]))[1]
-    return float((weights * squares).sum()), int(sizes.sum())
-
-
-def _check_determined(graph: FactorGraph, space: NullSpace, gauge: str) -> None:
+def _check_variables(
+    graph: FactorGraph, space: NullSpace, gauge: str, pairs: Iterable[tuple[Key, Key]]
+) -> None:
+    """Refuse undetermined directions, and pairs whose components move against each other."""
     if not space.is_exact:
         raise InputError(
             "graph: expected factors that determine all variables but for the gauge, found "
             f"{space.nullity} free directions; bundle.diagnose says more"
         )
     if space.others.shape[1]:
-        raise _undetermined(graph, space.moving(space.others).tolist())
+        moving = space.moving(space.others).tolist()
+        raise undetermined(VARIABLES, [brief(graph.keys[k]) for k in moving])
     if gauge == "none" and space.nullity:
         raise InputError(
             f"gauge: none expects factors or constant variables that fix the gauge, found "
             f"{plural(space.nullity, 'free direction')}; first holds a variable"
         )
-
-
-def _check_connected(graph: FactorGraph, space: NullSpace, pairs: Iterable[Any]) -> None:
-    """Refuse relative variables whose components move against each other."""
     label = dict(zip(graph.keys, space.labels.tolist(), strict=True))
     for a, b in pairs:
         if label[a] != label[b] and any(space.nullities.get(label[key]) for key in (a, b)):
-            raise InputError(
-                "relative: expected variables that factors or constant variables connect, found "
-                f"{brief(a)} and {brief(b)}"
-            )
-
-
-def _undetermined(graph: FactorGraph, positions: list[int]) -> InputError:
-    names = ", ".join(brief(graph.keys[k]) for k in positions[:3])
-    more = f" and {len(positions) - 3} more" if len(positions) > 3 else ""
-    noun = "variable" if len(positions) == 1 else "variables"
-    return InputError(
-        f"graph: expected factors that determine all variables but for the gauge, found {noun} "
-        f"{names}{more} with a direction open; bundle.diagnose says which"
-    )
+            raise unconnected(VARIABLES, brief(a), brief(b))
 
 
 def _known(graph: FactorGraph, argument: str, keys: Iterable[Any]) -> tuple[Key, ...]:
@@ -308,3 +169,47 @@ def _pair(graph: FactorGraph, pair: Any, k: int) -> tuple[Key, Key]:
             f"({len(second.value)})"
         )
     return a, b
+
+
+def _weighted_squares(graph: FactorGraph) -> tuple[float, int]:
+    """Return the sum of rho' ||r||^2 over the factors, and the number of residuals."""
+    _, squares, sizes = _core.factor_costs(*graph.core())
+    weights = np.ones(len(squares))
+    for k, factor in enumerate(graph.factors):
+        if factor.loss != "trivial":
+            weights[k] = _core.edge_loss(factor.loss, factor.loss_scale, float(squares[k]))[1]
+    return float((weights * squares).sum()), int(sizes.sum())
+
+
+def _relative_covariance(
+    graph: FactorGraph, a: Key, b: Key, of_a: Floats, of_b: Floats, across: Floats
+) -> Floats:
+    """Return the covariance of a relative variable from G_aa, G_bb and G_ab, (t, t) each."""
+    first, second = graph.variables[a], graph.variables[b]
+    if _is_from_world(graph, a, b):
+        difference = of_b - across - across.T + of_a
+        adjoint = adjoints(first.value[None])[0]
+        return np.asarray(adjoint @ difference @ adjoint.T)
+    adjoint = _adjoint_between(first, second)
+    moved = adjoint @ across
+    return np.asarray(of_b - moved - moved.T + adjoint @ of_a @ adjoint.T)
+
+
+def _is_from_world(graph: FactorGraph, a: Key, b: Key) -> bool:
+    """Tell whether a factor uses one of two poses as cam_from_world."""
+    return graph.variables[a].manifold == "se3" and any(
+        key in (a, b)
+        for factor in graph.factors
+        if isinstance(factor, FROM_WORLD)
+        for key in factor.keys
+    )
+
+
+def _adjoint_between(first: Variable, second: Variable) -> Floats:
+    """Return Ad(X_b^-1 X_a)."""
+    if first.manifold in ("se2", "se3"):
+        return np.asarray(adjoint_between(second.value[None], first.value)[0])
+    if first.manifold == "so3":
+        rotations = rotation_matrices(np.stack([first.value, second.value]))
+        return np.asarray(rotations[1].T @ rotations[0])
+    return np.eye(len(first.coordinates))

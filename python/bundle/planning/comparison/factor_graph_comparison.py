@@ -12,15 +12,16 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 import bundle._core as _core
-from bundle.base.arguments import check_function
-from bundle.errors import InputError
+from bundle.base.records import dataclass
 from bundle.graphs.factors.factor_graph import FactorGraph, GraphResult
 from bundle.interface.compare_options import REPEAT, TIMEOUT
-from bundle.interface.environment import Environment
-from bundle.interface.option_fields import number
 from bundle.interface.options import GraphOptions, SolveOptions
-from bundle.planning.comparison.graph_comparison import FactorGraphMethod, GraphComparison
-from bundle.planning.comparison.graph_runs import measure, recommend_run
+from bundle.planning.comparison.graph_comparison import (
+    GraphComparison,
+    Runner,
+    Solve,
+    check_not_varied,
+)
 from bundle.planning.comparison.method import as_tuple, thread_counts
 from bundle.planning.inspection.factor_graph_inspection import inspect_factor_graph
 
@@ -34,6 +35,35 @@ MOST_DENSE_COLUMNS = 2000
 """Free coordinates up to which dense matrices are compared: 32 MB and a second per step."""
 
 VARIED = ("linear_solver_type", "trust_region_strategy_type", "num_threads")
+
+
+@dataclass(frozen=True, kw_only=True)
+class FactorGraphMethod:
+    """Options of a compared solve of a factor graph, named as in :class:`bundle.SolveOptions`.
+
+    ``linear_solver_type`` is "square_root" for a QR factorisation of the Jacobian.
+    """
+
+    linear_solver_type: str
+    trust_region_strategy_type: str
+    num_threads: int
+
+    @property
+    def name(self) -> str:
+        """Return a name such as "sparse-normal-cholesky dogleg"."""
+        words = (self.linear_solver_type, self.trust_region_strategy_type)
+        return " ".join(words).replace("_", "-")
+
+    def arguments(self) -> dict[str, Any]:
+        """Return the arguments of :meth:`bundle.FactorGraph.solve`."""
+        of_solver: dict[str, Any] = {"linear_solver_type": self.linear_solver_type}
+        if self.linear_solver_type == "square_root":
+            of_solver = {"square_root": True}
+        return {
+            **of_solver,
+            "trust_region_strategy_type": self.trust_region_strategy_type,
+            "num_threads": self.num_threads,
+        }
 
 
 def compare_factor_graph(
@@ -54,36 +84,23 @@ def compare_factor_graph(
     """
     graph.check_free()
     chosen = GraphOptions.of(options, changes, "compare")
-    defaults = GraphOptions()
-    for name in VARIED:
-        if getattr(chosen, name) != getattr(defaults, name):
-            raise InputError(f"{name}: expected its default, because it is compared")
-    repeat = number("repeat", repeat, whole=True, minimum=1)
-    timeout = number("timeout", timeout, above=0)
-    check_function("progress", progress)
+    check_not_varied(chosen, GraphOptions(), VARIED)
+    runner = Runner(repeat, timeout, progress)
     counts = thread_counts("threads", as_tuple("threads", threads))
-    environment = Environment.now()
     predicted = {count: _predicted(graph, count) for count in counts}
-    runs = []
-    for method in _methods(graph, counts):
-        if progress is not None:
-            progress(method.name)
-        time = predicted[method.num_threads].get(method.linear_solver_type, math.nan)
+
+    def time(method: FactorGraphMethod) -> float:
         if method.trust_region_strategy_type not in PREDICTED:
-            time = math.nan
-        runs.append(measure(method, _solver(graph, chosen, method), repeat, timeout, time))
-    best, reason = recommend_run(runs)
-    return GraphComparison(
-        graph=graph,
-        options=chosen,
-        runs=tuple(runs),
-        recommended=best.method if best else None,
-        reason=reason,
-        command=_command(best.method) if best else "",
-        warnings=best.warnings if best else (),
-        repeat=repeat,
-        timeout=timeout,
-        environment=environment.finished(),
+            return math.nan
+        return predicted[method.num_threads].get(method.linear_solver_type, math.nan)
+
+    return runner.compare(
+        graph,
+        chosen,
+        _methods(graph, counts),
+        lambda method: _solver(graph, chosen, method),
+        time,
+        _command,
     )
 
 
@@ -117,9 +134,7 @@ def _predicted(graph: FactorGraph, num_threads: int) -> dict[str, float]:
     return {"sparse_normal_cholesky": costs["amd"], "dense_normal_cholesky": costs["dense"]}
 
 
-def _solver(
-    graph: FactorGraph, options: SolveOptions, method: FactorGraphMethod
-) -> Callable[[Callable[[Any], None]], tuple[GraphResult, float]]:
+def _solver(graph: FactorGraph, options: SolveOptions, method: FactorGraphMethod) -> Solve:
     arguments = method.arguments()
     by_root = arguments.pop("square_root", False)
 

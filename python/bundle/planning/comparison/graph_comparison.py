@@ -1,23 +1,39 @@
-"""Comparison of solver methods on a pose graph, with one recommendation."""
+"""Comparison of solver methods on a pose graph, with one recommendation.
+
+``graph_distance`` is in sigmas of the covariance. Let X_a and X_b be two solutions with the same
+constant poses, and Lambda = J^T W J the information of all edges at X_b, with the weights W of the
+loss. With the covariance C = sigma0^2 Lambda^-1 the distance of the tangent coordinates d,
+X_a = X_b Exp(d), is
+
+    d^T C^-1 d = sum w ||log((X_b,i^-1 X_b,j)^-1 (X_a,i^-1 X_a,j))||^2_Omega / sigma0^2
+
+to first order: J d is the change of the relative poses, in sigmas of the edges. It is the chi2 of a
+graph whose edges measure the relative poses of X_b, and bounds every pose and every combination of
+poses by that many sigmas, as for reconstructions (``minima``).
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
-from typing import Any
+import statistics
+import time
+from collections.abc import Callable, Iterable, Sequence
+from typing import TYPE_CHECKING, Any
 
 import bundle._core as _core
 from bundle.base.arguments import check_function, check_type
 from bundle.base.display import Display, Displayed
 from bundle.base.paths import as_path, is_path
 from bundle.base.records import dataclass
-from bundle.base.words import plural, seconds
+from bundle.base.words import number, plural, seconds
 from bundle.errors import InputError
 from bundle.graphs.factors.factor_graph import FactorGraph
 from bundle.graphs.pose_graphs.edge_weights import check_free_pose, check_information_exists
+from bundle.graphs.pose_graphs.information import checked_information
+from bundle.graphs.pose_graphs.lie_groups import compose, inverse
 from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
 from bundle.graphs.pose_graphs.solve_pose_graph import solve_pose_graph
-from bundle.interface.compare_options import BACKENDS, REPEAT, TIMEOUT
+from bundle.interface.compare_options import BACKENDS, REPEAT, SECONDS_NOT_REPEATED, TIMEOUT
 from bundle.interface.environment import Environment
 from bundle.interface.option_fields import choice
 from bundle.interface.option_fields import number as checked_number
@@ -26,13 +42,12 @@ from bundle.interface.pose_graph_options import PoseGraphOptions
 from bundle.interface.tabular import Tabular
 from bundle.io.g2o_files import load_g2o
 from bundle.model.pose_graph_arrays import PoseGraph
-from bundle.planning.comparison.graph_distance import graph_distance
-from bundle.planning.comparison.graph_runs import GraphRun, best_cost, measure, recommend_run
 from bundle.planning.comparison.method import as_tuple, thread_counts
 from bundle.planning.comparison.recommendation import command_line
 from bundle.planning.inspection.pose_graph_inspection import inspect_pose_graph
 
-__all__ = ["FactorGraphMethod", "GraphComparison", "GraphMethod", "GraphRun", "compare_graph"]
+if TYPE_CHECKING:
+    from bundle.planning.comparison.factor_graph_comparison import FactorGraphMethod
 
 ORDERINGS = ("amd", "metis", "natural")
 TRUST_REGIONS = ("gauss_newton", "levenberg_marquardt", "dogleg", "subspace_dogleg")
@@ -65,35 +80,6 @@ class GraphMethod:
             ordering=self.ordering or "auto",
             num_threads=self.num_threads,
         )
-
-
-@dataclass(frozen=True, kw_only=True)
-class FactorGraphMethod:
-    """Options of a compared solve of a factor graph, named as in :class:`bundle.SolveOptions`.
-
-    ``linear_solver_type`` is "square_root" for a QR factorisation of the Jacobian.
-    """
-
-    linear_solver_type: str
-    trust_region_strategy_type: str
-    num_threads: int
-
-    @property
-    def name(self) -> str:
-        """Return a name such as "sparse-normal-cholesky dogleg"."""
-        words = (self.linear_solver_type, self.trust_region_strategy_type)
-        return " ".join(words).replace("_", "-")
-
-    def arguments(self) -> dict[str, Any]:
-        """Return the arguments of :meth:`bundle.FactorGraph.solve`."""
-        of_solver: dict[str, Any] = {"linear_solver_type": self.linear_solver_type}
-        if self.linear_solver_type == "square_root":
-            of_solver = {"square_root": True}
-        return {
-            **of_solver,
-            "trust_region_strategy_type": self.trust_region_strategy_type,
-            "num_threads": self.num_threads,
-        }
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -154,6 +140,10 @@ class GraphComparison(Displayed, Tabular):
         return Display(title=title, facts=(*facts, ("advice", self.reason)))
 
 
+Solve = Callable[[Callable[[Any], None]], tuple[Any, float]]
+"""Function of a progress callback that returns the result of a solve and its chi2."""
+
+
 def compare_graph(
     source: Any,
     options: PoseGraphOptions | None = None,
@@ -185,45 +175,91 @@ def compare_graph(
     if options is not None and not isinstance(options, PoseGraphOptions):
         raise InputError(f"options: expected PoseGraphOptions, found {type(options).__name__}")
     options = PoseGraphOptions.of(options, changes, "compare")
-    defaults = PoseGraphOptions()
-    for name in VARIED:
-        if getattr(options, name) != getattr(defaults, name):
-            raise InputError(f"{name}: expected its default, because it is compared")
+    check_not_varied(options, PoseGraphOptions(), VARIED)
     if options.loss == "auto":
         raise InputError("loss: expected a named loss to compare methods with, found auto")
-    repeat = checked_number("repeat", repeat, whole=True, minimum=1)
-    timeout = checked_number("timeout", timeout, above=0)
-    check_function("progress", progress)
+    runner = Runner(repeat, timeout, progress)
     methods = _methods(
         ("fused",) if orders_only else _listed("backends", backends),
         _listed("threads", threads),
         options.loss,
         TRUST_REGIONS[:1] if orders_only else TRUST_REGIONS,
     )
-    environment = Environment.now()
     # The start is computed once, because all methods must share it.
     started = solve_pose_graph(source, options.replace(max_num_iterations=0)).problem
     base = options.replace(init="file")
     predicted = _predicted(started, methods)
-    runs = []
-    for method in methods:
-        if progress is not None:
-            progress(method.name)
-        solve = _solver(started, method.options(base))
-        runs.append(measure(method, solve, repeat, timeout, predicted.get(method, math.nan)))
-    best, reason = recommend_run(runs)
-    return GraphComparison(
-        graph=started,
-        options=options,
-        runs=tuple(runs),
-        recommended=best.method if best else None,
-        reason=reason,
-        command=_command(started, options, best.method) if best else "",
-        warnings=best.warnings if best else (),
-        repeat=repeat,
-        timeout=timeout,
-        environment=environment.finished(),
+    return runner.compare(
+        started,
+        options,
+        methods,
+        lambda method: _solver(started, method.options(base)),
+        lambda method: predicted.get(method, math.nan),
+        lambda method: _command(started, options, method),
     )
+
+
+class Runner:
+    """Checked settings of a comparison, and its runs.
+
+    Args:
+        repeat: solves of each method.
+        timeout: seconds after which a solve is stopped.
+        progress: called with the name of each method.
+    """
+
+    def __init__(self, repeat: int, timeout: float, progress: Callable[[str], None] | None) -> None:
+        self.repeat = checked_number("repeat", repeat, whole=True, minimum=1)
+        self.timeout = checked_number("timeout", timeout, above=0)
+        check_function("progress", progress)
+        self.progress = progress
+
+    def compare(
+        self,
+        graph: PoseGraph | FactorGraph,
+        options: PoseGraphOptions | SolveOptions,
+        methods: Iterable[Any],
+        solver: Callable[[Any], Solve],
+        predicted: Callable[[Any], float],
+        command: Callable[[Any], str],
+    ) -> GraphComparison:
+        """Solve by each method, and recommend one.
+
+        Args:
+            graph: common start.
+            options: options of every solve.
+            methods: methods, objects with a ``name``.
+            solver: function of a method that returns its solve.
+            predicted: predicted seconds of a step of a method; NaN if unknown.
+            command: command of a method.
+        """
+        environment = Environment.now()
+        runs = []
+        for method in methods:
+            if self.progress is not None:
+                self.progress(method.name)
+            time = predicted(method)
+            runs.append(measure(method, solver(method), self.repeat, self.timeout, time))
+        best, reason = recommend_run(runs)
+        return GraphComparison(
+            graph=graph,
+            options=options,
+            runs=tuple(runs),
+            recommended=best.method if best else None,
+            reason=reason,
+            command=command(best.method) if best else "",
+            warnings=best.warnings if best else (),
+            repeat=self.repeat,
+            timeout=self.timeout,
+            environment=environment.finished(),
+        )
+
+
+def check_not_varied(options: Any, defaults: Any, varied: Iterable[str]) -> None:
+    """Refuse options that the methods of a comparison vary."""
+    for name in varied:
+        if getattr(options, name) != getattr(defaults, name):
+            raise InputError(f"{name}: expected its default, because it is compared")
 
 
 def _predicted(graph: PoseGraph, methods: Iterable[GraphMethod]) -> dict[GraphMethod, float]:
@@ -241,9 +277,7 @@ def _predicted(graph: PoseGraph, methods: Iterable[GraphMethod]) -> dict[GraphMe
     return found
 
 
-def _solver(
-    graph: PoseGraph, options: PoseGraphOptions
-) -> Callable[[Callable[[Any], None]], tuple[PoseGraphResult, float]]:
+def _solver(graph: PoseGraph, options: PoseGraphOptions) -> Solve:
     def solve(progress: Callable[[Any], None]) -> tuple[PoseGraphResult, float]:
         result = solve_pose_graph(graph, options, progress=progress)
         return result, result.summary.chi2_final
@@ -294,3 +328,180 @@ def _command(graph: PoseGraph, options: PoseGraphOptions, method: GraphMethod) -
     if method.ordering == _core.auto_ordering(graph, held):
         chosen = chosen.replace(ordering="auto")
     return command_line(chosen, graph.path or "INPUT")
+
+
+NEAR_ENOUGH = 1.15
+"""Factor of the shortest time within which methods count as equally fast."""
+
+COST_TOLERANCE = 1e-6
+"""Relative distance to the best final cost within which solutions count as equally good."""
+
+DIAGNOSE = "run bundle diagnose to find the cause"
+
+
+@dataclass(frozen=True, kw_only=True)
+class GraphRun:
+    """Measurement of one method.
+
+    Attributes:
+        method: the method, an object with a ``name``.
+        times_in_seconds: time of each solve, without reading and without the start.
+        final_cost: 1/2 sum rho; NaN after a failure.
+        chi2_final: sum of squares without 1/2 and without loss; NaN after a failure.
+        num_steps: number of attempted steps.
+        termination_type: as in a summary, or "TIMEOUT".
+        failure: reason for a missing solution, as a sentence; "" with a solution.
+        warnings: warnings of the solve.
+        result: the last solve; None after a failure.
+        predicted_time_per_step_in_seconds: prediction of :func:`bundle.inspect`; NaN without one.
+    """
+
+    method: Any
+    times_in_seconds: tuple[float, ...]
+    final_cost: float
+    chi2_final: float
+    num_steps: int
+    termination_type: str
+    failure: str = ""
+    warnings: tuple[str, ...] = ()
+    result: Any = None
+    predicted_time_per_step_in_seconds: float = math.nan
+
+    @property
+    def time_per_step_in_seconds(self) -> float:
+        """Median time of the steps of the last solve; NaN without a step."""
+        if self.result is None or self.num_steps < 1:
+            return math.nan
+        times = self.result.iterations["iteration_time_in_seconds"][1:].tolist()
+        return float(statistics.median(times))
+
+    @property
+    def time_in_seconds(self) -> float:
+        """Median time; NaN after a failure."""
+        return statistics.median(self.times_in_seconds) if self.times_in_seconds else math.nan
+
+
+def measure(
+    method: Any,
+    solve: Solve,
+    repeat: int,
+    timeout: float,
+    predicted: float = math.nan,
+) -> GraphRun:
+    """Solve several times by one method.
+
+    Args:
+        method: the method.
+        solve: the solve.
+        repeat: number of solves.
+        timeout: seconds after which a solve is stopped.
+        predicted: predicted time of a step in seconds.
+    """
+    times: list[float] = []
+    for _ in range(repeat):
+        begun = time.perf_counter()
+
+        def watch(_: Any, begun: float = begun) -> None:
+            if time.perf_counter() - begun > timeout:
+                raise _TimeoutError
+
+        try:
+            result, chi2 = solve(watch)
+        except _TimeoutError:
+            return _failed(method, "TIMEOUT", f"stopped after {number(timeout)} s")
+        except InputError:
+            raise
+        except (RuntimeError, MemoryError) as error:
+            return _failed(method, "FAILURE", str(error).partition("\n")[0] or "no memory")
+        summary = result.summary
+        if summary.interrupted:
+            raise KeyboardInterrupt
+        if not summary.is_solution_usable:
+            return _failed(method, summary.termination_type, summary.message)
+        times.append(result.solve_time_in_seconds)
+        if times[-1] > SECONDS_NOT_REPEATED:
+            break
+    return GraphRun(
+        method=method,
+        times_in_seconds=tuple(times),
+        final_cost=summary.final_cost,
+        chi2_final=chi2,
+        num_steps=len(result.iterations["cost"]) - 1,
+        termination_type=summary.termination_type,
+        warnings=tuple(summary.warnings),
+        result=result,
+        predicted_time_per_step_in_seconds=predicted,
+    )
+
+
+class _TimeoutError(Exception):
+    """Time limit of a solve exceeded."""
+
+
+def _failed(method: Any, termination: str, failure: str) -> GraphRun:
+    return GraphRun(
+        method=method,
+        times_in_seconds=(),
+        final_cost=math.nan,
+        chi2_final=math.nan,
+        num_steps=0,
+        termination_type=termination,
+        failure=failure,
+    )
+
+
+def best_cost(runs: Iterable[GraphRun]) -> float:
+    """Return the lowest final cost; NaN without a usable solution."""
+    return min((run.final_cost for run in runs if not run.failure), default=math.nan)
+
+
+def recommend_run(runs: Sequence[GraphRun]) -> tuple[GraphRun | None, str]:
+    """Return the recommended run and the reason; None without a usable solution."""
+    usable = [run for run in runs if not run.failure]
+    if not usable:
+        return None, f"No method has a usable solution: {DIAGNOSE}."
+    best = best_cost(usable)
+    limit = best + COST_TOLERANCE * abs(best)
+    good = sorted(
+        (run for run in usable if run.final_cost <= limit), key=lambda run: run.time_in_seconds
+    )
+    near = [run for run in good if run.time_in_seconds <= NEAR_ENOUGH * good[0].time_in_seconds]
+    first = min(near, key=runs.index)  # earlier methods are closer to the defaults
+    reason = (
+        f"{first.method.name} took {seconds(first.time_in_seconds)} s to cost "
+        f"{best:.6g}: the least time, or within {round(100 * (NEAR_ENOUGH - 1))} % of "
+        f"it, of the {plural(len(good), 'method')} with the lowest cost"
+    )
+    others = [run for run in good if _family(run) != _family(first)]
+    if others:
+        ratio = others[0].time_in_seconds / max(first.time_in_seconds, 1e-9)
+        reason += f"; {others[0].method.name} took {number(ratio)} times as long"
+    worse = len(usable) - len(good)
+    if worse:
+        reason += (
+            f"; {plural(worse, 'method')} ended at a higher cost, in another minimum or not "
+            "converged"
+        )
+    return first, reason + "."
+
+
+def _family(run: GraphRun) -> str:
+    """Return the first word of a method's name: the backend, or the solver."""
+    return str(run.method.name).partition(" ")[0]
+
+
+LEAST_SIGMA0 = 1e-3
+"""Least sigma0. Data without noise would make rounding errors many sigmas."""
+
+
+def graph_distance(one: PoseGraphResult, best: PoseGraphResult) -> float:
+    """Return the distance of two solutions in sigmas; ``best`` has the lower cost."""
+    graph = checked_information(best.problem, best.options.information)
+    first, second = graph.edges.T
+    poses = graph.poses
+    between = compose(inverse(poses[first]), poses[second])
+    there = graph.replace(measurements=between, poses=one.problem.poses)
+    apart = float(best.weights @ _core.edge_chi2(there, "log"))
+    freedom = graph.tangent_size * (graph.num_edges - graph.num_poses + graph.num_components)
+    variance = float(best.weights @ best.chi2_after) / max(freedom, 1)
+    return math.sqrt(apart) / max(math.sqrt(variance), LEAST_SIGMA0)

@@ -18,8 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 import bundle._core as _core
+from bundle.base.display import Display
 from bundle.base.records import dataclass
-from bundle.base.words import number
+from bundle.base.words import number, span
 from bundle.planning.inspection.graph_inspection import pattern_of_edges
 from bundle.planning.inspection.peak_memory import Terms, total
 from bundle.planning.inspection.problem_pattern import count_dense
@@ -112,6 +113,23 @@ def elimination_costs(
             is_taken="dense" in taken,
         ),
     )
+
+
+def display_of(found: Any, matrix: str, counts: str) -> Display:
+    """Return the display of a graph's inspection, with the name of its matrix."""
+    facts = [
+        (matrix, f"{found.nnz} nonzeros, {100 * found.density:.4g} %"),
+        *(
+            (
+                cost.ordering,
+                f"{cost.nnz_factor} nonzeros of L, {number(cost.flops)} flops, "
+                f"{span(cost.time_per_step_in_seconds)} per step",
+            )
+            for cost in found.costs
+        ),
+        ("advice", found.recommendation),
+    ]
+    return Display(title=f"{type(found).__name__}: {counts}", facts=tuple(facts))
 
 
 def with_time(cost: EliminationCost, terms: Terms) -> EliminationCost:

@@ -18,12 +18,13 @@ from numpy.typing import NDArray
 import bundle._core as _core
 from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
-from bundle.base.words import number, plural, span
+from bundle.base.words import plural
 from bundle.graphs.factors.factor_graph import FactorGraph
 from bundle.interface.tabular import Tabular
 from bundle.planning.inspection.elimination_costs import (
     EliminationCost,
     advise,
+    display_of,
     elimination_costs,
     with_time,
 )
@@ -83,20 +84,8 @@ class FactorGraphInspection(Displayed, Tabular):
         return advise(self.costs, self.auto_ordering, "")
 
     def _display(self) -> Display:
-        facts = [
-            ("Lambda", f"{self.nnz} nonzeros, {100 * self.density:.4g} %"),
-            *(
-                (
-                    cost.ordering,
-                    f"{cost.nnz_factor} nonzeros of L, {number(cost.flops)} flops, "
-                    f"{span(cost.time_per_step_in_seconds)} per step",
-                )
-                for cost in self.costs
-            ),
-            ("advice", self.recommendation),
-        ]
         counts = f"{plural(self.num_variables, 'variable')}, {plural(self.num_factors, 'factor')}"
-        return Display(title=f"FactorGraphInspection: {counts}", facts=tuple(facts))
+        return display_of(self, "Lambda", counts)
 
 
 def inspect_factor_graph(

@@ -11,7 +11,7 @@ from bundle.base.arguments import check_type
 from bundle.base.display import Display, Displayed
 from bundle.base.paths import as_path, is_path
 from bundle.base.records import dataclass
-from bundle.base.words import number, plural, span
+from bundle.base.words import plural
 from bundle.graphs.pose_graphs.edge_weights import check_free_pose
 from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
 from bundle.interface.tabular import Tabular
@@ -20,6 +20,7 @@ from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.planning.inspection.elimination_costs import (
     EliminationCost,
     advise,
+    display_of,
     elimination_costs,
 )
 from bundle.planning.inspection.graph_rates import free_pairs, panel_work, step_terms
@@ -63,20 +64,8 @@ class PoseGraphInspection(Displayed, Tabular):
         return advise(self.costs, self.auto_ordering, "--pose-ordering at auto")
 
     def _display(self) -> Display:
-        facts = [
-            ("matrix", f"{self.nnz} nonzeros, {100 * self.density:.4g} %"),
-            *(
-                (
-                    cost.ordering,
-                    f"{cost.nnz_factor} nonzeros of L, {number(cost.flops)} flops, "
-                    f"{span(cost.time_per_step_in_seconds)} per step",
-                )
-                for cost in self.costs
-            ),
-            ("advice", self.recommendation),
-        ]
         poses = f"{plural(self.num_poses, 'pose')}, {plural(self.num_edges, 'edge')}"
-        return Display(title=f"PoseGraphInspection: {poses}", facts=tuple(facts))
+        return display_of(self, "matrix", poses)
 
 
 def inspect_pose_graph(

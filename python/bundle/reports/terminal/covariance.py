@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.analysis.uncertainty.covariance_result import Covariance
-from bundle.analysis.uncertainty.graph_covariance import GraphCovariance
+from bundle.analysis.uncertainty.covariance_result import Covariance, GraphCovariance
 from bundle.base.words import number, plural
 from bundle.errors import shown
 from bundle.model.cameras import camera_models
