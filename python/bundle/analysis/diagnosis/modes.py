@@ -66,12 +66,8 @@ def weak_modes(
     Long chains and loose ends have small eigenvalues without an error. A direction therefore counts
     only if it leaves a focal length undetermined because of the viewing geometry.
 
-    Args:
-        unknowns: unknowns of the columns.
-        eigenvalues: eigenvalues, ascending.
-        directions: one direction per column.
-        tracks: tracks of the problem.
-        known: null modes; their causes are not repeated.
+    ``eigenvalues``: eigenvalues, ascending. ``directions``: one direction per column. ``known``:
+    null modes; their causes are not repeated.
     """
     by_cause: dict[str, _Weakness] = {}
     for value, direction in zip(eigenvalues.tolist(), directions.T, strict=True):

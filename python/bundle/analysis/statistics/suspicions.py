@@ -60,12 +60,9 @@ def suspicions(
 ) -> tuple[Finding, ...]:
     """Return the possible errors, most severe first.
 
-    Args:
-        problem: the problem.
-        graph: its covisibility graph.
-        errors: (num_observations,) reprojection errors in pixels; None if unavailable.
-        behind: (num_observations,) mask of points behind the camera.
-        depths: (num_observations,) depths of the points in their cameras.
+    ``errors``: (num_observations,) reprojection errors in pixels; None if unavailable. ``behind``:
+    (num_observations,) mask of points behind the camera. ``depths``: (num_observations,) depths of
+    the points in their cameras.
     """
     return (
         *_empty(problem),

@@ -95,9 +95,6 @@ def intrinsics_covariance(
     """Return the covariance of the intrinsics, scaled by sigma0, as :func:`covariance` does.
 
     Sums are doubles also for small models: ten times faster, with fewer digits.
-
-    Raises:
-        InputError: as :func:`covariance`.
     """
     gauge = "two_cameras"  # intrinsics do not depend on it
     request = SolveRequest(
@@ -266,9 +263,7 @@ MOST_NAMED = 5
 def note_on_far_points(problem: Problem, null_points: NDArray[np.int32]) -> str:
     """Return a sentence if distant points dominate the inner constraints; else "".
 
-    Args:
-        problem: problem with free points.
-        null_points: rows of points without parallax, which take no part.
+    ``null_points``: rows of points without parallax, which take no part.
     """
     takes_part = np.bincount(problem.observation_point, minlength=problem.num_points) > 0
     takes_part[null_points] = False
@@ -372,15 +367,9 @@ def newton_step(
     "weighted_squares", "num_residuals", "num_parameters" and "gauge_degrees". The residuals have
     the loss's weights.
 
-    Args:
-        problem: the problem.
-        options: options of its solve.
-        functions: (m, num_images, 6 + width) linear functions of the pose (w, t) and of the camera
-            parameters of each image; "functions" (m, m) is their covariance in the inner gauge.
-        of_poses: True for "poses" (num_images, 6, 6), their covariances in this gauge.
-
-    Raises:
-        InputError: something is not determined, or the sums overflow.
+    ``functions``: (m, num_images, 6 + width) linear functions of the pose (w, t) and of the camera
+    parameters of each image; "functions" (m, m) is their covariance in the inner gauge.
+    ``of_poses``: True for "poses" (num_images, 6, 6), their covariances in this gauge.
     """
     return _core.covariance(
         problem,

@@ -81,11 +81,7 @@ def about_free_directions(
 ) -> str:
     """Return a warning if the factors leave directions undetermined; "" otherwise.
 
-    Args:
-        variables: variables of the graph.
-        parts: result of ``find_parts``.
-        dependent: variables of linearly dependent columns; None if not computed.
-        factors: factors of the graph.
+    ``dependent``: variables of linearly dependent columns; None if not computed.
     """
     if dependent is None:
         free = Counter(_floating(variables, parts, factors))
@@ -203,16 +199,7 @@ def spot_checked(
     seconds: float,
     advice: str,
 ) -> str:
-    """Return the warning of a spot check of the factors in Python; "" without a finding.
-
-    Args:
-        output: output of the solve.
-        factors: all factors.
-        variables: variables at the start.
-        ends: values of the variables at the end.
-        seconds: time limit of the check.
-        advice: call that identifies a mistake.
-    """
+    """Return the warning of a spot check of the factors in Python; "" without a finding."""
     if output["summary"]["interrupted"]:
         return ""
     kinds: dict[Any, list[tuple[int, FunctionFactor]]] = {}

@@ -265,15 +265,8 @@ def check_edges(
 ) -> FactorCheck:
     """Check the Jacobians of edges; odometry and closures are two kinds.
 
-    Args:
-        graph: graph at whose poses to check.
-        error: error of the edges, as in a solve.
-        most_of_a_kind: largest number of edges of a kind; None: all.
-        progress: called with the number of checked edges.
-        **settings: settings of :meth:`bundle.FactorGraph.check_gradients`.
-
-    Raises:
-        InputError: an argument is out of range.
+    ``error``: error of the edges, as in a solve. ``most_of_a_kind``: largest number of edges of a
+    kind; None: all. ``progress``: called with the number of checked edges.
     """
     error = choice("error", error, POSE_ERRORS)
     if most_of_a_kind is not None:

@@ -84,14 +84,8 @@ def check_each(
 ) -> FactorCheck:
     """Check factors.
 
-    Args:
-        factors: factors to check.
-        settings: num_samples, radius, seed, tolerance, tangent and details.
-        num_factors: number of factors of the graph; None: all are checked.
-        progress: called with the number of checked factors.
-
-    Raises:
-        InputError: a setting does not exist or is out of range.
+    ``num_factors``: number of factors of the graph; None: all are checked. ``progress``: called
+    with the number of checked factors.
     """
     check_keywords("check_gradients", settings, {name: name for name in _SETTINGS})
     given = dict(_SETTINGS) | dict(settings)

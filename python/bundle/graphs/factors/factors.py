@@ -90,11 +90,7 @@ class Factor(FrozenArrays, Displayed):
 
 
 def as_information(name: str, information: Array, size: int) -> Array:
-    """Return an information matrix; a number is multiplied by the identity.
-
-    Raises:
-        InputError: the matrix has another shape.
-    """
+    """Return an information matrix; a number is multiplied by the identity."""
     if information.ndim == 0 or information.shape == (1,):
         return float(information.reshape(())) * np.eye(size)
     if information.shape != (size, size):

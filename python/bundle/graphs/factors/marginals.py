@@ -38,11 +38,7 @@ class UndeterminedError(Exception):
 def square_root_of_marginal(
     eliminated: Array, kept: Array, residual: Array, dtype: Any
 ) -> tuple[Array, Array]:
-    """Return R_b (rows, n) and -r_b (rows,), rows at most n, computed in ``dtype``.
-
-    Raises:
-        UndeterminedError: R_a is singular.
-    """
+    """Return R_b (rows, n) and -r_b (rows,), rows at most n, computed in ``dtype``."""
     scaled = _scaled(eliminated)
     stacked = np.hstack((scaled, kept, residual[:, None])).astype(dtype)
     triangle: Any = np.linalg.qr(stacked, mode="r")
@@ -58,12 +54,7 @@ def square_root_of_marginal(
 def schur_complement(
     eliminated: Array, kept: Array, residual: Array, dtype: Any
 ) -> tuple[Array, Array]:
-    """Return Lambda' (n, n), symmetric, and eta' (n,) by normal equations in ``dtype``.
-
-    Raises:
-        UndeterminedError: the normal equations of the eliminated variables are not positive
-            definite.
-    """
+    """Return Lambda' (n, n), symmetric, and eta' (n,) by normal equations in ``dtype``."""
     scaled = _scaled(eliminated).astype(dtype)
     others = np.hstack((kept, -residual[:, None])).astype(dtype)
     normal = scaled.T @ scaled

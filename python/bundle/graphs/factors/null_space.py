@@ -139,11 +139,7 @@ def components_of(graph: GraphContents) -> NDArray[np.int64]:
 
 
 def find_null_space(graph: Any) -> NullSpace:
-    """Return the null space of a :class:`bundle.FactorGraph`.
-
-    Raises:
-        InputError: the graph has nothing to estimate, or a factor has no finite value.
-    """
+    """Return the null space of a :class:`bundle.FactorGraph`."""
     graph.check_free()
     core_variables, core_factors = graph.core()
     variables = list(graph.variables.values())

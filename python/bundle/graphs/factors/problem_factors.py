@@ -63,13 +63,7 @@ def check_factors(problem: Problem, factors: Iterable[Factor], **settings: Any) 
 
 
 def wrong_factor(start: Problem, factors: Iterable[Factor], output: Mapping[str, Any]) -> str:
-    """Return a warning about a function whose Jacobian is wrong; "" without any.
-
-    Args:
-        start: the problem before the solve.
-        factors: all factors.
-        output: output of the core's solver.
-    """
+    """Return a warning about a function whose Jacobian is wrong; "" without any."""
     factors = list(factors)
     known = ProblemFactors(start, [factor for factor in factors if factor.kind == "function"])
     if not known.factors:

@@ -164,11 +164,7 @@ def problem_of(graph: GraphContents) -> AsProblem | None:
 
 
 def options_of_graph(same: AsProblem, given: SolveOptions) -> SolveOptions:
-    """Return given options with those that the graph decides: constants, loss, gauge.
-
-    Raises:
-        InputError: an option that the graph decides has another value than its default.
-    """
+    """Return given options with those that the graph decides: constants, loss, gauge."""
     defaults = SolveOptions()
     for name in OF_GRAPH:
         if getattr(given, name) != getattr(defaults, name):

@@ -107,13 +107,7 @@ def code_of(function: Any) -> Any:
 
 
 def spot_check(kinds: Sequence[Kind], seconds: float, advice: str) -> str:
-    """Return a sentence about the first kind of factor with wrong Jacobians; "" without any.
-
-    Args:
-        kinds: the factors by kind.
-        seconds: time limit.
-        advice: call that identifies the mistake.
-    """
+    """Return a sentence about the first kind of factor with wrong Jacobians; "" without any."""
     end = perf_counter() + seconds
     for turn in range(MOST_OF_A_KIND):
         for kind in kinds:

@@ -111,10 +111,7 @@ def tangent_of(name: str, manifold: str) -> Tangent:
 def other_coordinates(manifold: str, values: Array, tangent: str = "gtsam") -> Conventions:
     """Return kind, description and M_e^-1 M_w (K, d, d) of each wrong convention, simplest first.
 
-    Args:
-        manifold: manifold of a variable.
-        values: its values (K, n).
-        tangent: expected convention.
+    ``values``: values (K, n) of the variable.
     """
     if manifold not in ("so3", "se2", "se3"):
         return {}

@@ -68,16 +68,7 @@ class TwistTieFactor(Factor):
 def twist_ties(
     problem: Problem, sigma: tuple[float, ...], turning: Set[Key] = frozenset()
 ) -> tuple[TwistTieFactor, ...]:
-    """Return a tie for each image with known neighbours.
-
-    Args:
-        problem: problem with rolling shutters.
-        sigma: standard deviations of the angular part and of the other part.
-        turning: keys of the twists of which only the angular part is tied.
-
-    Raises:
-        InputError: no image has neighbours, or times or readouts are unknown.
-    """
+    """Return a tie for each image with known neighbours."""
     shutter = problem.rolling_shutter
     if shutter is None:
         raise InputError("twists: tied is valid only with rolling shutters")

@@ -135,11 +135,7 @@ class Values(Mapping[Key, Array]):
 
 
 def as_row(name: str, value: Any) -> Array:
-    """Return numbers as an array (n,); one number has n = 1.
-
-    Raises:
-        InputError: the value does not consist of real numbers, or is not one-dimensional.
-    """
+    """Return numbers as an array (n,); one number has n = 1."""
     row = np.atleast_1d(as_array(name, value))
     if row.ndim != 1:
         raise InputError(f"{name}: expected a 1-D array of numbers, found shape {row.shape}")
@@ -147,16 +143,7 @@ def as_row(name: str, value: Any) -> Array:
 
 
 def as_keys(argument: str, keys: Any, *, ordered: bool = True) -> tuple[Key, ...]:
-    """Return distinct keys in the given order.
-
-    Args:
-        argument: name of the argument, for messages.
-        keys: list or other iterable of keys.
-        ordered: refuse sets, because the order matters.
-
-    Raises:
-        InputError: the argument is not a list of keys, or a key occurs twice.
-    """
+    """Return distinct keys in the given order."""
     listed = as_list(argument, "keys", keys)
     if ordered and isinstance(keys, Set):
         raise InputError(f"{argument}: expected a list of keys with an order, found a set")
@@ -170,11 +157,7 @@ def as_keys(argument: str, keys: Any, *, ordered: bool = True) -> tuple[Key, ...
 
 
 def as_list(argument: str, things: str, given: Any) -> tuple[Any, ...]:
-    """Return the members of an iterable other than text.
-
-    Raises:
-        InputError: the argument is text or not iterable.
-    """
+    """Return the members of an iterable other than text."""
     try:
         if not isinstance(given, str | bytes):
             return tuple(given)
@@ -184,11 +167,7 @@ def as_list(argument: str, things: str, given: Any) -> tuple[Any, ...]:
 
 
 def check_key(argument: str, key: Any) -> None:
-    """Refuse keys that are not hashable.
-
-    Raises:
-        InputError: the key is not hashable.
-    """
+    """Refuse keys that are not hashable."""
     try:
         hash(key)
     except Exception:  # any exception of a user's __hash__

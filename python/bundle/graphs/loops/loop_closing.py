@@ -127,12 +127,7 @@ Closures = PoseGraph | str | os.PathLike[str]
 
 
 def as_closures(closures: Closures) -> PoseGraph:
-    """Return the checked pose graph, read from a path if necessary.
-
-    Raises:
-        InputError: the graph is planar, has no edges, or an information matrix is invalid.
-        OSError: the path cannot be read.
-    """
+    """Return the checked pose graph, read from a path if necessary."""
     graph = closures
     if not isinstance(closures, PoseGraph):
         if not isinstance(closures, str | os.PathLike):
@@ -152,12 +147,7 @@ def as_closures(closures: Closures) -> PoseGraph:
 def images_of(
     closures: PoseGraph, problem: Problem
 ) -> np.ndarray[tuple[int, int], np.dtype[np.int64]]:
-    """Return the indices (m, 2) of the images of closures.
-
-    Raises:
-        InputError: the image of an id does not exist, or both images belong to one frame, in which
-            the rig defines relative poses. The message names the edge, with file and line if known.
-    """
+    """Return the indices (m, 2) of the images of closures."""
     index = {image_id: at for at, image_id in enumerate(problem.image_ids.tolist())}
     ids = closures.ids[closures.edges]
     found = np.array([[index.get(key, -1) for key in pair] for pair in ids.tolist()], np.int64)

@@ -329,12 +329,9 @@ def carry(
 ) -> tuple[Problem, int]:
     """Return the problem with images and points moved by their nodes.
 
-    Args:
-        problem: problem to move; not modified.
-        node_of: (num_images,) node of each image.
-        mounts: (num_images, 7) node_from_camera.
-        nodes: nodes before and after.
-        fitting: (num_observations,) mask of observations that fit the model.
+    ``node_of``: (num_images,) node of each image.
+    ``mounts``: (num_images, 7) node_from_camera. ``fitting``: (num_observations,) mask of
+    observations that fit the model.
 
     Returns:
         Moved problem, and the number of moved points.

@@ -129,12 +129,7 @@ def certify(
 
 
 def check_certifiable(graph: PoseGraph, loss: str) -> None:
-    """Refuse graphs and losses without a certificate.
-
-    Raises:
-        InputError: the loss is robust, or the graph has no edges, several components, or several
-            fixed poses.
-    """
+    """Refuse graphs and losses without a certificate."""
     if loss != "trivial":
         raise InputError(
             f"certify: expected no loss, found {loss.replace('_', '-')}: the dual problem bounds a "
@@ -312,15 +307,6 @@ def certified(
     These are the staircase's poses if their F is lower, or the critical point of F if this was far
     from the solution. The certificate of the result is that of the first solution. A result without
     a usable solution has none. Ctrl-C during the certificate keeps the solution, as interrupted.
-
-    Args:
-        graph: graph to solve.
-        options: options with ``certify``.
-        solve: function that solves a graph with options.
-        progress: called after each step of the certificate.
-
-    Raises:
-        InputError: the graph or the loss has no certificate.
     """
     check_certifiable(graph, options.loss)
     solved = solve(graph, options)

@@ -61,11 +61,7 @@ class ChordalWeights:
 
 
 def chordal_weights(graph: PoseGraph, weights: str, error: str) -> ChordalWeights:
-    """Return the weights of a graph.
-
-    Raises:
-        InputError: an edge has no information on its rotation or its translation.
-    """
+    """Return the weights of a graph."""
     rotation, translation = _blocks(graph)
     if weights == "mean":
         kappa = _per_omega(graph, error) * _mean_diagonal(rotation)

@@ -110,14 +110,8 @@ class ClosureConsistency:
 def closure_consistency(graph: PoseGraph, num_threads: int = 1) -> ClosureConsistency:
     """Find the largest set of pairwise consistent closures.
 
-    Args:
-        graph: graph whose odometry (edges from each id to the next) has no gaps; all other edges
-            are closures.
-        num_threads: threads that compose the odometry.
-
-    Raises:
-        InputError: odometry has a gap, the information of an edge is singular, there are more than
-            10,000 closures, or SciPy is missing.
+    ``graph``: graph whose odometry (edges from each id to the next) has no gaps; all other edges
+    are closures.
     """
     closures = np.flatnonzero(graph.is_closure)
     if len(closures) > MOST_CLOSURES:
@@ -207,14 +201,8 @@ Solve = Callable[[PoseGraph, PoseGraphOptions], tuple[PoseGraphResult, Floats]]
 def solve_consistent(graph: PoseGraph, options: PoseGraphOptions, solve: Solve) -> PoseGraphResult:
     """Solve without the closures outside the largest consistent set; report on all edges.
 
-    Args:
-        graph: graph to solve; not modified.
-        options: options with ``consistency``.
-        solve: function from a graph and options without ``consistency`` to the result and the poses
-            at the start.
-
-    Raises:
-        InputError: for the reasons of :func:`closure_consistency` or of ``solve``.
+    ``solve``: function from a graph and options without
+    ``consistency`` to the result and the poses at the start.
     """
     begun = perf_counter()
     weighed = checked_information(graph, options.information)
@@ -294,12 +282,7 @@ class OdometryChain:
 
 
 def odometry_chain(graph: PoseGraph, num_threads: int) -> OdometryChain:
-    """Compose the odometry chain from the first edge between each two successive poses.
-
-    Raises:
-        InputError: two poses that follow each other in the order of ids have no edge, or the
-            information of such an edge is singular.
-    """
+    """Compose the odometry chain from the first edge between each two successive poses."""
     order = np.argsort(graph.ids, kind="stable")
     first, second = _core.odometry_gap(graph)
     if first >= 0:
@@ -332,11 +315,7 @@ def odometry_chain(graph: PoseGraph, num_threads: int) -> OdometryChain:
 
 
 def edge_covariance(graph: PoseGraph, edges: NDArray[np.intp]) -> Floats:
-    """Return the covariances (k, d, d) of some edges in tangent coordinates.
-
-    Raises:
-        InputError: information is singular or not finite; the message names the edge.
-    """
+    """Return the covariances (k, d, d) of some edges in tangent coordinates."""
     information = graph.information[edges]
     information[~np.isfinite(information).all(axis=(1, 2))] = 0.0
     diagonal = np.diagonal(information, axis1=1, axis2=2)

@@ -56,22 +56,14 @@ def is_graph(source: object) -> bool:
 
 
 def refuse_for_graphs(**given: Any) -> None:
-    """Refuse arguments that only reconstructions support, unless they are empty.
-
-    Raises:
-        InputError: an argument is not empty; the message names it.
-    """
+    """Refuse arguments that only reconstructions support, unless they are empty."""
     for name, value in given.items():
         if value is not None and not (isinstance(value, tuple | list | dict) and not value):
             raise InputError(f"{name}: expected only with a reconstruction, found a graph")
 
 
 def check_edges_exist(graph: PoseGraph) -> None:
-    """Refuse a graph without edges, unless its poses are fixed.
-
-    Raises:
-        InputError: nothing relates the poses.
-    """
+    """Refuse a graph without edges, unless its poses are fixed."""
     if not graph.num_edges and not graph.fixed.all():
         raise InputError(
             f"graph: expected edges, which relate poses, found {plural(graph.num_poses, 'pose')} "
@@ -80,11 +72,7 @@ def check_edges_exist(graph: PoseGraph) -> None:
 
 
 def check_free_pose(graph: PoseGraph) -> None:
-    """Refuse a graph whose poses a solve holds constant, all of them.
-
-    Raises:
-        InputError: there is no free pose.
-    """
+    """Refuse a graph whose poses a solve holds constant, all of them."""
     check_edges_exist(graph)
     held, _, _ = _core.hold_poses(graph)
     if held.all():
@@ -94,11 +82,7 @@ def check_free_pose(graph: PoseGraph) -> None:
 
 
 def check_information_exists(graph: PoseGraph) -> None:
-    """Refuse a graph whose information is 0 on all edges: any poses are a minimum.
-
-    Raises:
-        InputError: no edge has information.
-    """
+    """Refuse a graph whose information is 0 on all edges: any poses are a minimum."""
     if not graph.information.any():
         raise InputError(
             "graph: expected information that is not 0, found 0 on all "
@@ -111,16 +95,7 @@ def weighted_graph(
 ) -> WeightedGraph:
     """Return a graph at its poses, with the weights of a loss on its edges.
 
-    Args:
-        source: graph, path of a graph, or result of a solve. A result provides its own weights and
-            options unless others are given.
-        options: options; only error, information and loss have an effect.
-        changes: options by name, which replace those in ``options``.
-        caller: name of the caller for messages.
-
-    Raises:
-        InputError: an option is wrong, or the information of an edge is invalid.
-        OSError: the path cannot be read.
+    ``options``: options; only error, information and loss have an effect.
     """
     weights = None
     if isinstance(source, PoseGraphResult):

@@ -69,13 +69,10 @@ def graduate(
 ) -> tuple[NDArray[np.float64], int]:
     """Find edge weights by a sequence of weighted solves.
 
-    Args:
-        chi2: (m,) squared errors that give the first weights.
-        doubted: (m,) True for edges that may be outliers.
-        c_squared: chi2 above which an edge is an outlier.
-        solve: function from weights (m,) to chi2 (m,) at the poses of a solve with these weights,
-            from which the next one starts.
-        largest: largest chi2 for which the loss is convex at first; by default that of ``chi2``.
+    ``chi2``: (m,) squared errors that give the first weights. ``doubted``: (m,) True for edges that
+    may be outliers. ``solve``: function from weights (m,) to chi2 (m,) at the poses of a solve with
+    these weights, from which the next one starts. ``largest``: largest chi2 for which the loss is
+    convex at first; by default that of ``chi2``.
 
     Returns:
         Weights (m,), all 0 or 1 unless the limit of solves was reached, and the number of solves.
@@ -156,13 +153,9 @@ def solve_gnc(
 ) -> dict[str, Any]:
     """Solve with graduated weights, then once more with weights of 0 or 1.
 
-    Args:
-        graph: graph with the information for the solve, at the poses of the start.
-        held: (n,) constant poses.
-        doubted: (m,) edges that may be outliers.
-        options: options with loss "gnc_tls".
-        progress: called after each iteration of each solve.
-        proposals: additional sets to try.
+    ``graph``: graph with the information for the solve, at the poses of the start. ``held``: (n,)
+    constant poses. ``doubted``: (m,) edges that may be outliers. ``options``: options with loss
+    "gnc_tls".
 
     Returns:
         Output of the last solve, with chi2, weights and costs of the truncated loss.

@@ -44,11 +44,7 @@ def describe_information(graph: PoseGraph, edge: int) -> str:
 
 
 def checked_information(graph: PoseGraph, information: str) -> PoseGraph:
-    """Return the graph with the information that a solve uses.
-
-    Raises:
-        InputError: the information of an edge is invalid; the message names the edge.
-    """
+    """Return the graph with the information that a solve uses."""
     if information == "isotropic":
         return isotropic(graph)
     bad = bad_information(graph)
@@ -88,9 +84,6 @@ def isotropic(graph: PoseGraph) -> PoseGraph:
 
     The information of an edge becomes diagonal: one number for its rotation and one for its
     translation, the means of their diagonals.
-
-    Raises:
-        InputError: a mean is not finite, or not above 0; the message names the edge.
     """
     diagonal = np.diagonal(graph.information, axis1=1, axis2=2)
     parts = (slice(0, 2), slice(2, 3)) if graph.dimension == 2 else (slice(0, 3), slice(3, 6))

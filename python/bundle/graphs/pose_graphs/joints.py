@@ -163,10 +163,7 @@ def typical_sigmas(graph: PoseGraph) -> Floats:
 def find_joints(graph: PoseGraph, held: NDArray[np.bool_], error: str) -> Joints:
     """Find directions that the edges leave undetermined or weak.
 
-    Args:
-        graph: graph with valid information that includes the weights of a loss.
-        held: (n,) poses that a solve holds constant.
-        error: "log", "g2o" or "ceres".
+    ``held``: (n,) poses that a solve holds constant. ``error``: "log", "g2o" or "ceres".
     """
     sigmas = typical_sigmas(graph)
     values = np.linalg.eigvalsh(graph.information * np.outer(sigmas, sigmas))

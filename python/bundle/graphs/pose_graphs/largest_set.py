@@ -37,9 +37,6 @@ def largest_set(conflicts: Flags) -> tuple[Flags, bool]:
     Returns:
         Mask (n,) of the set; and False if HiGHS reached the time limit, so that a larger set may
         exist.
-
-    Raises:
-        InputError: SciPy is not installed.
     """
     sparse = _import_scipy()
     chosen: Flags = np.logical_not(conflicts.any(axis=1))

@@ -51,18 +51,8 @@ def solve_pose_graph(
     pose is held constant, which removes exactly 3 degrees of freedom in the plane and 6 in space.
     The summary counts and lists these poses. The GIL is released; Ctrl-C keeps the best state.
 
-    Args:
-        graph: graph to solve; not modified.
-        options: solve options; by default those of :class:`PoseGraphOptions`.
-        progress: called after each iteration, as by :func:`bundle.solve`; with ``certify`` also
-            after each step of the certificate, with the chordal cost.
-        **changes: options by name, which replace those in ``options``.
-
-    Raises:
-        InputError: an information matrix is asymmetric or indefinite (the message names the edge),
-            odometry or ``consistency`` was requested but the chain has gaps, ``certify`` with a
-            loss or several components, or an option is wrong.
-        KeyboardInterrupt: Ctrl-C before the start was evaluated.
+    ``progress``: called after each iteration, as by :func:`bundle.solve`; with ``certify`` also
+    after each step of the certificate, with the chordal cost.
     """
     check_type("graph", graph, PoseGraph)
     options = PoseGraphOptions.of(options, changes, "solve")

@@ -165,13 +165,7 @@ def find_doubt(
 ) -> str:
     """Return evidence of wrong edges after a solve with all edges; "" without any.
 
-    Args:
-        graph: graph at the poses of that solve.
-        error: error of its edges.
-        doubted: (m,) True for edges that may be wrong.
-        chi2: (m,) at these poses.
-        c_squared: largest chi2 of a correct edge.
-        num_threads: threads for covariances.
+    ``doubted``: (m,) True for edges that may be wrong. ``chi2``: (m,) at these poses.
 
     Returns:
         Words that follow "without a loss".
@@ -201,13 +195,7 @@ def flip_gains(
 ) -> Floats:
     """Return the first-order decrease of the sum if a doubted edge is put in or out.
 
-    Args:
-        graph: graph at a minimum of the used edges.
-        error: error of its edges.
-        doubted: (m,) edges to test; others get -inf.
-        used: (m,) True where an edge is in.
-        c_squared: price of an edge that is out.
-        num_threads: threads for covariances.
+    ``doubted``: (m,) edges to test; others get -inf. ``used``: (m,) True where an edge is in.
     """
     gains = np.full(graph.num_edges, -np.inf)
     inside, outside = np.flatnonzero(used), np.flatnonzero(doubted & ~used)
@@ -284,14 +272,10 @@ def choose_loss(
 ) -> tuple[PoseGraphOptions, dict[str, Any], str]:
     """Solve without a loss, then with the losses to try if necessary.
 
-    Args:
-        solve: function from options to a solve from a common start; its output has "chi2_after" and
-            "summary".
-        doubted: (m,) edges to which the loss applies.
-        options: options with loss "auto".
-        c_squared: limit of the truncated cost.
-        doubts: function from the output of the solve without a loss to the reason to doubt
-            it, in words that continue the phrase "without a loss"; "" if there is no doubt.
+    ``solve``: function from options to a solve from a common start; its output has "chi2_after" and
+    "summary". ``doubted``: (m,) edges to which the loss applies. ``options``: options with loss
+    "auto". ``doubts``: function from the output of the solve without a loss to the reason to doubt
+    it, in words that continue the phrase "without a loss"; "" if there is no doubt.
 
     Returns:
         Options with the chosen loss, the output of its solve, and the reason in a sentence.

@@ -214,11 +214,8 @@ def performance_profiles(
 ) -> tuple[PerformanceProfile, ...]:
     """Return one profile per method.
 
-    Args:
-        times: for each problem the seconds of each method; NaN or missing if not solved. Problems
-            that no method solved are left out.
-        methods: methods to profile.
-        gap: gap of these times.
+    ``times``: for each problem the seconds of each method; NaN or missing if not solved. Problems
+    that no method solved are left out.
     """
     fastest = [
         min((time for time in row.values() if math.isfinite(time)), default=math.nan)

@@ -76,12 +76,7 @@ def compare_factor_graph(
     progress: Callable[[str], None] | None = None,
     changes: dict[str, Any],
 ) -> GraphComparison:
-    """Solve a factor graph from its values by every method; see :func:`bundle.compare`.
-
-    Raises:
-        InputError: an argument is invalid, an option is compared, or the graph has nothing to
-            estimate.
-    """
+    """Solve a factor graph from its values by every method; see :func:`bundle.compare`."""
     graph.check_free()
     chosen = GraphOptions.of(options, changes, "compare")
     check_not_varied(chosen, GraphOptions(), VARIED)

@@ -159,11 +159,6 @@ def compare_graph(
     """Solve a pose graph from one start by every method; see :func:`bundle.compare`.
 
     With ``orders_only`` the methods differ in the elimination order alone.
-
-    Raises:
-        InputError: an argument is invalid, an option is compared, all poses are constant, or all
-            information is 0.
-        OSError: the path cannot be read.
     """
     if isinstance(source, PoseGraphResult):
         source = source.initial_problem
@@ -390,12 +385,8 @@ def measure(
 ) -> GraphRun:
     """Solve several times by one method.
 
-    Args:
-        method: the method.
-        solve: the solve.
-        repeat: number of solves.
-        timeout: seconds after which a solve is stopped.
-        predicted: predicted time of a step in seconds.
+    ``timeout``: seconds after which a solve is stopped. ``predicted``: predicted time of a step in
+    seconds.
     """
     times: list[float] = []
     for _ in range(repeat):

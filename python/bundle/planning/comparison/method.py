@@ -87,9 +87,6 @@ def expand(
     Values without effect, such as the preconditioner of a direct solver, are dropped, and so are
     doglegs of iterative solvers if Levenberg-Marquardt is compared, too: they need exact steps.
     Thread counts are limited to the number of cores, as in a solve; 0 stands for all cores.
-
-    Raises:
-        InputError: a value is not a value of its option, or a list is empty.
     """
     given: dict[str, tuple[Any, ...]] = {
         "backend": as_tuple("backends", backends),

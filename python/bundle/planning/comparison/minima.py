@@ -64,13 +64,9 @@ def find_minima(
 ) -> list[Run]:
     """Return the runs with their distances and minima.
 
-    Args:
-        problem: the problem of all runs.
-        options: options of the solves.
-        runs: one run per method.
-        solutions: stored solutions; runs without one keep an unknown minimum.
-        refine: continues the solution of a run at tight tolerances and stores the result at a path;
-            None to leave distant solutions at an unknown minimum.
+    ``runs``: one run per method. ``solutions``: stored solutions; runs without one keep an unknown
+    minimum. ``refine``: continues the solution of a run at tight tolerances and stores the result
+    at a path; None to leave distant solutions at an unknown minimum.
     """
     usable = [run for run in runs if run.is_usable and solutions[run.method].exists()]
     if not usable:

@@ -60,12 +60,8 @@ def run_worker(
 ) -> WorkerEnd:
     """Run a worker; kill it and its children when it exceeds a limit.
 
-    Args:
-        folder: folder of the problem, see ``hand_over``.
-        request: options and limits as the worker reads them.
-        timeout: seconds from the loading of the problem.
-        memory_cap: bytes beyond the loaded problem; 0: no cap.
-        on_iteration: called regularly with the latest iteration.
+    ``timeout``: seconds from the loading of the problem. ``memory_cap``: bytes beyond the loaded
+    problem; 0: no cap. ``on_iteration``: called regularly with the latest iteration.
     """
     with contextlib.ExitStack() as open_things:
         with interrupts_deferred():  # an interrupted constructor leaves a file or process behind

@@ -25,10 +25,7 @@ from bundle.planning.inspection.inspection_result import Inspection
 def reason_on_one(comparison: Comparison, method: Method, tolerance: float) -> str:
     """Return text: "SPARSE_SCHUR: S is 14 % full, AMD needs 2.1e9 flops per step; DENSE_SCHUR ...".
 
-    Args:
-        comparison: comparison on one problem.
-        method: the recommended method.
-        tolerance: relative distance to the best cost within which solutions are equally good.
+    ``tolerance``: relative distance to the best cost within which solutions are equally good.
     """
     runs = comparison.runs_of(0)
     (winner,) = (run for run in runs if run.method == method)
@@ -51,9 +48,7 @@ def reason_on_one(comparison: Comparison, method: Method, tolerance: float) -> s
 def reason_on_many(method: Method, ratios: Sequence[Mapping[Method, float]]) -> str:
     """Return the number of problems on which the method is the fastest, and its largest ratio.
 
-    Args:
-        method: the recommended method.
-        ratios: for each problem, times of the methods that solved it relative to the fastest.
+    ``ratios``: for each problem, times of the methods that solved it relative to the fastest.
     """
     own = [row[method] for row in ratios if method in row]
     fastest = sum(ratio == 1 for ratio in own)
@@ -182,12 +177,7 @@ def recommend(
     With several problems, it is the method that reached the best cost most often. Ties are resolved
     by the smallest geometric mean of times relative to the fastest.
 
-    Args:
-        comparison: comparison without a recommendation.
-        foreseen: for each problem the method that was predicted to be the fastest.
-
-    Problems whose methods end in several minima do not count: times to different solutions say
-    nothing about each other.
+    ``comparison``: comparison without a recommendation.
 
     Returns:
         None if no run has a usable solution, or if no problem has one minimum.

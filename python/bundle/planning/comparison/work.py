@@ -256,11 +256,7 @@ _FOCAL = ("f", "fx", "fy")
 def perturbed(problem: Problem, options: SolveOptions, size: float, seed: int) -> Problem:
     """Return the problem with perturbed values of everything that a solve refines.
 
-    Args:
-        problem: the problem.
-        options: refined and constant parameters.
-        size: relative size s.
-        seed: seed of the random numbers.
+    ``size``: relative size s.
     """
     seeds = np.random.SeedSequence(seed).spawn(3)
     of_poses, of_points, of_cameras = map(np.random.default_rng, seeds)

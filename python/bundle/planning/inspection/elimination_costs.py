@@ -76,12 +76,9 @@ def elimination_costs(
 ) -> tuple[EliminationCost, ...]:
     """Return the cost of each order, then of the dense matrix.
 
-    Args:
-        sizes: (n,) scalars of each variable.
-        pairs: distinct pairs (smaller, larger) of variables with a nonzero block.
-        taken: orders that a solve offers.
-        predict: function from pattern, order and ``_core.count_factor`` to the parts of a step's
-            time; None: unknown.
+    ``sizes``: (n,) scalars of each variable. ``pairs``: distinct pairs (smaller, larger) of
+    variables with a nonzero block. ``predict``: function from pattern, order and
+    ``_core.count_factor`` to the parts of a step's time; None: unknown.
     """
     pattern = pattern_of_edges(sizes, pairs)
     costs = []
@@ -142,10 +139,7 @@ def with_time(cost: EliminationCost, terms: Terms) -> EliminationCost:
 def advise(costs: Sequence[EliminationCost], chosen: str, setting: str) -> str:
     """Return advice on the order in a sentence.
 
-    Args:
-        costs: costs of :func:`elimination_costs`.
-        chosen: order that the solve takes by itself.
-        setting: option that should stay at its default; "" without an option.
+    ``setting``: option that should stay at its default; "" without an option.
     """
     flops = {cost.ordering: cost.flops for cost in costs if cost.is_taken}
     least = min(flops, key=lambda name: flops[name])

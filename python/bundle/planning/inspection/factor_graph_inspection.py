@@ -94,9 +94,6 @@ def inspect_factor_graph(
     """Count the cost of a step of a factor graph's solve; see :func:`bundle.inspect`.
 
     A sample of the factors is evaluated, which calls functions in Python.
-
-    Raises:
-        InputError: the graph has no variable, no factor or no free coordinate.
     """
     graph.check_free()
     variables, factors = graph.variables, graph.factors

@@ -112,11 +112,7 @@ class _Kind(NamedTuple):
 
 
 def factor_work(graph: FactorGraph) -> FactorWork:
-    """Measure a sample of the factors of each kind, and count the products of all.
-
-    Raises:
-        InputError: a factor is not finite. Exceptions of functions in Python are passed on.
-    """
+    """Measure a sample of the factors of each kind, and count the products of all."""
     variables = graph.variables
     is_free = {key: sum(v.held) < len(v.coordinates) for key, v in variables.items()}
     kinds: dict[Any, list[Factor]] = {}
@@ -139,11 +135,8 @@ def step_terms(
 ) -> Terms:
     """Return the predicted time of a step, by its parts.
 
-    Args:
-        seconds: seconds per feature on this machine.
-        work: work of the factors.
-        counts: ``_core.count_factor`` of the free variables, or {"columns": n} for dense matrices.
-        num_threads: threads of the solve.
+    ``seconds``: seconds per feature on this machine. ``counts``: ``_core.count_factor`` of the free
+    variables, or {"columns": n} for dense matrices.
     """
     features = dict(zip(FEATURES, _features(work, counts), strict=True))
     threads = 1 if work.in_python > 0 else num_threads  # a function takes all factors to one thread

@@ -334,11 +334,6 @@ def load_graph(path: str | os.PathLike[str]) -> GraphFile:
     """Read edges "a b", one per line; a line with one name declares a variable.
 
     Spaces or commas separate names. Text after # or % is a comment. A repeated edge counts once.
-
-    Raises:
-        InputError: the text is not UTF-8, or a line has more than two names or the same name twice;
-            the message has path and line.
-        OSError: the file cannot be read.
     """
     lines: list[list[str]] = []
     for number, raw in enumerate(Path(path).read_bytes().splitlines(), start=1):

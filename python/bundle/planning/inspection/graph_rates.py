@@ -139,14 +139,7 @@ def free_pairs(graph: PoseGraph) -> tuple[NDArray[np.int64], int]:
 
 
 def step_terms(rates: GraphRates, graph: PoseGraph, work: Mapping[str, float]) -> Terms:
-    """Return the predicted time of a step, by its parts.
-
-    Args:
-        rates: rates of the machine.
-        graph: the graph.
-        work: :func:`panel_work` of its free poses in the order of the elimination, for the threads
-            of the rates.
-    """
+    """Return the predicted time of a step, by its parts."""
     counts = dict(zip(FEATURES, _features(graph, work).tolist(), strict=True))
     size = graph.num_edges * graph.tangent_size**2
     threads = min(rates.num_threads, max(1, size // EDGES_OF_A_THREAD))

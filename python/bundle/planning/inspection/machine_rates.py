@@ -192,14 +192,9 @@ def make_scene(
 ) -> Problem:
     """Return a synthetic scene: images along a line, points in front of them, 0.5 px of noise.
 
-    Args:
-        num_images: number of images.
-        num_points: number of points.
-        track_length: number of images that observe a point: neighbours, or spread over all images
-            if ``scattered``.
-        scattered: True if each image shares points with most other images, in random order.
-        shared_camera: True for one camera for all images, instead of one per image.
-        seed: seed of the noise and of the tracks.
+    ``track_length``: number of images that observe a point: neighbours, or spread over all images
+    if ``scattered``. ``scattered``: True if each image shares points with most other images, in
+    random order. ``shared_camera``: True for one camera for all images, instead of one per image.
     """
     rng = np.random.default_rng(seed)
     if scattered:
@@ -259,11 +254,7 @@ class Timing(NamedTuple):
 
 
 def calibrate(num_threads: int) -> Rates:
-    """Measure the rates for solves on ``num_threads`` threads.
-
-    Raises:
-        MemoryError: the solves, of up to 100 MB, do not fit into the free memory.
-    """
+    """Measure the rates for solves on ``num_threads`` threads."""
     try:
         return _Calibration(num_threads).run()
     except InputError as error:  # scenes and options are valid: memory is the cause

@@ -73,14 +73,7 @@ def inspect_pose_graph(
 ) -> PoseGraphInspection:
     """Count the cost of a step of a pose graph's solve; see :func:`bundle.inspect`.
 
-    Args:
-        source: graph, result of a solve or path.
-        num_threads: number of threads of the predicted solve; 0: all cores.
-        recalibrate: measure the rates of this machine again.
-
-    Raises:
-        InputError: the source is not a pose graph, or all poses are constant.
-        OSError: the path cannot be read.
+    ``num_threads``: number of threads of the predicted solve; 0: all cores.
     """
     if isinstance(source, PoseGraphResult):
         source = source.problem

@@ -173,11 +173,7 @@ class ProblemPattern:
 
 
 def find_pattern(problem: Problem, options: SolveOptions) -> ProblemPattern:
-    """Return the pattern of the free parameters; ``options`` must have a gauge and a cheirality.
-
-    Raises:
-        InputError: a camera model is not supported or a fixed id does not exist.
-    """
+    """Return the pattern of the free parameters; ``options`` must have a gauge and a cheirality."""
     given = options.asdict()
     blocks = _core.parameter_blocks(problem, given)
     reduced = BlockPattern(*_core.reduced_pattern(problem, given))

@@ -112,16 +112,7 @@ def predict_ranks(
 ) -> tuple[RankPrediction, ...]:
     """Predict solves by several processes, each with as many threads as the inspection assumes.
 
-    Args:
-        problem: the inspected problem.
-        inspection: result of ``bundle.inspect``.
-        options: options of the inspection.
-        counts: numbers of processes.
-        network: bandwidth in gigabits per second, and latency in microseconds.
-
-    Raises:
-        InputError: a count is below 1 or above the number of points, the network is not positive,
-            or the fused backend does not support the problem; Ceres cannot be divided.
+    ``network``: bandwidth in gigabits per second, and latency in microseconds.
     """
     if not all(math.isfinite(value) and value > 0 for value in network):
         raise InputError(f"network: expected two positive numbers, found {network}")
