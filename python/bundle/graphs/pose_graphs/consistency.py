@@ -64,7 +64,7 @@ from bundle.graphs.pose_graphs.chi2_quantiles import ONE_IN_A_MILLION
 from bundle.graphs.pose_graphs.information import checked_information
 from bundle.graphs.pose_graphs.largest_set import largest_set
 from bundle.graphs.pose_graphs.lie_groups import adjoints, compose, inverse, logarithm
-from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
+from bundle.graphs.pose_graphs.pose_graph_result import LeftOutEdge, PoseGraphResult
 from bundle.interface.pose_graph_options import PoseGraphOptions
 from bundle.model.pose_graph_arrays import PoseGraph
 
@@ -74,22 +74,6 @@ MOST_CLOSURES = 10_000
 """Largest number of closures: 50 million pairs take minutes and 2 GB."""
 
 Floats = NDArray[np.float64]
-
-
-@dataclass(frozen=True, kw_only=True)
-class LeftOutEdge:
-    """Closure outside the largest consistent set.
-
-    Attributes:
-        edge: index of the edge in the graph.
-        chi2: largest chi2 of a pair with a closure of the set; 3 or 6 degrees of freedom if both
-            closures are correct.
-        num_contradicted: number of closures in the set that are inconsistent with this edge.
-    """
-
-    edge: int
-    chi2: float
-    num_contradicted: int
 
 
 @dataclass(frozen=True, kw_only=True)

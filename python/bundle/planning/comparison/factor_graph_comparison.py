@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 import bundle._core as _core
-from bundle.base.records import dataclass
 from bundle.graphs.factors.factor_graph import FactorGraph, GraphResult
 from bundle.interface.compare_options import REPEAT, TIMEOUT
 from bundle.interface.options import GraphOptions, SolveOptions
@@ -22,7 +21,7 @@ from bundle.planning.comparison.graph_comparison import (
     Solve,
     check_not_varied,
 )
-from bundle.planning.comparison.method import as_tuple, thread_counts
+from bundle.planning.comparison.method import FactorGraphMethod, as_tuple, thread_counts
 from bundle.planning.inspection.factor_graph_inspection import inspect_factor_graph
 
 SOLVERS = ("sparse_normal_cholesky", "dense_normal_cholesky", "square_root")
@@ -35,35 +34,6 @@ MOST_DENSE_COLUMNS = 2000
 """Free coordinates up to which dense matrices are compared: 32 MB and a second per step."""
 
 VARIED = ("linear_solver_type", "trust_region_strategy_type", "num_threads")
-
-
-@dataclass(frozen=True, kw_only=True)
-class FactorGraphMethod:
-    """Options of a compared solve of a factor graph, named as in :class:`bundle.SolveOptions`.
-
-    ``linear_solver_type`` is "square_root" for a QR factorisation of the Jacobian.
-    """
-
-    linear_solver_type: str
-    trust_region_strategy_type: str
-    num_threads: int
-
-    @property
-    def name(self) -> str:
-        """Return a name such as "sparse-normal-cholesky dogleg"."""
-        words = (self.linear_solver_type, self.trust_region_strategy_type)
-        return " ".join(words).replace("_", "-")
-
-    def arguments(self) -> dict[str, Any]:
-        """Return the arguments of :meth:`bundle.FactorGraph.solve`."""
-        of_solver: dict[str, Any] = {"linear_solver_type": self.linear_solver_type}
-        if self.linear_solver_type == "square_root":
-            of_solver = {"square_root": True}
-        return {
-            **of_solver,
-            "trust_region_strategy_type": self.trust_region_strategy_type,
-            "num_threads": self.num_threads,
-        }
 
 
 def compare_factor_graph(

@@ -18,7 +18,7 @@ import math
 import statistics
 import time
 from collections.abc import Callable, Iterable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import bundle._core as _core
 from bundle.base.arguments import check_function, check_type
@@ -42,12 +42,9 @@ from bundle.interface.pose_graph_options import PoseGraphOptions
 from bundle.interface.tabular import Tabular
 from bundle.io.g2o_files import load_g2o
 from bundle.model.pose_graph_arrays import PoseGraph
-from bundle.planning.comparison.method import as_tuple, thread_counts
+from bundle.planning.comparison.method import FactorGraphMethod, as_tuple, thread_counts
 from bundle.planning.comparison.recommendation import command_line
 from bundle.planning.inspection.pose_graph_inspection import inspect_pose_graph
-
-if TYPE_CHECKING:
-    from bundle.planning.comparison.factor_graph_comparison import FactorGraphMethod
 
 ORDERINGS = ("amd", "metis", "natural")
 TRUST_REGIONS = ("gauss_newton", "levenberg_marquardt", "dogleg", "subspace_dogleg")

@@ -73,6 +73,35 @@ class Method:
         )
 
 
+@dataclass(frozen=True, kw_only=True)
+class FactorGraphMethod:
+    """Options of a compared solve of a factor graph, named as in :class:`bundle.SolveOptions`.
+
+    ``linear_solver_type`` is "square_root" for a QR factorisation of the Jacobian.
+    """
+
+    linear_solver_type: str
+    trust_region_strategy_type: str
+    num_threads: int
+
+    @property
+    def name(self) -> str:
+        """Return a name such as "sparse-normal-cholesky dogleg"."""
+        words = (self.linear_solver_type, self.trust_region_strategy_type)
+        return " ".join(words).replace("_", "-")
+
+    def arguments(self) -> dict[str, Any]:
+        """Return the arguments of :meth:`bundle.FactorGraph.solve`."""
+        of_solver: dict[str, Any] = {"linear_solver_type": self.linear_solver_type}
+        if self.linear_solver_type == "square_root":
+            of_solver = {"square_root": True}
+        return {
+            **of_solver,
+            "trust_region_strategy_type": self.trust_region_strategy_type,
+            "num_threads": self.num_threads,
+        }
+
+
 def expand(
     *,
     solvers: Iterable[str] = SOLVERS,
