@@ -211,6 +211,8 @@ def test_files_that_do_not_fit_are_one_line(run, folder):
         (["--set", "cameras *: f fixed"], ["--set", "--imu"]),
         (["--fix-images", "1"], ["--fix-images", "--imu"]),
         (["--backend", "fused"], ["--imu", "ceres"]),
+        (["--gauge", "two_cameras"], ["--imu", "gauge", "two-cameras"]),
+        (["--gauge", "three_points"], ["--imu", "gauge", "three-points"]),
         (["--imu-noise-scale", "0"], ["--imu-noise-scale"]),
     ],
 )

@@ -103,7 +103,8 @@ def adjust_with_imu(
         camera_from_imu: (7,) qx qy qz qw tx ty tz in metres, the same for all images; on a rig,
             that of the reference sensor.
         noise: noise densities and random walks of the IMU.
-        options: options of the solve; ``backend`` must be "auto" or "ceres", and no image is fixed.
+        options: options of the solve; ``backend`` must be "auto" or "ceres", ``gauge`` "auto" or
+            "none", and no image is fixed.
         imu_noise_scale: factor on the two noise densities; None: 5 for images at 4 Hz, otherwise
             in proportion to the root of the time between images, and at least 1.
         imu_samples: "instant": samples are rates and forces at their stamps; "interval": means over
@@ -122,8 +123,8 @@ def adjust_with_imu(
     """
     bodies = ImuBodies.of(problem, image_times_ns, camera_from_imu)
     given = options or SolveOptions()
-    images = _images_alone(problem, given, tuple(priors), progress)
     options = _checked(bodies, options)
+    images = _images_alone(problem, given, tuple(priors), progress)
     imu_samples = choice("imu_samples", imu_samples, ("auto", *RULES))
     scale = _noise_scale(bodies.stamps, imu_noise_scale)
     case = _Case(
@@ -453,6 +454,11 @@ def _checked(bodies: ImuBodies, options: SolveOptions | None) -> SolveOptions:
         raise InputError("imu: expected points that are refined, found fixed points")
     if options.backend not in ("auto", "ceres"):
         raise InputError(f"imu: expected the backend auto or ceres, found {options.backend}")
+    if options.gauge not in ("auto", "none"):
+        raise InputError(
+            f"imu: expected the gauge auto or none, found {options.gauge}: it would hold the tilt "
+            "and the scale, which the IMU determines"
+        )
     solver = options.linear_solver_type
     return options.replace(
         backend="ceres",
