@@ -7,6 +7,9 @@ DEMO_REFERENCE ?= $(DEMO_INPUT)_ground_truth
 # 1 % of the demo's observations are gross outliers, which a least-squares fit alone would follow.
 DEMO_OPTIONS ?= --loss cauchy --rounds 3
 
+# Tests start hundreds of processes; without cached bytecode each would compile the package again.
+unexport PYTHONDONTWRITEBYTECODE
+
 VENV := .venv
 READY := $(VENV)/ready
 READY_TO_BENCH := $(VENV)/ready-to-bench
