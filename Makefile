@@ -18,7 +18,7 @@ BUILT_FROM := pyproject.toml CMakeLists.txt $(shell find cpp -type f) tools/setu
 CPP_SOURCES = $(shell find cpp python/bundle examples tests -name '*.h' -o -name '*.cpp')
 # Where pip builds the module (pyproject.toml); the C++ tests share its objects.
 BUILD := build/release
-SANITIZED := PATH="$(CURDIR)/$(VENV)/bin:$$PATH" bash tools/build_sanitized.sh
+SANITIZED := MAKEFLAGS= PATH="$(CURDIR)/$(VENV)/bin:$$PATH" bash tools/build_sanitized.sh
 ADDRESS_BUILD := build/sanitize
 THREAD_BUILD := build/thread
 # Runs a GoogleTest program once per core, each with its share of the tests.

@@ -4,8 +4,8 @@ A page begins in a folder with the files that it names (workspace.py) and goes o
 block. What a block shows under a command with a prompt is what the command prints, and a block of
 language "output" is what the Python block above it prints (UPDATE_GOLDEN=1 rewrites it). Quotes of
 tools/quoted_outputs.py are held by tests/test_codebase.py. `bundle compare` starts a process per
-method: its flags are held by tests/cli, and Python blocks that call it get two solvers of our own
-backend.
+method: its flags are held by tests/cli, and Python blocks that call it run two solvers of our own
+backend once.
 """
 
 from __future__ import annotations
@@ -155,7 +155,7 @@ def inertia() -> dict[str, Any]:
 
 @pytest.fixture
 def few_methods(monkeypatch: pytest.MonkeyPatch) -> None:
-    few = {"solvers": ["dense_schur", "sparse_schur"], "backends": ["fused"]}
+    few = {"solvers": ["dense_schur", "sparse_schur"], "backends": ["fused"], "repeat": 1}
     compare = bundle.compare
     quick = functools.wraps(compare)(lambda *args, **given: compare(*args, **{**given, **few}))
     monkeypatch.setattr(bundle, "compare", quick)
@@ -194,7 +194,9 @@ def test_the_blocks_of_a_page_run(
                 check_output(page, text, said)
             elif language in ("", "sh"):
                 for words in commands(text):
-                    assert main([*words, "--quiet"]) == 0, f"{name}, block {number}: {words}"
+                    few = words[0] == "validate" and not shown_lines(text)
+                    words += ["--folds", "2"] * few + ["--quiet"]
+                    assert main(words) == 0, f"{name}, block {number}: {words}"
                 printed = capsys.readouterr().out.splitlines()
                 for line in shown_lines(text):
                     assert any(agree(line, other) for other in printed), f"{name}: {line}"

@@ -181,8 +181,8 @@ def sequence(folder: Path, data: Path) -> None:
 
 
 def images(folder: Path) -> None:
-    """mav0, three seconds of a rendered flight, as a bag and as a video; Kalibr's calibration."""
-    mav = render(Flight(duration=3.0, **SMALL), folder)
+    """mav0, 1.5 s of a rendered flight, as a bag and as a video; Kalibr's calibration."""
+    mav = render(Flight(duration=1.5, **SMALL), folder)
     write_kalibr(mav)
     write_bag(mav, folder / "flight.bag", 1)
     write_video(mav)
