@@ -10,7 +10,6 @@ from bundle.cli.flags_by_kind import refuse_flags_of_graphs
 from bundle.cli.option_flags import naming_flags, options_given
 from bundle.cli.output import publish
 from bundle.cli.progress import Progress
-from bundle.errors import shown
 from bundle.interface.compare_options import COMPARED, CompareOptions
 from bundle.interface.options import ORDERINGS, SolveOptions
 from bundle.planning.comparison.compare_methods import compare
@@ -18,7 +17,6 @@ from bundle.reports.terminal.compare import compared
 
 if TYPE_CHECKING:
     from bundle.planning.comparison import work
-    from bundle.planning.comparison.comparison_result import Comparison
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -44,18 +42,9 @@ def run(arguments: argparse.Namespace) -> int:
             memory_cap=asked.memory_cap_in_bytes,
             progress=lambda at: _show_progress(progress, at),
         )
-        if arguments.html is not None:
-            _write_page(comparison, arguments.html, progress)
     publish(compared(comparison), arguments)
     usable = any(run.is_usable for run in comparison.runs)
     return EXIT_DONE if usable and not comparison.interrupted else EXIT_NO_SOLUTION
-
-
-def _write_page(compared: Comparison, path: str, progress: Progress) -> None:
-    from bundle.reports.page.comparison_page import write_comparison  # only for --html
-
-    progress.stage(f"writing {shown(path)}")
-    write_comparison(compared, path)
 
 
 def _show_progress(progress: Progress, at: work.Progress) -> None:

@@ -24,10 +24,5 @@ def run(arguments: argparse.Namespace) -> int:
     with Progress(quiet=arguments.quiet) as progress, naming_flags(EvaluateOptions, **FLAGS):
         progress.stage(f"comparing {shown(paths[0])} with {shown(paths[1])}")
         found = evaluate(*paths, options)
-        if arguments.html is not None:
-            from bundle.reports.page.evaluation_page import write_evaluation  # for --html only
-
-            progress.stage(f"writing {shown(arguments.html)}")
-            write_evaluation(found, arguments.html, names=paths)
-    publish(evaluated(paths, found, options, arguments.html), arguments)
+    publish(evaluated(paths, found, options), arguments)
     return EXIT_DONE

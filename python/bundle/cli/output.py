@@ -98,7 +98,15 @@ class Request(Protocol):
 
 
 def publish(report: Report, asked: argparse.Namespace | Request) -> None:
-    """Print a report; write its JSON, always complete, to a file, or print it instead ("-")."""
+    """Write the page of a report; print it; write its JSON, always complete, or print that ("-").
+
+    Reports without a title have no page of their own.
+    """
+    page = getattr(asked, "html", None)
+    if report.title and page is not None:
+        from bundle.reports.page.result_pages import write_reported  # for --html only
+
+        write_reported(report, page)
     if asked.json != "-":
         width = screen_width(sys.stdout)
         show(*(laid_out(report, verbose=True) if asked.verbose else fitted(report, width)))

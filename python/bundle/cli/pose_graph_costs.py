@@ -72,11 +72,6 @@ def compare_graph(arguments: argparse.Namespace) -> int:
                 progress=progress.stage,
                 orders_only=orders_only,
             )
-        if arguments.html is not None:
-            from bundle.reports.page.graph_comparison_page import write_graph_comparison
-
-            progress.stage(f"writing {shown(arguments.html)}")
-            write_graph_comparison(found, arguments.html, str(source), orders_only)
     asked = {name: getattr(options, name) for name in OPTIONS}
     wall = perf_counter() - started
     publish(compared_graph(source, graph, found, asked, wall, orders_only), arguments)

@@ -24,7 +24,6 @@ from bundle.interface.options import SolveOptions
 from bundle.interface.validation_options import ValidationOptions
 from bundle.io.open import load
 from bundle.judging.validation.validate_problem import validate
-from bundle.judging.validation.validation_result import Validation
 from bundle.reports.terminal.validate import validated
 
 
@@ -59,8 +58,6 @@ def run(arguments: argparse.Namespace) -> int:
                 flags=_beside(arguments, georeference, rules),
                 progress=lambda done, count, _: progress.share(done / count),
             )
-        if arguments.html is not None:
-            _write_page(found, source, arguments.html, progress)
     settings = {**options.asdict(), **rules_as_options(rules), **georeference.changed()}
     publish(validated(source, problem, found, settings), arguments)
     return EXIT_DONE
@@ -78,10 +75,3 @@ def _beside(
         for one in value if isinstance(value, tuple | list) else (value,):
             words += [names[name], str(one)]
     return shlex.join(words)
-
-
-def _write_page(found: Validation, source: str, path: str, progress: Progress) -> None:
-    from bundle.reports.page.validation_page import write_validation  # only for --html
-
-    progress.stage(f"writing {shown(path)}")
-    write_validation(found, path, name=source)

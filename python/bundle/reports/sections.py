@@ -37,11 +37,13 @@ class Column:
         value: source of a cell: an attribute of the row, such as "error.rmse"; an index, if rows
             are tuples; or a function of the row.
         format: function that formats a value.
+        is_page_only: True for a column of pages that terminals have no room for.
     """
 
     title: str
     value: str | int | Callable[[Any], Any]
     format: Callable[[Any], str] = str
+    is_page_only: bool = False
 
     def cell(self, row: Any) -> Any:
         """Return the cell of a row: text or a renderable."""
@@ -82,14 +84,13 @@ class Table:
 
     @property
     def head(self) -> tuple[str, ...]:
-        """Titles of the columns."""
-        return tuple(column.title for column in self.columns)
+        """Titles of the columns on a terminal."""
+        return tuple(column.title for column in self.columns if not column.is_page_only)
 
     def cells(self) -> list[tuple[Any, ...]]:
-        """Return the cells of the rows that are shown."""
-        return [
-            tuple(column.cell(row) for column in self.columns) for row in self.rows[: self.most]
-        ]
+        """Return the cells of the rows that a terminal shows."""
+        columns = [column for column in self.columns if not column.is_page_only]
+        return [tuple(column.cell(row) for column in columns) for row in self.rows[: self.most]]
 
     def rest(self) -> list[str]:
         """Return the sentence about hidden rows; empty if all rows are shown."""
@@ -110,9 +111,10 @@ class Section:
         is_warning: True if the notes are warnings.
         is_joined: True to omit the empty line above.
         is_detail: True to show the section with --verbose only; pages fold it away.
+        is_page_only: True to show the section on pages only.
         title: heading on a page, and its entry in the contents; of a joined section a lower
             heading; of a detail the text of the fold.
-        figures: figures of a page, below the tables.
+        figures: figures of a page, below the tables, or a function that makes them.
     """
 
     facts: Sequence[tuple[str, str]] = ()
@@ -123,8 +125,9 @@ class Section:
     is_warning: bool = False
     is_joined: bool = False
     is_detail: bool = False
+    is_page_only: bool = False
     title: str = ""
-    figures: Sequence[Figure] = ()
+    figures: Sequence[Figure] | Callable[[], Sequence[Figure]] = ()
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -139,6 +142,7 @@ class Report:
         findings: facts to act on, the most important first.
         sections: sections for people.
         data: data for programs, in addition to schema, command, version and input.
+        title: title of the page with these sections; "" if the command has another page, or none.
     """
 
     command: str
@@ -148,6 +152,7 @@ class Report:
     findings: Sequence[Finding] = ()
     sections: Sequence[Section] = ()
     data: Mapping[str, Any] = field(default_factory=dict)
+    title: str = ""
 
     def json(self) -> dict[str, Any]:
         """Return the report for programs, in JSON types."""

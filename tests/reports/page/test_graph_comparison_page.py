@@ -4,8 +4,8 @@ import pytest
 
 import bundle
 from bundle.planning.comparison.graph_comparison import compare_graph
-from bundle.reports.page.comparison_page import write_comparison
-from bundle.reports.page.graph_comparison_page import write_graph_comparison
+from bundle.reports.page.result_pages import write_comparison, write_reported
+from bundle.reports.terminal.graph_costs import compared_runs
 from tests.graphs.pose_graphs import graphs
 from tests.reports.page.reader import Page, check_self_contained
 
@@ -16,8 +16,8 @@ def found():
     return compare_graph(graph, max_num_iterations=20)
 
 
-def page_of(found, path, **how):
-    write_graph_comparison(found, path, **how)
+def page_of(found, path, name="a graph", **how):
+    write_reported(compared_runs(found, name, **how), path)
     page = Page(path)
     check_self_contained(page)
     return page

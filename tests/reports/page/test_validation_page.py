@@ -9,16 +9,21 @@ from bundle.figures.validation_figures import (
     error_figure,
     image_figure,
 )
-from bundle.reports.page.validation_page import write_validation
+from bundle.reports.page.result_pages import write_reported
+from bundle.reports.terminal.validate import validated
 from tests.judging.validation.validations import LENSES, validation
 from tests.reports.page.browser import check_nothing_is_clipped
 from tests.reports.page.reader import Page, check_self_contained
 
 
+def write_page(path):
+    write_reported(validated("<b>garden</b>", *validation(), {}), path)
+
+
 @pytest.fixture
 def page(tmp_path):
     path = tmp_path / "page.html"
-    write_validation(validation()[1], path, name="<b>garden</b>")
+    write_page(path)
     return Page(path)
 
 
@@ -28,11 +33,16 @@ def test_page_begins_with_the_verdict_and_has_a_row_per_candidate(page):
     text = " ".join(page.text.split())
     assert found.headline[0] in text
     assert found.command in text
-    assert text.index(found.command) < text.index("position sigma")
-    rows = [row for row in page.rows if len(row) == 11 and row[0] in {one[0] for one in LENSES}]
-    assert len(rows) == len(LENSES)
+    assert text.index(found.command) < text.index("held out")
+    titles = next(row for row in page.rows if row[0] == "  lens")
+    names = {one[0] for one in LENSES}
+    rows = [row for row in page.rows if len(row) == len(titles) and row[0][2:] in names]
     for row, one in zip(rows, found.candidates, strict=True):
-        assert row[3] == str(one.num_intrinsics)
+        cells = dict(zip(titles, row, strict=True))
+        assert cells["free"] == str(one.num_intrinsics)
+        assert cells["note"] == (one.error or one.vetoed)
+    for name in ("held_out_error", "difference", "distribution", "images"):
+        assert f'data-figure="{name}"' in page.source
     assert "expected <b>one</b> size" in text
     assert "<b>garden</b>" in text
 
@@ -40,7 +50,7 @@ def test_page_begins_with_the_verdict_and_has_a_row_per_candidate(page):
 @pytest.mark.parametrize("width", [1400, 800, 400])
 def test_nothing_is_clipped(browser, tmp_path, width):
     path = tmp_path / "page.html"
-    write_validation(validation()[1], path)
+    write_page(path)
     check_nothing_is_clipped(browser, path, width)
 
 

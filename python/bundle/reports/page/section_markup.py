@@ -54,7 +54,8 @@ def _section(section: Section) -> str:
     kind = "warn" if section.is_warning else "quiet"
     facts = [Table.of(("", ""), section.facts, left=2)] if section.facts else []
     tables = [declared(table) for table in [*facts, *section.tables]]
-    figures = [draw(figure, "h4") for figure in section.figures]
+    given = section.figures() if callable(section.figures) else section.figures
+    figures = [draw(figure, "h4") for figure in given]
     if len(figures) == len(tables) == 1:  # the table has room beside the figure
         tables, figures = [], [*figures, *tables]
     parts = [

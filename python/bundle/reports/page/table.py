@@ -73,10 +73,11 @@ def table(
 
 def declared(made: Table) -> str:
     """Return the markup of a :class:`Table` with its legend; rows beyond ``most`` are folded."""
+    head = [column.title for column in made.columns]
     rows = [[str(column.cell(row)) for column in made.columns] for row in made.rows]
-    words = range(1, made.left)
+    words = [k for k in range(1, len(head)) if k < made.left or made.columns[k].title == "note"]
     legend = tag("p", escape(made.legend), class_="quiet") if made.legend else ""
-    return table(made.head, rows, words=words, best=made.best, rows_shown=made.most) + legend
+    return table(head, rows, words=words, best=made.best, rows_shown=made.most) + legend
 
 
 class Notes:
@@ -98,8 +99,3 @@ class Notes:
 def rounded(values: NDArray[np.float64]) -> list[float]:
     """Return numbers rounded to six digits; NaN is kept, which the page writes as null."""
     return [float(f"{value:.6g}") for value in values.ravel().tolist()]
-
-
-def convention() -> str:
-    """Return the sentence on the counting convention of nonzeros and flops."""
-    return tag("p", CONVENTION, class_="convention")

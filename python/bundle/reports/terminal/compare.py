@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from bundle.base.memory_sizes import format_size
 from bundle.base.words import contents, format_name, number, plural, seconds
 from bundle.errors import shown
 from bundle.interface.summary import share
 from bundle.planning.comparison.comparison_result import GAPS, ComparedProblem, Comparison
-from bundle.planning.comparison.measured_run import Measurement, Run
+from bundle.planning.comparison.measured_run import Measurement, Prediction, Run
 from bundle.planning.comparison.method import Method
 from bundle.reports.sections import Column, Report, Section, Table
 from bundle.reports.terminal.compare_json import comparison_data
 from bundle.reports.terminal.compare_verdict import findings, headline, sigmas
+
+if TYPE_CHECKING:
+    from bundle.figures.drawing import Figure
 
 Pair = tuple[Run, Measurement]
 
@@ -28,6 +31,10 @@ DETAILS = (
     "to: seconds until within that gap; cpu/wall: CPU time of all threads / wall time; load: "
     "average of the last minute"
 )
+PROFILES = (
+    "The share of problems that a method solves within a factor of the fastest on each (Dolan and "
+    "Moré 2002): the higher and the further left, the better."
+)
 PREDICTED_LEGEND = "nnz(L): lower triangle with the diagonal; MB: beyond the loaded problem"
 
 
@@ -38,6 +45,8 @@ def compared(comparison: Comparison) -> Report:
     an index into ``inputs``, from 0. Costs are 1/2 sum rho(||r||^2), r in pixels; unknown numbers
     are None.
     """
+    count = len(comparison.problems)
+    name = comparison.problems[0].name if count == 1 else f"{count} problems"
     sections = [_conditions(comparison)]
     for index, problem in enumerate(comparison.problems):
         sections += _problem(comparison, index, problem)
@@ -45,6 +54,7 @@ def compared(comparison: Comparison) -> Report:
         sections += _profiles(comparison)
     return Report(
         command="compare",
+        title=f"Solvers compared: {name}",
         headline=headline(comparison),
         findings=findings(comparison),
         sections=[*sections, *_recommendation(comparison), _environment(comparison)],
@@ -79,6 +89,7 @@ def _environment(comparison: Comparison) -> Section:
             ("load", load),
             ("versions", versions),
         ],
+        title="Machine",
         is_detail=True,
     )
 
@@ -102,23 +113,39 @@ def _problem(comparison: Comparison, index: int, problem: ComparedProblem) -> li
     several = len(comparison.minima(index)) > 1
     columns = _result_columns(comparison, names, several)
     legend = f"{LEGEND}; {POINTS}" if any(c.title == "points" for c in columns) else LEGEND
-    results = Table(columns, measured, legend=legend)
+    chosen = comparison.recommendation
+    methods = [run.method for run, _ in measured]
+    best = methods.index(chosen.method) if chosen and chosen.method in methods else None
+    results = Table(columns, measured, legend=legend, best=best)
     times = Table(_time_columns(comparison, names), measured, legend=DETAILS)
     shares = Table([*names.columns("share of the time"), *SHARES], measured)
-    predicted = [pair for pair in measured if pair[0].prediction is not None]
+    predicted = [run for run in runs if run.prediction is not None]
     predictions = Table(
         [*names.columns("predicted, measured"), *PREDICTED], predicted, legend=PREDICTED_LEGEND
     )
     return [
-        Section(facts=facts),
+        Section(title=f"Input {index + 1}: {shown(problem.name)}", facts=facts),
         *([Section(tables=[results])] if measured else []),
+        Section(figures=lambda: _figures(comparison, index), is_page_only=True),
         *([Section(tables=[_minima(comparison, index, names)])] if several else []),
         *([Section(notes=told, is_warning=True)] if told else []),
-        *([Section(tables=[times], is_detail=True)] if measured else []),
-        *([Section(tables=[shares], is_detail=True)] if measured else []),
-        *([Section(tables=[predictions], is_detail=True)] if predicted else []),
+        *([Section(title="Times", tables=[times], is_detail=True)] if measured else []),
+        *([Section(title="Shares", tables=[shares], is_detail=True)] if measured else []),
+        *(
+            [Section(title="Predictions", tables=[predictions], is_detail=True)]
+            if predicted
+            else []
+        ),
         *_warnings(measured, names),
     ]
+
+
+def _figures(comparison: Comparison, index: int) -> list[Figure]:
+    from bundle.figures.cost_figures import breakdown_figure, time_figure  # for pages only
+
+    is_measured = any(run.is_usable for run in comparison.runs_of(index))
+    shares = [breakdown_figure(comparison, index)] if is_measured else []
+    return [time_figure(comparison, index, outcomes=True), *shares]
 
 
 def _result_columns(comparison: Comparison, names: _Names, several: bool) -> list[Column]:
@@ -127,6 +154,7 @@ def _result_columns(comparison: Comparison, names: _Names, several: bool) -> lis
     elsewhere = any(run.num_points_elsewhere for run in comparison.runs if run.is_usable)
     return [
         *names.columns("method"),
+        Column("cost", lambda pair: pair[0].final_cost, "{:#.7g}".format, is_page_only=True),
         Column(
             "gap",
             lambda pair: comparison.gap(pair[0]),
@@ -197,19 +225,31 @@ def _count(value: float) -> str:
     return number(value) if value else "-"
 
 
-def _added(pair: Pair) -> float:
-    added = pair[1].added_memory_in_bytes
+def _measured_step(run: Run) -> str:
+    return number(run.measurement.time_per_step_in_seconds) if run.measurement else "-"
+
+
+def _added(run: Run) -> float:
+    added = run.measurement.added_memory_in_bytes if run.measurement else -1
     return added / 1e6 if added >= 0 else math.nan
+
+
+def _note(before: Prediction) -> str:
+    return before.note or ("" if before.fits_in_memory else "does not fit in memory")
 
 
 SHARES = tuple(map(_share, ("residuals", "Jacobians", "linear solver", "rest")))
 PREDICTED = (
-    Column("nnz(L)", lambda pair: pair[0].prediction.nnz_factor, _count),
-    Column("flops", lambda pair: pair[0].prediction.flops, _count),
-    Column("s/step", lambda pair: pair[0].prediction.time_per_step_in_seconds, number),
-    Column("measured", lambda pair: pair[1].time_per_step_in_seconds, number),
-    Column("MB", lambda pair: pair[0].prediction.memory_in_bytes / 1e6, number),
+    Column("ordering", "prediction.ordering", is_page_only=True),
+    Column("unknowns", "prediction.num_unknowns", _count, is_page_only=True),
+    Column("nnz(S)", "prediction.nnz_reduced", _count, is_page_only=True),
+    Column("nnz(L)", "prediction.nnz_factor", _count),
+    Column("flops", "prediction.flops", _count),
+    Column("s/step", "prediction.time_per_step_in_seconds", number),
+    Column("measured", _measured_step),
+    Column("MB", lambda run: run.prediction.memory_in_bytes / 1e6, number),
     Column("measured", _added, number),
+    Column("note", "prediction", _note, is_page_only=True),
 )
 
 
@@ -246,7 +286,16 @@ def _profiles(comparison: Comparison) -> list[Section]:
         solved = plural(profiles[0].num_problems, "problem")
         title = f"{solved} solved to {gap:.0e} within".replace("e-0", "e-")
         tables.append(Table([*names.columns(title), *FACTORS], profiles))
-    return [Section(tables=[table]) for table in tables]
+
+    def figures() -> list[Figure]:
+        from bundle.figures.cost_figures import profile_figure  # for pages only
+
+        return [profile_figure(comparison, gap) for gap in GAPS]
+
+    drawn = Section(
+        title="Performance profiles", text=[PROFILES], figures=figures, is_page_only=True
+    )
+    return [*(Section(tables=[table]) for table in tables), drawn]
 
 
 def _within(title: str, factor: float) -> Column:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,24 +15,26 @@ from bundle.judging.evaluation.evaluation_result import Evaluation, SharedImage
 from bundle.model.pose_errors import ErrorStatistics
 from bundle.reports.sections import Column, Report, Section, Table
 
+if TYPE_CHECKING:
+    from bundle.figures.drawing import Figure
+
 MOST_IMAGES = 5
-MOST_LENSES = 5
+MOST_LENSES, MOST_DRAWN = 5, 4
 MOST_POINTS = 12
+FIELD = "Projection by B minus projection by A, in pixels of A, for distant points."
 
 
 def evaluated(
     paths: tuple[str, str],
     found: Evaluation | CheckPointEvaluation,
-    options: EvaluateOptions,
-    page: str | None = None,
+    options: EvaluateOptions | None = None,
 ) -> Report:
     """Return the report on a comparison.
 
     Args:
-        paths: paths of A and of the reference B.
+        paths: paths or names of A and of the reference B.
         found: the comparison.
-        options: options of the comparison.
-        page: path of the page that was written.
+        options: options of the comparison; None if they are unknown.
     """
     if isinstance(found, CheckPointEvaluation):
         problem = found.alignment.problem
@@ -43,25 +45,24 @@ def evaluated(
         )
     else:
         notes, kinds = found.notes, found.inputs
-    ways = (options.input_pose_direction, options.pose_direction)
+    ways = (options.input_pose_direction, options.pose_direction) if options else ("", "")
     inputs = [
         (label, f"{shown(path)} ({_described(kind, way)})")
         for label, path, kind, way in zip("AB", paths, kinds, ways, strict=True)
     ]
     if isinstance(found, Evaluation):
         inputs += _facts(found)
-    if page is not None:
-        inputs.append(("page", shown(page)))
     body = _of_points(found) if isinstance(found, CheckPointEvaluation) else _of_poses(found)
     return Report(
         command="evaluate",
+        title=f"{shown(paths[0])} against {shown(paths[1])}",
         headline=found.headline,
         findings=found.findings,
         sections=[Section(facts=inputs), *body, *_notes(notes)],
         input={"path": paths[0], **kinds[0]},
         data={
             "reference": {"path": paths[1], **kinds[1]},
-            "options": options.asdict(),
+            "options": options and options.asdict(),
             **found.asdict(),
         },
     )
@@ -84,7 +85,8 @@ def _described(kind: dict[str, Any], direction: str) -> str:
         if count in kind:
             name += f", {plural(kind[count], noun)}"
             break
-    return f"{name}, {direction.replace('_', '-')}" if kind["format"] == "poses" else name
+    has_direction = direction and kind["format"] == "poses"
+    return f"{name}, {direction.replace('_', '-')}" if has_direction else name
 
 
 def _notes(notes: Sequence[str]) -> list[Section]:
@@ -103,12 +105,19 @@ def _of_poses(found: Evaluation) -> list[Section]:
     is_path = found.association.by in ("time", "frame number", "order")
     errors = _errors([*rows, *motion] if is_path else rows)
     return [
-        Section(tables=[errors]),
-        *([] if is_path else [Section(tables=[_errors(motion)], is_detail=True)]),
+        Section(title="Errors", tables=[errors]),
+        *([] if is_path else [Section(title="Motion", tables=[_errors(motion)], is_detail=True)]),
         Section(tables=[_pairs(found)]),
-        Section(tables=[_worst(found)], is_detail=True),
-        *([Section(tables=[_lenses(found)], is_detail=True)] if found.lenses else []),
+        Section(figures=lambda: _figures(found), is_page_only=True),
+        Section(title="Images", tables=[_worst(found)], is_detail=True),
+        *(_lenses(found) if found.lenses else []),
     ]
+
+
+def _figures(found: Evaluation) -> list[Figure]:
+    from bundle.figures.evaluation_figures import error_figures, paths_figure  # for pages only
+
+    return [paths_figure(found), *error_figures(found)]
 
 
 def _errors(rows: Sequence[tuple[str, ErrorStatistics, str]]) -> Table:
@@ -155,7 +164,7 @@ def _worst(found: Evaluation) -> Table:
     return Table(columns, worst_first(found), most=MOST_IMAGES)
 
 
-def _lenses(found: Evaluation) -> Table:
+def _lenses(found: Evaluation) -> list[Section]:
     columns = [
         Column("camera of A", "camera_a"),
         Column("of B", "camera_b"),
@@ -165,7 +174,17 @@ def _lenses(found: Evaluation) -> Table:
         Column("removed rotation [deg]", "angle", number),
     ]
     rows = sorted(found.lenses, key=lambda lens: -np.nan_to_num(lens.pixels.rmse, nan=-1.0))
-    return Table(columns, rows, most=MOST_LENSES)
+    known = [lens for lens in rows if np.isfinite(lens.pixels.rmse)][:MOST_DRAWN]
+
+    def figures() -> list[Figure]:
+        from bundle.figures.evaluation_figures import lens_difference_figure  # for pages only
+
+        return [lens_difference_figure(lens) for lens in known]
+
+    table = Table(columns, rows, most=MOST_LENSES)
+    drawn = Section(title="Worst lenses", text=[FIELD], figures=figures, is_page_only=True)
+    sections = [Section(title="Lenses", tables=[table], is_detail=True)]
+    return [*sections, drawn] if known else sections
 
 
 def _facts(found: Evaluation) -> list[tuple[str, str]]:

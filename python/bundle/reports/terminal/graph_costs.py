@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from bundle.base.memory_sizes import format_size
 from bundle.base.words import amount, number, plural, seconds, span
@@ -15,6 +16,9 @@ from bundle.planning.inspection.elimination_costs import CONVENTION, Elimination
 from bundle.planning.inspection.pose_graph_inspection import PoseGraphInspection
 from bundle.reports.sections import Column, Report, Section, Table, fields, records
 from bundle.reports.terminal.inputs import about_graph, graph_facts
+
+if TYPE_CHECKING:
+    from bundle.figures.drawing import Figure
 
 LEGEND = "* selected by auto; [not offered by a solve]."
 
@@ -92,7 +96,6 @@ def compared_graph(
         wall_time: seconds.
         orders_only: True if the methods differ in the elimination order alone.
     """
-    advice = [("advice", found.reason), *([("", found.command)] if found.command else [])]
     recommendation = None
     if found.recommended is not None:
         recommendation = {
@@ -100,15 +103,11 @@ def compared_graph(
             "reason": found.reason,
             "command": found.command,
         }
-    return Report(
-        command="compare",
+    made = compared_runs(found, path, orders_only)
+    return dataclasses.replace(
+        made,
         input=about_graph(path, graph) | {"digests": content_digests(graph)},
-        headline=[found.reason],
-        sections=[
-            Section(facts=graph_facts(path, graph)),
-            Section(tables=[run_table(found, orders_only)]),
-            Section(facts=advice, notes=found.warnings, is_warning=True),
-        ],
+        sections=[Section(facts=graph_facts(path, graph)), *made.sections],
         data={
             "options": dict(options),
             "environment": found.environment,
@@ -119,6 +118,33 @@ def compared_graph(
             "recommendation": recommendation,
             "wall_time": {"total": wall_time},
         },
+    )
+
+
+def compared_runs(found: GraphComparison, name: str, orders_only: bool = False) -> Report:
+    """Return the report on the runs alone, without data."""
+    median = f" Times are medians of {found.repeat} solves." if found.repeat > 1 else ""
+    conditions = (
+        f"{plural(len(found.runs), 'method')} from one start, each stopped after "
+        f"{found.timeout:g} seconds.{median} {found.environment.sentence}"
+    )
+
+    def figures() -> list[Figure]:
+        from bundle.figures import graph_cost_figures as of  # for pages only
+
+        usable = [run for run in found.runs if not run.failure]
+        return [of.graph_time_figure(found), of.graph_breakdown_figure(found)] if usable else []
+
+    advice = [("advice", found.reason), *([("", found.command)] if found.command else [])]
+    return Report(
+        command="compare",
+        title=f"Solvers compared: {name}",
+        headline=[found.reason],
+        sections=[
+            Section(title="Methods", tables=[run_table(found, orders_only)]),
+            Section(facts=advice, notes=found.warnings, is_warning=True),
+            Section(title="Time", text=[conditions], figures=figures, is_page_only=True),
+        ],
     )
 
 

@@ -54,7 +54,7 @@ def fitted(report: Report, width: int) -> list[Block | str]:
 def _sections(sections: Iterable[Section], verbose: bool) -> list[Block | str]:
     parts: list[Block | str] = []
     for section in sections:
-        if section.is_detail and not verbose:
+        if section.is_page_only or (section.is_detail and not verbose):
             continue
         if parts and not section.is_joined:
             parts.append("")

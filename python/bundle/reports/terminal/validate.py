@@ -5,14 +5,18 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from bundle.base.words import number, pixels, plural, span
+from bundle.errors import shown
 from bundle.judging.validation.row_test import RowTest
 from bundle.judging.validation.validation_result import ValidatedCandidate, Validation
 from bundle.model.problem import Problem
 from bundle.reports.sections import Column, Report, Section, Table, fields
 from bundle.reports.terminal.inputs import about_problem, problem_facts
+
+if TYPE_CHECKING:
+    from bundle.figures.drawing import Figure
 
 
 def validated(path: str, problem: Problem, found: Validation, options: Mapping[str, Any]) -> Report:
@@ -28,18 +32,23 @@ def validated(path: str, problem: Problem, found: Validation, options: Mapping[s
     rows = list(found.candidates)
     first, *others = _columns(found)
     name = Column("  lens", lambda one: f"{mark[one]:1} {first.cell(one)}")
-    table = Table([name, *others], rows, left=2, keys=2)
+    why = Column("note", lambda one: one.error or one.vetoed, is_page_only=True)
+    table = Table([name, *others, why], rows, left=2, keys=2, best=found.recommended)
     return Report(
         command="validate",
+        title=f"Which lens: {shown(path)}",
         input=about_problem(path, problem),
         headline=found.headline,
         findings=found.findings,
         sections=[
             Section(command=found.command),
-            Section(tables=[table], notes=_legend(found)),
+            Section(title="Candidates", tables=[table], notes=_legend(found)),
+            Section(title="Curves", figures=lambda: _figures(found), is_page_only=True),
             *([Section(notes=found.notes, is_warning=True)] if found.notes else []),
-            Section(tables=[_details(found)], is_detail=True),
-            Section(facts=[*problem_facts(path, problem), *_facts(found)], is_detail=True),
+            Section(title="More numbers", tables=[_details(found)], is_detail=True),
+            Section(
+                title="Input", facts=[*problem_facts(path, problem), *_facts(found)], is_detail=True
+            ),
         ],
         data={
             "options": {**options, "num_folds": found.num_folds, "seed": found.seed},
@@ -60,6 +69,13 @@ def validated(path: str, problem: Problem, found: Validation, options: Mapping[s
             "time_in_seconds": found.time_in_seconds,
         },
     )
+
+
+def _figures(found: Validation) -> list[Figure]:
+    from bundle.figures import validation_figures as figures  # for pages only
+
+    drawn = (figures.error_figure, figures.difference_figure)
+    return [draw(found) for draw in (*drawn, figures.distribution_figure, figures.image_figure)]
 
 
 def _marks(found: Validation) -> list[str]:
