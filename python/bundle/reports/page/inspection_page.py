@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Sequence
+from dataclasses import replace
 from html import escape
 from pathlib import Path
 
 from bundle.base.arguments import check_type
 from bundle.base.memory_sizes import format_size
 from bundle.base.paths import as_path
-from bundle.base.words import amount, span
+from bundle.base.words import amount, plural, span
 from bundle.errors import InputError
 from bundle.figures.cost_figures import bar_figure, column_figure
 from bundle.figures.covisibility_graph import covisibility_figure, covisibility_graph
@@ -41,6 +41,7 @@ from bundle.reports.page.section_markup import rendered
 from bundle.reports.page.subgraph import image_graph
 from bundle.reports.page.table import CONVENTION, Notes
 from bundle.reports.sections import Section, Table
+from bundle.reports.terminal.inspect import factor_table, size_facts
 
 STEPPED = ("natural", "minimum_degree")
 MOST_EDGES = 1500
@@ -124,13 +125,16 @@ def _write_problem(
     processes: Sequence[Section],
 ) -> None:
     methods = _ranked(inspection)
+    factors = replace(factor_table(methods), most=ROWS_SHOWN, legend=CONVENTION)
+    free = format_size(inspection.available_memory_in_bytes)
+    machine = f"{plural(inspection.num_threads, 'thread')}, {free} of free memory"
     sections: list[Section | str] = [
         _recommendation(inspection, options, name),
-        _scope(inspection, name),
+        Section(facts=[("input", name), *size_facts(inspection), ("machine", machine)]),
         *_methods(inspection, methods),
         Section(title="Cost of a step", figures=_costs(methods)),
         *processes,
-        _factors(methods),
+        *([Section(title="Factors", tables=[factors])] if factors.rows else []),
     ]
     graphs: list[GraphInspection] = []
     if problem is not None:
@@ -187,19 +191,6 @@ def _recommendation(inspection: Inspection, options: SolveOptions, name: str) ->
     return tag("div", *lines, tag("p", escape(inspection.recommendation)), class_="recommended")
 
 
-def _scope(inspection: Inspection, name: str) -> str:
-    sizes = inspection.methods[0]
-    words = (
-        f"{inspection.num_observations:,} observations, {inspection.num_free_points:,} points and "
-        f"{inspection.num_camera_blocks:,} blocks of {inspection.num_camera_columns:,} camera "
-        f"parameters: {sizes.num_unknowns:,} unknowns. J has {amount(sizes.nnz_jacobian)} "
-        f"nonzeros, the information matrix {amount(sizes.nnz_information)}, S is "
-        f"{inspection.reduced_density:.2%} full. Times are for {inspection.num_threads} threads of "
-        f"this machine, which has {format_size(inspection.available_memory_in_bytes)} free."
-    )
-    return tag("p", escape(f"{name}: {words}" if name else words), class_="quiet")
-
-
 def _label(method: MethodInspection) -> str:
     return f"{method.backend.lower()} {method.name}".strip()
 
@@ -226,31 +217,6 @@ def _methods(inspection: Inspection, methods: Sequence[MethodInspection]) -> lis
         tables=[Table.of(head, rows, most=ROWS_SHOWN, best=best)],
     )
     return [shown, notes.listed()]
-
-
-def _factors(methods: Sequence[MethodInspection]) -> Section:
-    """Return one row per factor, for all backends."""
-    head = [
-        "factor L", "nonzeros of S", "nonzeros of L", "fill edges", "flops", "CHOLMOD's flops",
-        "tree height",
-    ]  # fmt: skip
-    rows = {
-        method.name: [
-            method.name,
-            amount(method.nnz_reduced or math.nan),
-            amount(method.nnz_factor),
-            amount(method.fill),
-            amount(method.flops),
-            amount(method.cholmod_flops),
-            amount(method.tree_height),
-        ]
-        for method in methods
-        if method.nnz_factor > 0
-    }
-    if not rows:
-        return Section(title="Factors", text=["No method factorises anything."])
-    table = Table.of(head, list(rows.values()), most=ROWS_SHOWN, legend=CONVENTION)
-    return Section(title="Factors", tables=[table])
 
 
 def _costs(methods: Sequence[MethodInspection]) -> list[Figure]:

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections import Counter
 
 from bundle.base.arguments import check_type
 from bundle.base.paths import as_path
-from bundle.base.words import number, plural
 from bundle.figures.odometry_figures import odometry_figures
 from bundle.inertial.vio.keyframe_record import alarms_by_kind
 from bundle.inertial.vio.odometry import OdometryResult
@@ -16,6 +14,7 @@ from bundle.io.sequences.trajectory_files import Trajectory
 from bundle.reports.page.page import write_page
 from bundle.reports.page.section_markup import rendered
 from bundle.reports.sections import Section, Table
+from bundle.reports.terminal.vio import odometry_facts
 
 SECTIONS = {
     "Trajectory": ("path", "error"),
@@ -60,34 +59,14 @@ def write_odometry(
     check_type("result", result, OdometryResult)
     check_type("name", name, str)
     figures = {figure.name: figure for figure in odometry_figures(result, truth)}
-    sections = [_facts(result, error), _alarms(result)]
+    facts = [("result", result.message), *odometry_facts(name, result, error)]
+    sections = [Section(facts=facts), _alarms(result)]
     for title, names in SECTIONS.items():
         drawn = [figures[key].figure() for key in names if key in figures]
         sections.append(Section(title=title, figures=drawn))
     title = f"Odometry of {name}" if name else "Odometry"
     data = {"figures": [figure.asdict() for figure in figures.values()]}
     write_page(as_path(path), title, rendered(sections), data, script="")
-
-
-def _facts(result: OdometryResult, error: TrajectoryError | None) -> Section:
-    stamps = result.trajectory.timestamps_ns
-    span = 1e-9 * float(stamps[-1] - stamps[0])
-    reasons = Counter(record.reason for record in result.keyframes)
-    facts = [
-        ("result", result.message),
-        ("trajectory", f"{number(span)} s, {plural(result.num_images, 'image')}"),
-        ("start", result.start),
-        ("keyframes", ", ".join(f"{count} by {reason}" for reason, count in reasons.items())),
-        ("time", f"{number(result.solve_time)} s"),
-    ]
-    if error is not None:
-        facts += [
-            ("ATE", f"{number(error.ate)} m rms along {number(error.path_length)} m"),
-            ("ATE, yaw and position aligned", f"{number(error.ate_yaw)} m rms"),
-            ("scale", f"{error.scale:.5f}"),
-            ("rotation", f"{number(error.rotation_rms)} degrees rms"),
-        ]
-    return Section(facts=facts)
 
 
 def _alarms(result: OdometryResult) -> Section:

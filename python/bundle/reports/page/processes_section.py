@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from bundle.base.memory_sizes import format_size
-from bundle.base.words import span
 from bundle.figures.axes import logarithmic
 from bundle.figures.drawing import Figure
 from bundle.figures.marks import Line
-from bundle.planning.inspection.rank_prediction import RankPrediction, find_rank_limit
-from bundle.reports.sections import Section, Table
+from bundle.planning.inspection.rank_prediction import RankPrediction
+from bundle.reports.sections import Section
+from bundle.reports.terminal.inspect import rank_sections
 
 
 def processes_section(
@@ -25,42 +25,8 @@ def processes_section(
         network: gigabits per second, and latency in microseconds.
     """
     rows = sorted(predictions, key=lambda row: row.num_processes)
-    if not rows:
-        return []
-    limit = find_rank_limit(rows)
-    rate, latency = network
-    words = (
-        f"Predicted for mpirun with {rate:g} Gbit/s and {latency:g} microseconds between "
-        f"processes, {rows[0].method}, and as many threads each as the methods above."
-    )
-    best = None if limit is None else limit.num_processes
-    return [
-        Section(
-            title="Several processes",
-            text=[*([] if limit is None else [limit.message]), words],
-            tables=[_table(rows, best)],
-            figures=[_time(rows), _memory(rows)] if len(rows) > 1 else [],
-        )
-    ]
-
-
-def _table(rows: Sequence[RankPrediction], best: int | None) -> Table:
-    counts = [row.num_processes for row in rows]
-    head = [
-        "processes", "per step", "efficiency", "sent per step", "memory of the first", "of others",
-    ]  # fmt: skip
-    cells = [
-        [
-            f"{row.num_processes}",
-            span(row.time_per_step_in_seconds),
-            f"{row.efficiency:.0%}",
-            format_size(row.bytes_per_step) if row.num_processes > 1 else "-",
-            format_size(row.memory_of_first_in_bytes),
-            format_size(row.memory_of_others_in_bytes) if row.num_processes > 1 else "-",
-        ]
-        for row in rows
-    ]
-    return Table.of(head, cells, best=counts.index(best) if best in counts else None)
+    figures = [_time(rows), _memory(rows)] if len(rows) > 1 else []
+    return [replace(section, figures=figures) for section in rank_sections(rows, network)]
 
 
 def _time(rows: Sequence[RankPrediction]) -> Figure:

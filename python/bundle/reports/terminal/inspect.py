@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from typing import Any
 
 from bundle.base.memory_sizes import format_size
-from bundle.base.words import duration, number, plural
+from bundle.base.words import amount, duration, number, plural
 from bundle.errors import shown
 from bundle.interface.options import SolveOptions
 from bundle.model.problem import Problem
@@ -24,12 +25,13 @@ _CLEARLY_SLOWER = 1.25
 
 FACTORS = (
     Column("factor L", "name"),
+    Column("nonzeros of S", lambda one: amount(one.nnz_reduced or math.nan), is_page_only=True),
     Column("nonzeros", "nnz_factor", number),
     Column("fill", "fill", number),
     Column("flops", "flops", number),
     Column("CHOLMOD's", "cholmod_flops", number),
     Column("height", "tree_height"),
-    Column("fullest", lambda method: max(method.column_count_profile)),
+    Column("fullest", lambda method: max(method.column_count_profile, default=0)),
 )
 
 
@@ -55,13 +57,7 @@ def inspected(
         network: network of these predictions: gigabits per second, latency in microseconds.
         wall_time: seconds.
     """
-    facts = [
-        *problem_facts(path, problem, rigs=True),
-        ("unknowns", _unknowns(inspection)),
-        ("nonzeros", _nonzeros(inspection)),
-        ("", CONVENTION),
-    ]
-    factors = {method.name: method for method in inspection.methods if method.nnz_factor}
+    facts = [*problem_facts(path, problem, rigs=True), *size_facts(inspection), ("", CONVENTION)]
     command = recommended_command(inspection, options, shown(path))
     return Report(
         command="inspect",
@@ -69,9 +65,9 @@ def inspected(
         headline=_headline(inspection),
         sections=[
             *([Section(command=command)] if command else []),
-            *_ranks(ranks, network),
+            *rank_sections(ranks, network),
             Section(facts=facts, is_detail=True),
-            Section(tables=[Table(FACTORS, [*factors.values()])], is_detail=True),
+            Section(tables=[factor_table(inspection.methods)], is_detail=True),
             Section(tables=[_costs(inspection)], is_detail=True),
             Section(notes=_remarks(inspection), is_detail=True),
         ],
@@ -99,22 +95,26 @@ def _headline(inspection: Inspection) -> list[str]:
     return [f"Recommended: {inspection.recommendation}", cost]
 
 
-def _unknowns(inspection: Inspection) -> str:
-    method = inspection.methods[0]
-    return (
-        f"{method.num_unknowns}: {plural(inspection.num_free_points, 'point')}, and "
-        f"{inspection.num_camera_columns} in {inspection.num_camera_blocks} blocks of cameras"
-    )
-
-
-def _nonzeros(inspection: Inspection) -> str:
+def size_facts(inspection: Inspection) -> list[tuple[str, str]]:
+    """Return the numbers of unknowns and of nonzeros."""
     method = inspection.methods[0]
     full = f"{100.0 * inspection.reduced_density:.3g} % full"
     reduced = f", S {number(method.nnz_reduced)} ({full})" if method.nnz_reduced else ""
-    return (
+    unknowns = (
+        f"{method.num_unknowns}: {plural(inspection.num_free_points, 'point')}, and "
+        f"{inspection.num_camera_columns} in {inspection.num_camera_blocks} blocks of cameras"
+    )
+    nonzeros = (
         f"J {number(method.nnz_jacobian)}, information matrix {number(method.nnz_information)}"
         f"{reduced}"
     )
+    return [("unknowns", unknowns), ("nonzeros", nonzeros)]
+
+
+def factor_table(methods: Sequence[MethodInspection]) -> Table:
+    """Return a row for each factor, whatever backends compute it."""
+    factors = {method.name: method for method in methods if method.nnz_factor}
+    return Table(FACTORS, [*factors.values()])
 
 
 def _costs(inspection: Inspection) -> Table:
@@ -236,7 +236,7 @@ def _sent(row: RankPrediction, cell: str) -> str:
     return cell if row.bytes_per_step else "-"
 
 
-def _ranks(ranks: Sequence[RankPrediction], network: tuple[float, float]) -> list[Section]:
+def rank_sections(ranks: Sequence[RankPrediction], network: tuple[float, float]) -> list[Section]:
     """Return the predicted cost of several processes; empty if not requested."""
     if not ranks:
         return []
@@ -248,7 +248,10 @@ def _ranks(ranks: Sequence[RankPrediction], network: tuple[float, float]) -> lis
         "is that of whole processes, which read slices of BAL files and binary models."
     )
     notes = [*([] if limit is None else [limit.message]), words]
-    return [Section(tables=[Table(RANKS, ranks)], notes=notes)]
+    counts = [row.num_processes for row in ranks]
+    best = counts.index(limit.num_processes) if limit and limit.num_processes in counts else None
+    made = Table(RANKS, ranks, best=best)
+    return [Section(title="Several processes", tables=[made], notes=notes)]
 
 
 def _rank_data(ranks: Sequence[RankPrediction], network: tuple[float, float]) -> dict[str, Any]:

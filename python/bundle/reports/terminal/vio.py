@@ -66,7 +66,7 @@ def odometry_report(
         sections=[
             *([] if written is None else [Section(facts=[("output", f"{shown(written)} (TUM)")])]),
             *([Section(facts=asked)] if (asked := _certainty(result.keyframes)) else []),
-            Section(facts=_facts(source, result, error), is_detail=True),
+            Section(facts=odometry_facts(source, result, error), is_detail=True),
             *([] if tracking is None else [tracking_section(sequence, tracking)]),
             Section(tables=[_times(result)], is_detail=True),
         ],
@@ -116,9 +116,10 @@ def _headline(result: OdometryResult, error: TrajectoryError | None) -> list[str
     return said
 
 
-def _facts(
+def odometry_facts(
     source: str, result: OdometryResult, error: TrajectoryError | None
 ) -> list[tuple[str, str]]:
+    """Return start, keyframes, time, and the errors if there is a truth."""
     stamps = result.trajectory.timestamps_ns
     seconds = 1e-9 * float(stamps[-1] - stamps[0])
     records = result.keyframes
