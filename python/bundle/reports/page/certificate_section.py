@@ -7,15 +7,15 @@ import math
 
 import numpy as np
 
-from bundle.base.words import number, plural
+from bundle.base.words import number
 from bundle.figures.cost_figures import bar_figure
 from bundle.figures.drawing import Figure
 from bundle.figures.graph_figures import DrawnGraph, plan_figures
 from bundle.graphs.pose_graphs.certificate import ESCAPES, STAIRCASE, Certificate
 from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
 from bundle.model.pose_graph_arrays import PoseGraph
-from bundle.reports.sections import Section, Table
-from bundle.reports.terminal.certificate_facts import certificate_sentences
+from bundle.reports.sections import Section
+from bundle.reports.terminal.certificate_facts import certificate_section, certificate_sentences
 
 LEGEND = (
     "The eigenvalue is the smallest one of the certificate matrix, 0 up to rounding if certified; "
@@ -28,35 +28,10 @@ def certificate_sections(solved: object) -> list[Section]:
     if not isinstance(solved, PoseGraphResult) or solved.certificate is None:
         return []
     found = solved.certificate
-    head = ["", "verdict", "F", "at least", "gap", "eigenvalue", "next", "effort"]
-    rows = [
-        [
-            "minimum of the solve", found.verdict, f"{found.cost:.9g}",
-            number(found.lower_bound), number(found.gap), f"{found.min_eigenvalue:.6g}",
-            _next(found.eigenvalues, found.min_eigenvalue), plural(found.num_steps, "Newton step"),
-        ]
-    ]  # fmt: skip
-    stairs = found.staircase
-    if stairs is not None:
-        rows.append([
-            "after the staircase", stairs.verdict, f"{stairs.cost:.9g}",
-            number(stairs.lower_bound), number(stairs.gap), f"{stairs.min_eigenvalue:.6g}",
-            _next(stairs.eigenvalues, stairs.min_eigenvalue), f"rank {stairs.rank}",
-        ])  # fmt: skip
-    return [
-        Section(
-            title="Certificate",
-            text=[" ".join(certificate_sentences(solved))],
-            tables=[Table.of(head, rows, left=2, legend=LEGEND)],
-            figures=[_costs(solved, found), *_minima(solved, found)],
-        )
-    ]
-
-
-def _next(eigenvalues: np.ndarray, smallest: float) -> str:
-    """Return the first eigenvalue above the smallest one."""
-    above = [value for value in eigenvalues.tolist() if value > smallest]
-    return f"{above[0]:.6g}" if above else "-"
+    figures = [_costs(solved, found), *_minima(solved, found)]
+    text = [" ".join(certificate_sentences(solved)), LEGEND]
+    (facts,) = certificate_section(solved)
+    return [dataclasses.replace(facts, title="Certificate", text=text, figures=figures)]
 
 
 def _costs(solved: PoseGraphResult, found: Certificate) -> Figure:

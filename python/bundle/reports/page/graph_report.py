@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from dataclasses import replace
 from html import escape
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from bundle.base.memory_sizes import format_size
 from bundle.base.paths import as_path
-from bundle.base.words import amount, number, plural, span
+from bundle.base.words import amount, number, plural
 from bundle.figures.cost_figures import iteration_figure
 from bundle.figures.graph_figures import DrawnGraph, error_figure, plan_figures
 from bundle.graphs.factors.factor_graph import FactorGraph, GraphResult
@@ -34,6 +34,7 @@ from bundle.reports.page.page import tag, write_page
 from bundle.reports.page.scene_section import scene_script
 from bundle.reports.page.section_markup import findings_list, rendered
 from bundle.reports.sections import Section, Table
+from bundle.reports.terminal.graph_costs import cost_table, matrix_size
 
 MOST_EDGES = 15
 """Number of edges with the largest chi2 in the table."""
@@ -228,23 +229,8 @@ def _convergence(facts: GraphFacts) -> list[Section]:
 
 def structure_section(found: PoseGraphInspection | FactorGraphInspection) -> Section:
     """Return the table of the elimination orders."""
-    head = ["order", "nonzeros of L", "fill [pairs]", "flops", "height", "memory", "a step"]
-    names = [cost.ordering for cost in found.costs]
-    rows = [
-        [
-            cost.ordering if cost.is_taken else f"[{cost.ordering}]",
-            number(cost.nnz_factor),
-            number(cost.fill),
-            number(cost.flops),
-            number(cost.tree_height),
-            format_size(cost.memory_in_bytes),
-            span(cost.time_per_step_in_seconds),
-        ]
-        for cost in found.costs
-    ]
-    nnz = found.nnz_free if isinstance(found, PoseGraphInspection) else found.nnz
     words = f"{plural(found.num_edges, 'pair', grouped=True)} of variables; without constant ones "
-    words += f"the matrix has {amount(nnz)} nonzeros. {found.recommendation}"
-    legend = f"{CONVENTION} Orders in brackets are not offered by a solve."
-    table = Table.of(head, rows, best=names.index(found.auto_ordering), legend=legend)
+    words += f"the matrix has {amount(matrix_size(found)[1])} nonzeros. {found.recommendation}"
+    table = cost_table(found)
+    table = replace(table, legend=f"{CONVENTION} {table.legend}")
     return Section(title="Structure", text=[escape(words)], tables=[table])

@@ -19,7 +19,7 @@ from bundle.graphs.pose_graphs.certificate import (
     Staircase,
 )
 from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
-from bundle.reports.sections import Section
+from bundle.reports.sections import Section, fields
 
 
 def certificate_sentences(solved: PoseGraphResult) -> list[str]:
@@ -131,35 +131,9 @@ def certificate_data(found: Certificate | None) -> dict[str, Any]:
     if found is None:
         return {}
     stairs = found.staircase
-    return {
-        "certificate": {
-            "verdict": found.verdict,
-            "is_settled": found.is_settled,
-            "min_eigenvalue": found.min_eigenvalue,
-            "gap": found.gap,
-            "cost": found.cost,
-            "initial_cost": found.initial_cost,
-            "lower_bound": found.lower_bound,
-            "eigenvalues": found.eigenvalues,
-            "num_steps": found.num_steps,
-            "weights": found.weights,
-            "error": found.error,
-            "is_isotropic": found.is_isotropic,
-            "chi2": found.chi2,
-            "chi2_lower_bound": found.chi2_lower_bound,
-            "staircase": None if stairs is None else _stairs_data(stairs),
-        }
-    }
+    data = _fields(found) | {"staircase": None if stairs is None else _fields(stairs)}
+    return {"certificate": data}
 
 
-def _stairs_data(stairs: Staircase) -> dict[str, Any]:
-    return {
-        "verdict": stairs.verdict,
-        "rank": stairs.rank,
-        "min_eigenvalue": stairs.min_eigenvalue,
-        "gap": stairs.gap,
-        "cost": stairs.cost,
-        "lower_bound": stairs.lower_bound,
-        "relaxed_cost": stairs.relaxed_cost,
-        "eigenvalues": stairs.eigenvalues,
-    }
+def _fields(found: Certificate | Staircase) -> dict[str, Any]:
+    return {k: v for k, v in fields(found).items() if k != "problem"} | {"gap": found.gap}

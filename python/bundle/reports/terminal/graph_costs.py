@@ -13,6 +13,7 @@ from bundle.model.content_digests import content_digests
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.planning.comparison.graph_comparison import GraphComparison, GraphRun
 from bundle.planning.inspection.elimination_costs import CONVENTION, EliminationCost
+from bundle.planning.inspection.factor_graph_inspection import FactorGraphInspection
 from bundle.planning.inspection.pose_graph_inspection import PoseGraphInspection
 from bundle.reports.sections import Column, Report, Section, Table, fields, records
 from bundle.reports.terminal.inputs import about_graph, graph_facts
@@ -28,17 +29,6 @@ def inspected_graph(
 ) -> Report:
     """Return the matrix, a row for each elimination order, and advice; wall_time in seconds."""
     size = found.block_size * found.num_poses
-    free = max(1, (found.nnz_free + found.block_size * found.num_free_poses) / 2)
-    columns = (
-        Column("order", lambda cost: _order(cost, found.auto_ordering)),
-        Column("nonzeros of L", "nnz_factor"),
-        Column("of the matrix", lambda cost: number(cost.nnz_factor / free)),
-        Column("fill [pairs]", "fill"),
-        Column("flops", "flops", number),
-        Column("height", "tree_height"),
-        Column("memory", "memory_in_bytes", format_size),
-        Column("a step", "time_per_step_in_seconds", lambda time: span(time)),
-    )
     facts = [
         *graph_facts(path, graph),
         ("matrix", f"{size} x {size}, blocks of {found.block_size}"),
@@ -51,7 +41,7 @@ def inspected_graph(
         input=about_graph(path, graph),
         headline=[found.recommendation, _predicted(found)],
         sections=[
-            Section(tables=[Table(columns, found.costs, legend=LEGEND)]),
+            Section(tables=[cost_table(found)]),
             Section(facts=facts, is_detail=True),
         ],
         data={
@@ -61,6 +51,31 @@ def inspected_graph(
             "wall_time": {"total": wall_time},
         },
     )
+
+
+def matrix_size(found: PoseGraphInspection | FactorGraphInspection) -> tuple[int, int]:
+    """Return columns and nonzeros (both triangles) of the matrix that a solve factorises."""
+    if isinstance(found, PoseGraphInspection):
+        return found.block_size * found.num_free_poses, found.nnz_free
+    return found.num_columns, found.nnz
+
+
+def cost_table(found: PoseGraphInspection | FactorGraphInspection) -> Table:
+    """Return a row for each elimination order; pages highlight the one that `auto` selects."""
+    free = max(1, sum(matrix_size(found)) / 2)
+    columns = (
+        Column("order", lambda cost: _order(cost, found.auto_ordering)),
+        Column("nonzeros of L", "nnz_factor"),
+        Column("of the matrix", lambda cost: number(cost.nnz_factor / free)),
+        Column("fill [pairs]", "fill"),
+        Column("flops", "flops", number),
+        Column("height", "tree_height"),
+        Column("memory", "memory_in_bytes", format_size),
+        Column("a step", "time_per_step_in_seconds", lambda time: span(time)),
+    )
+    names = [cost.ordering for cost in found.costs]
+    best = names.index(found.auto_ordering)
+    return Table(columns, found.costs, legend=LEGEND, best=best)
 
 
 def _predicted(found: PoseGraphInspection) -> str:
