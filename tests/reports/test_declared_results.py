@@ -1,5 +1,7 @@
 """A result is declared once: terminal, JSON, page and DataFrame show it by its declaration."""
 
+from __future__ import annotations
+
 import argparse
 import dataclasses
 import json
@@ -13,6 +15,7 @@ from bundle.figures.axes import linear
 from bundle.figures.drawing import Figure
 from bundle.figures.marks import Line
 from bundle.interface.tabular import Tabular
+from bundle.reports.json_schema import record_schema
 from bundle.reports.page.result_pages import write_reported
 from bundle.reports.sections import Column, Report, Section, Table, fields
 from bundle.reports.terminal.screen import laid_out
@@ -30,7 +33,7 @@ class Plank:
 class Planks(Tabular):
     """A result that no command has."""
 
-    planks: "tuple[Plank, ...]"
+    planks: tuple[Plank, ...]
     cost: float
 
 
@@ -122,6 +125,17 @@ def test_one_function_writes_terminal_json_and_page(tmp_path, capsys):
     (tmp_path / "page.html").unlink()
     publish(dataclasses.replace(report_of(TOY), title=""), asked)  # its command has another page
     assert not (tmp_path / "page.html").exists()
+
+
+def test_the_schema_has_the_types_of_the_fields():
+    text, number = {"type": "string"}, {"type": ["number", "null"]}
+    records = {"type": "array", "items": {"type": "object"}}
+    assert record_schema(Planks) == {
+        "type": "object",
+        "properties": {"planks": records, "cost": number},
+        "required": ["planks", "cost"],
+    }
+    assert record_schema(Plank)["properties"] == {"name": text, "length": number, "wood": text}
 
 
 def test_the_data_frame_has_a_row_per_record():

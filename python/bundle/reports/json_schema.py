@@ -45,7 +45,6 @@ _DEFINED = {
 """Dataclasses with a definition of their own in the schema."""
 
 _COUNTED = ("cameras", "images", "points", "observations", "outliers")
-_POINTS = ("without_parallax", "at_infinity", "seen_once", "seen_twice", "at_cameras")
 COMMON: dict[str, Schema] = {
     "schema": {"const": SCHEMA},
     "command": _TEXT,
@@ -109,20 +108,10 @@ def _entries() -> dict[str, dict[str, Schema]]:
             **timed,
         },
         "diagnose": {
-            **{"options": _OBJECT, "ok": _BOOLEAN, "nullity": _COUNT, "expected_nullity": _COUNT},
-            **{"nullity_is_exact": _BOOLEAN, "components": _LIST, "condition_number": _NUMBER},
+            **_of("analysis.diagnosis.diagnosis_result.Diagnosis"),
+            **_of("analysis.diagnosis.diagnosis_result.GraphDiagnosis"),
+            **{"options": _OBJECT, "ok": _BOOLEAN, "rank_gap": _NUMBER, "digits": _OBJECT},
             "weak_modes": {"type": "array", "items": {"required": ["sentence"]}},
-            **dict.fromkeys(("condition_number_unscaled", "rank_gap"), _NUMBER),
-            **{"max_null_eigenvalue": _NUMBER, "digits": _OBJECT, "eigenvalues": _LIST},
-            **dict.fromkeys((f"points_{name}" for name in _POINTS), _LIST),
-            **{"collapsed": _LIST, "unobserved_points": _LIST},
-            **dict.fromkeys(
-                ("suspicious_edges", "edge_redundancy", "edge_test", "held_pose_ids"), _LIST
-            ),
-            "noise_scale": _NUMBER,
-            **dict.fromkeys(
-                ("images_with_few_observations", "images_with_few_shared_points"), _LIST
-            ),
             **timed,
         },
         "evaluate": {
@@ -136,24 +125,16 @@ def _entries() -> dict[str, dict[str, Schema]]:
             "size": _NUMBER,
         },
         "info": {
-            **{"cameras": _LIST, "worst_images": _LIST, "suspicions": _LIST, "rigs": _LIST},
-            **dict.fromkeys(("track_length", "observations_per_image", "covisibility"), _MAYBE),
-            **{"depths": _MAYBE, "num_repeated_observations": _COUNT, **tracking},
-            **{"statistics": _OBJECT, "calibration": _OBJECT, "chi2": _OBJECT},
+            **_of("analysis.statistics.description.Description"),
+            **{"statistics": _OBJECT, "calibration": _OBJECT, "chi2": _OBJECT, **tracking},
             **{"degrees_of_freedom": _INTEGER, "bad_information": _LIST},
             **dict.fromkeys(("num_bad_information", "num_components"), _COUNT),
             "reprojection_error": {"anyOf": [{"$ref": "#/$defs/reprojection_error"}, _OBJECT]},
         },
         "inspect": {
-            **{"options": _OBJECT, "methods": _LIST, "recommended": _INDEX},
-            **dict.fromkeys(("recommended_command", "recommendation", "auto_choice"), _TEXT),
-            **{"nonzeros": _TEXT, "num_threads": _COUNT, "reduced_density": _NUMBER, **timed},
-            **dict.fromkeys(("num_observations", "num_free_points"), _COUNT),
-            **dict.fromkeys(("num_camera_columns", "num_camera_blocks"), _COUNT),
-            **{"available_memory_in_bytes": _NUMBER, "density": _NUMBER},
-            **{"auto_ordering": _TEXT, "costs": _LIST},
-            **dict.fromkeys(("num_poses", "num_edges", "num_free_poses", "block_size"), _COUNT),
-            **dict.fromkeys(("nnz", "nnz_free"), _COUNT),
+            **_of("planning.inspection.inspection_result.Inspection"),
+            **_of("planning.inspection.pose_graph_inspection.PoseGraphInspection"),
+            **{"options": _OBJECT, "recommended_command": _TEXT, "nonzeros": _TEXT, **timed},
         },
         "merge": {"other": _OBJECT, "merge": _OBJECT, "output": _OUTPUT},
         "refine": {
@@ -242,10 +223,20 @@ def report_schema() -> Schema:
     }
 
 
+def _of(path: str) -> dict[str, Schema]:
+    """Return the entries that are fields of a result, without those of every report."""
+    found = _of_dataclass(path)["properties"].items()
+    return {name: schema for name, schema in found if name not in COMMON}
+
+
 def _of_dataclass(path: str) -> Schema:
     """Return the schema of a dataclass, given by its place in the package."""
     module, _, name = path.rpartition(".")
-    kind = getattr(importlib.import_module(f"bundle.{module}"), name)
+    return record_schema(getattr(importlib.import_module(f"bundle.{module}"), name))
+
+
+def record_schema(kind: type) -> Schema:
+    """Return the schema of a dataclass."""
     fields = dataclasses.fields(kind)
     properties = {field.name: _of_type(str(field.type)) for field in fields}
     required = [
@@ -280,14 +271,15 @@ def _of_plain_type(text: str) -> Schema:
     plain: dict[str, Schema] = {
         **{"int": _INTEGER, "float": _NUMBER, "str": _TEXT, "bool": _BOOLEAN},
         **{"None": {"type": "null"}, "dict": _OBJECT, "Mapping": _OBJECT},
+        **{"Any": {}, "Key": {}, "Array": _LIST},
     }
     if name in plain:
         return plain[name]
     if name in ("tuple", "list", "Sequence") and rest.endswith(", ...]"):
         return {"type": "array", "items": _of_type(rest.removesuffix(", ...]"))}
     if name in ("tuple", "list", "Sequence", "NDArray"):
-        return {"type": "array"}
-    return {}  # another record
+        return _LIST
+    return _OBJECT  # another record
 
 
 def _split(text: str, separator: str) -> Iterable[str]:
