@@ -83,6 +83,27 @@ def test_other_focal_lengths_and_other_aspect_ratios_are_no_motion(only):
     assert not found.fires
 
 
+def test_anisotropy_and_shear_together_are_suspected(monkeypatch):
+    problem = scene()
+    assert not row_test(problem, noise(problem)).is_suspected
+    r = noise(problem) + planted(problem, draw(problem, 0.3))
+    found = row_test(problem, r)
+    total = 11 * (found.anisotropy + found.shear)
+    limit = module._chi2_quantile(22, module._SIGNIFICANT)
+    assert 11 * max(found.anisotropy, found.shear) < limit < total
+    assert found.is_suspected and not found.fires
+    beyond = next(z for z in np.arange(3.7, 20, 0.1) if module._chi2_quantile(22, z) > total)
+    monkeypatch.setattr(module, "_SIGNIFICANT", beyond)
+    assert not row_test(problem, r).is_suspected
+
+
+@pytest.mark.parametrize(("only", "found"), [(0, False), (1, True), (2, True)])
+def test_other_focal_lengths_are_not_suspected(only, found):
+    problem = scene()
+    slopes = draw(problem, np.eye(3)[only])
+    assert row_test(problem, noise(problem) + planted(problem, slopes)).is_suspected == found
+
+
 def test_small_but_certain_motion_does_not_fire():
     problem = scene(num_points=3000)
     found = row_test(problem, noise(problem) + planted(problem, draw(problem, 0.2)))
@@ -148,7 +169,9 @@ def test_too_little_to_compare(problem):
     found = row_test(problem, noise(problem))
     assert np.isnan([found.isotropy, found.anisotropy, found.shear]).all()
     assert (found.fires, found.num_images, found.size) == (False, len(found.images), 0.0)
-    assert not row_test(problem, 0 * noise(problem)).fires
+    assert not found.is_suspected
+    still = row_test(problem, 0 * noise(problem))
+    assert not still.fires and not still.is_suspected
 
 
 def test_quantile():

@@ -8,9 +8,7 @@ import numpy as np
 import pytest
 
 import bundle
-from bundle.judging.validation import judgement
 from bundle.judging.validation.decision import decide
-from bundle.judging.validation.row_test import RowTest
 from bundle.model.clipped_errors import summarize_clipped
 from bundle.model.folds import folds_of
 from bundle.solving.held_out.measurement import with_values
@@ -142,23 +140,6 @@ def test_lenses_that_differ_are_not_shared():
     chosen = found.candidates[found.recommended]
     assert chosen.share == "focal"
     assert found.candidates[0].held_out_rmse > 1.5 * chosen.held_out_rmse
-
-
-def test_motion_vetoes_a_lens_per_image(monkeypatch):
-    fired = RowTest(
-        fires=True, isotropy=9.0, anisotropy=9.0, shear=9.0, size=0.1, deviations=np.ones(3),
-        sigma=1.0, confirmation=9.0, images=np.zeros(0, int), slopes=np.zeros((0, 3)),
-        errors=np.zeros((0, 3)),
-    )  # fmt: skip
-    monkeypatch.setattr(judgement, "row_test", lambda *_: fired)
-    found = bundle.validate(photographs(), **QUICK)
-    assert [bool(one.vetoed) for one in found.candidates] == [False, False, True, True]
-    assert found.verdict == "vetoed"
-    assert found.candidates[found.recommended].share == "size"
-    assert any("rolling shutter" in sentence for sentence in found.headline)
-    (finding,) = found.findings
-    assert finding.kind == "motion"
-    assert finding.command == f"{found.command} --rolling-shutter rows"
 
 
 def test_candidates_that_cannot_start_leave_the_others():

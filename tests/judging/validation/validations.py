@@ -20,9 +20,9 @@ LENSES = (
 def row_tested(fires):
     """Return a row test that fires or not."""
     return RowTest(
-        fires=fires, isotropy=2.0, anisotropy=8.5, shear=9.25, size=0.05, deviations=np.ones(3),
-        sigma=0.5, confirmation=9.0, images=np.arange(20), slopes=np.zeros((20, 3)),
-        errors=np.ones((20, 3)),
+        fires=fires, is_suspected=True, isotropy=2.0, anisotropy=8.5, shear=9.25, size=0.05,
+        deviations=np.ones(3), sigma=0.5, confirmation=9.0, images=np.arange(20),
+        slopes=np.zeros((20, 3)), errors=np.ones((20, 3)), gain=0.1,
     )  # fmt: skip
 
 

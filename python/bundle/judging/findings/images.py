@@ -73,6 +73,11 @@ HUBER = 2.5
 NAMED = 3
 LEFT = 0.01
 """Share of a field that must be left for a test."""
+_ORDERS = {
+    "": "the direction is not clear",
+    "rows": "along the rows' order, as a rolling shutter does",
+    "columns": "along the columns' order, as a rolling shutter of a turned camera does",
+}
 
 Floats = NDArray[np.float64]
 
@@ -114,23 +119,16 @@ def motion(
     if not fires:
         return None
     rows, columns, explained = direction(found)
-    where, order = "the direction is not clear", "rows"
-    if rows > ROWS_AGAINST_COLUMNS * columns:
-        where = "along the rows' order, as a rolling shutter does"
-    elif columns > ROWS_AGAINST_COLUMNS * rows:
-        order = "columns"
-        where = "along the columns' order, as a rolling shutter of a turned camera does"
+    named = named_order(rows, columns)
+    order = named or "rows"
     worst = max(ratios, key=lambda name: ratios[name])
     gain = shutter_gain(measured, order) if explained > EXPLAINED else 0.0
     shutter = order if gain > GAIN else ""
-    price = (
-        " A rolling shutter would cost more certainty than it gains." if GAIN >= gain > 0 else ""
-    )
     return Finding(
         kind="motion",
         sentence=f"Motion or a rolling shutter: the {worst} of the residuals differs from image to "
-        f"image, {number(ratios[worst])} times as much as the noise explains ({where}). Keep one "
-        f"lens: a lens per image would absorb it and move the cameras.{price}",
+        f"image, {number(ratios[worst])} times as much as the noise explains ({_ORDERS[named]}). "
+        f"Keep one lens: a lens per image would absorb it and move the cameras.{price_of(gain)}",
         command=measured.command.refine("--rolling-shutter", shutter) if shutter else "",
         evidence={
             "chi2_per_dof": ratios,
@@ -143,6 +141,20 @@ def motion(
             "image_ids": _ids(found, np.argsort(-fits.sizes)[:NAMED]),
         },
     )
+
+
+def named_order(rows: float, columns: float) -> str:
+    """Return the order of reading that the parts of :func:`direction` name; "": neither."""
+    if rows > ROWS_AGAINST_COLUMNS * columns:
+        return "rows"
+    return "columns" if columns > ROWS_AGAINST_COLUMNS * rows else ""
+
+
+def price_of(gain: float) -> str:
+    """Return a sentence if a rolling shutter can be added, but gains too little."""
+    if not GAIN >= gain > 0:
+        return ""
+    return " A rolling shutter would cost more certainty than it gains."
 
 
 def image_residuals(

@@ -1,11 +1,12 @@
 """Fits of all candidates: one to all observations, and one without each fold.
 
 Candidates form chains of one sharing, one loss and one set of refined variables, from the smallest
-model to the largest. The first fit of a chain starts at the input. Each other fit starts at the
-nearest of two problems: the input, and the fit of the model before, each with the candidate's
-cameras; nearest is the lower RMSE, clipped. Each fold starts at the candidate's fit to all
-observations. A minimum does not depend on its start, so that the fit without a fold no longer
-depends on the fold; unconverged fits are marked.
+model to the largest. A fit starts at the nearest of these problems, each with the candidate's
+cameras: the input, the fit of the model before, and, where images have lenses of their own, the
+fits of the same model with shared lenses; nearest is the lower RMSE, clipped. Without the last,
+focal lengths of their own may end in a minimum above that of the shared lens, which they contain.
+Each fold starts at the candidate's fit to all observations. A minimum does not depend on its start,
+so that the fit without a fold no longer depends on the fold; unconverged fits are marked.
 
 Solves of one thread each run side by side: for problems of usual size this uses the cores better
 than one solve on all of them, and its sums have a fixed order.
@@ -16,7 +17,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import field
+from dataclasses import field, replace
 from threading import Lock
 from typing import TYPE_CHECKING, Any
 
@@ -27,7 +28,7 @@ from bundle.base.records import dataclass
 from bundle.errors import InputError
 from bundle.georeference.velocity_prior import VelocityPrior
 from bundle.interface.options import SolveOptions
-from bundle.judging.validation.candidates import Candidate, with_cameras
+from bundle.judging.validation.candidates import Candidate, is_shared, with_cameras
 from bundle.model.clipped_errors import errors_or_nan, summarize_clipped
 from bundle.model.problem import Problem
 from bundle.model.residuals import residuals
@@ -114,7 +115,13 @@ def fit_candidates(candidates: Sequence[Candidate], fitting: Fitting) -> list[Ca
     run = _Run(fitting, len(fits) * (num_folds + 1), each)
     with ThreadPoolExecutor(workers) as pool:
         try:
-            _finish([pool.submit(run.chain, chain) for chain in chains.values()])
+            shared: list[CandidateFit] = []
+            for are_shared in (True, False):
+                chosen = [
+                    one for one in chains.values() if is_shared(one[0].candidate) == are_shared
+                ]
+                _finish([pool.submit(run.chain, chain, shared) for chain in chosen])
+                shared = [fit for chain in chosen for fit in chain]
             jobs = [(fit, fold) for fit in fits if not fit.error for fold in range(num_folds)]
             _finish([pool.submit(run.fold, *job) for job in jobs])
         except BaseException:
@@ -136,25 +143,26 @@ class _Run:
         self._options = fitting.options.replace(num_threads=num_threads)
         self._lock = Lock()
 
-    def chain(self, chain: list[CandidateFit]) -> None:
+    def chain(self, chain: list[CandidateFit], others: Sequence[CandidateFit] = ()) -> None:
         """Fit the models of one sharing to all observations, one after another."""
-        before: Problem | None = None
+        before: list[Problem] = []
         for fit in chain:
+            same = [one for one in others if _differ_in_sharing(one, fit)]
             try:
-                self._fit(fit, before)
+                self._fit(fit, [*before, *(one.refined for one in same)])
             except InputError as error:
                 fit.error = str(error)
             else:
-                before = fit.refined
+                before = [fit.refined]
             self._tell(fit.candidate.name)
 
-    def _fit(self, fit: CandidateFit, before: Problem | None) -> None:
+    def _fit(self, fit: CandidateFit, others: Sequence[Problem]) -> None:
         candidate, given = fit.candidate, self._given
         may_move = "poses" in candidate.refine and not given.options.fixed_image_ids
         keep_scale = may_move and not given.rules
         start, ties = with_cameras(given.problem, candidate, keep_scale=keep_scale)
-        if before is not None:
-            start = self._nearest(start, before, candidate)
+        for other in others:
+            start = self._nearest(start, other, candidate)
         request = SolveRequest(
             problem=start,
             options=self._options.replace(loss=candidate.loss, refine=candidate.refine),
@@ -170,10 +178,10 @@ class _Run:
         fit.residuals = self._residuals(result.problem)
         fit.held_out = np.full_like(fit.residuals, np.nan)
 
-    def _nearest(self, start: Problem, before: Problem, candidate: Candidate) -> Problem:
-        """Return the start with the lower clipped RMSE: as given, or after the smaller model."""
+    def _nearest(self, start: Problem, fitted: Problem, candidate: Candidate) -> Problem:
+        """Return the start with the lower clipped RMSE: as given, or at another fit."""
         try:
-            other, _ = with_cameras(before, candidate)
+            other, _ = with_cameras(fitted, candidate)
         except InputError:
             return start
         errors = [_clipped_rmse(problem, self._options) for problem in (start, other)]
@@ -214,6 +222,11 @@ class _Run:
             self._done += 1
             if self._given.progress is not None:
                 self._given.progress(self._done, self._count, name)
+
+
+def _differ_in_sharing(fit: CandidateFit, other: CandidateFit) -> bool:
+    """Return True for a fit that differs from another in its sharing only."""
+    return not fit.error and replace(fit.candidate, share=other.candidate.share) == other.candidate
 
 
 def _clipped_rmse(problem: Problem, options: SolveOptions) -> float:

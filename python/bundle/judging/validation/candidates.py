@@ -87,6 +87,11 @@ def groups_of(problem: Problem, share: str) -> _Groups:
     return groups
 
 
+def is_shared(candidate: Candidate) -> bool:
+    """Return False if images have parameters of their own."""
+    return candidate.share not in ("each", "focal")
+
+
 def shares_of(problem: Problem, wanted: Iterable[str]) -> tuple[str, ...]:
     """Return the sharings that differ from each other, in the order of :data:`SHARES`."""
     each = groups_of(problem, "each").tobytes()
@@ -114,7 +119,7 @@ def _product(
         for loss in losses
         for share in shares_of(problem, shares)
         for model in dict.fromkeys(models)
-        if share != "focal" or _is_shared(model, refine)
+        if share != "focal" or _shared_names(model, refine)
     ]
 
 
@@ -157,12 +162,8 @@ def _own_share(problem: Problem, shares: Sequence[str]) -> str:
     return next(same, "input")
 
 
-def _is_shared(model: str, refine: tuple[str, ...]) -> bool:
-    """Return True if images share a refined parameter besides focal lengths."""
-    return bool(_shared_names(model, refine))
-
-
 def _shared_names(model: str, refine: tuple[str, ...]) -> list[str]:
+    """Return the refined parameters besides focal lengths."""
     kinds = {kind for kind in ("extra", "principal_point") if kind in refine}
     names = camera_models().get(model, ())
     both = zip(names, param_kinds(model) if names else (), strict=True)

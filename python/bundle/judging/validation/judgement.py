@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import combinations
 from time import perf_counter
 
@@ -14,14 +15,21 @@ from bundle.errors import InputError
 from bundle.georeference.pose_alignment import align_centers
 from bundle.interface.finding import Finding
 from bundle.interface.options import SolveOptions
+from bundle.judging.findings.images import GAIN, price_of, shutter_gain
 from bundle.judging.validation.candidate_fits import CandidateFit, Fitting
-from bundle.judging.validation.candidates import groups_of
+from bundle.judging.validation.candidates import groups_of, is_shared
 from bundle.judging.validation.decision import Cameras, Decision, DecisionRule, decide
 from bundle.judging.validation.information_criteria import dispersion, information_criteria
 from bundle.judging.validation.known_positions import KnownErrors, known_errors
 from bundle.judging.validation.position_certainty import Certainty, certainty
 from bundle.judging.validation.prediction import normalized_errors, prediction_covariances
 from bundle.judging.validation.refine_command import refine_command
+from bundle.judging.validation.rolling_fits import (
+    measured,
+    motion_test,
+    read_order,
+    rolling_fits,
+)
 from bundle.judging.validation.row_test import RowTest, row_test
 from bundle.judging.validation.validation_result import ValidatedCandidate, Validation
 from bundle.judging.validation.verdict import verdict_of
@@ -29,7 +37,6 @@ from bundle.model.cameras import param_kinds
 from bundle.model.clipped_errors import summarize_clipped
 from bundle.model.folds import are_repeated
 from bundle.model.problem import Problem
-from bundle.model.shutter_changes import can_roll
 
 MOST_REPEATED = 0.5
 """Share of repeated measurements from which they take part in the decision."""
@@ -62,22 +69,34 @@ def judged(
     covariances = prediction_covariances(
         reference.refined, fitting.folds, fitting.options.cheirality
     )
-    normalized, sigma = normalized_errors(residuals / sigmas, covariances[rows])
     errors = np.hypot(residuals[..., 0], residuals[..., 1])
-    test = _row_test(fits, problem)
-    vetoes = [_veto(fit, test) for fit in fits]
-    certainties = [_certainty(fit) for fit in fits]
-    num_intrinsics = [0 if fit.error else _num_intrinsics(fit) for fit in fits]
     image = problem.observation_image[rows].astype(np.int64)
     counts = _independent(problem, fitting.folds)[rows]
-    decision = decide(
-        normalized[:, counts],
-        image[counts],
-        num_intrinsics,
-        vetoes,
-        rule,
-        cameras_of(fits, certainties),
-    )
+    shared = _largest_shared(fits, problem)
+    test = None if shared is None else row_test(shared.refined, shared.residuals)
+    order, rolling = "", {}
+    if shared is not None and test is not None and (test.fires or test.is_suspected):
+        order = read_order(measured(shared))
+        rolling = rolling_fits(fitting, fits, order)
+    held_out = np.concatenate([residuals, *(one.held_out[None, rows] for one in rolling.values())])
+    normalized, sigma = normalized_errors(held_out / sigmas, covariances[rows])
+    normalized, others = normalized[: len(fits)], normalized[len(fits) :]
+    certainties = [_certainty(fit) for fit in fits]
+    compared, known = list(fits), list(certainties)
+    if test is not None and rolling:
+        found = motion_test(
+            normalized[:, counts], others[:, counts], image[counts], list(rolling), rule
+        )
+        test = replace(test, fires=test.fires or found.is_motion)
+        if test.fires and found.explains:
+            test = replace(test, gain=found.gain)
+            normalized[list(rolling)] = others
+            for k, fit in rolling.items():
+                compared[k], known[k] = fit, _certainty(fit)
+    vetoes = [_veto(fit, test) for fit in fits]
+    num_intrinsics = [0 if fit.error else _num_intrinsics(fit) for fit in fits]
+    cameras = cameras_of(compared, known)
+    decision = decide(normalized[:, counts], image[counts], num_intrinsics, vetoes, rule, cameras)
     criteria = _criteria(fits, certainties, fitting)
     records = tuple(
         _record(
@@ -86,16 +105,18 @@ def judged(
         )
         for k, fit in enumerate(fits)
     )  # fmt: skip
-    found = verdict_of(records, decision, test, problem)
+    words = verdict_of(records, decision, test, problem)
     return Validation(
         candidates=records,
         recommended=decision.recommended,
         best=decision.best,
-        present=found.present,
-        verdict=found.verdict,
-        headline=found.headline,
+        present=words.present,
+        verdict=words.verdict,
+        headline=words.headline,
         command=records[decision.recommended].command,
-        findings=_findings(test, problem, records[decision.recommended].command),
+        findings=_findings(
+            test, fits[decision.recommended], order, records[decision.recommended].command
+        ),
         num_folds=num_folds,
         seed=seed,
         clip=clip,
@@ -107,7 +128,7 @@ def judged(
         image=image,
         errors=errors,
         normalized=normalized,
-        notes=found.notes,
+        notes=words.notes,
         time_in_seconds=perf_counter() - begun,
     )
 
@@ -152,12 +173,12 @@ def _reference(fits: Sequence[CandidateFit]) -> CandidateFit:
     return min(with_fit, key=lambda fit: (len(_lenses(fit)), -_num_intrinsics(fit)))
 
 
-def _row_test(fits: Sequence[CandidateFit], problem: Problem) -> RowTest | None:
-    """Return the test of the largest lens that images share; None if no images share a lens."""
+def _largest_shared(fits: Sequence[CandidateFit], problem: Problem) -> CandidateFit | None:
+    """Return the fit of the largest lens that images share; None if no images share a lens."""
     shared = [fit for fit in fits if not fit.error and len(_lenses(fit)) < problem.num_images]
     if not shared:
         return None
-    best = min(
+    return min(
         shared,
         key=lambda fit: (
             fit.candidate.loss == "trivial",
@@ -165,27 +186,37 @@ def _row_test(fits: Sequence[CandidateFit], problem: Problem) -> RowTest | None:
             -_num_intrinsics(fit),
         ),
     )
-    return row_test(best.refined, best.residuals)
 
 
 def _veto(fit: CandidateFit, test: RowTest | None) -> str:
     if fit.error or test is None or not test.fires:
         return ""
-    return MOTION if fit.candidate.share in ("each", "focal") else ""
+    return "" if is_shared(fit.candidate) else MOTION
 
 
-def _findings(test: RowTest | None, problem: Problem, command: str) -> tuple[Finding, ...]:
-    """Return the finding about motion, with the command that adds a rolling shutter."""
+def _findings(
+    test: RowTest | None, fit: CandidateFit, order: str, command: str
+) -> tuple[Finding, ...]:
+    """Return the finding about motion, with the command that adds a worthwhile shutter."""
     if test is None or not test.fires:
         return ()
+    gain = shutter_gain(measured(fit), order)
+    better = f": one lens predicts {100 * test.gain:.1f} % better with a shutter by {order}"
     return (
         Finding(
             kind="motion",
-            sentence="Motion or a rolling shutter: shear differs from image to image, "
-            f"{number(test.shear)} times as much as the noise explains. Keep one lens, and give "
-            "the images a motion.",
-            command=f"{command} --rolling-shutter rows" if can_roll(problem) else "",
-            evidence={"shear": test.shear, "anisotropy": test.anisotropy, "size": test.size},
+            sentence="Motion or a rolling shutter: anisotropy or shear of the residuals differs "
+            f"by image, {number(max(test.shear, test.anisotropy))} times as much as noise explains"
+            f"{better if test.gain > 0 else ''}. Keep one lens.{price_of(gain)}",
+            command=f"{command} --rolling-shutter {order}" if gain > GAIN else "",
+            evidence={
+                "shear": test.shear,
+                "anisotropy": test.anisotropy,
+                "size": test.size,
+                "confirmation": test.confirmation,
+                "predicted": test.gain if test.gain > 0 else 0.0,
+                "gain": gain,
+            },
         ),
     )
 

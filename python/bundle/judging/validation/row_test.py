@@ -39,6 +39,10 @@ anisotropy alone proves no motion: cameras may differ in fx / fy. Last, the shea
 where each image may have its own lens: in the exact test (:mod:`.shear_score`), significant at 5 %
 or twice as large as its noise. With few images the first may be out of reach.
 
+Motion along the columns leaves anisotropy only, and few images leave neither clear. Where the sum
+of both Q is beyond the quantile 1 - 1e-4 of 2 d degrees of freedom, motion is suspected: a rolling
+shutter is worth a try (:mod:`.rolling_fits`).
+
 Slopes do not tell rows from columns. A motion (a, b) y and a motion (b, -a) x differ by a rotation
 and a scale of the image, which the pose absorbs.
 """
@@ -74,7 +78,9 @@ class RowTest:
     """Variation over the images of residual patterns that a shared lens cannot have.
 
     Attributes:
-        fires: True if the shear is significant and the pattern large: motion or rolling shutter.
+        fires: True if motion is found: the shear is significant and the pattern large, or a rolling
+            shutter predicts what lenses per image do.
+        is_suspected: True if anisotropy and shear together are significant.
         isotropy: chi2 per degree of freedom of the slope along (x, y); NaN with too few images.
         anisotropy: the same along (x, -y).
         shear: the same along (y, x).
@@ -84,12 +90,15 @@ class RowTest:
         sigma: noise of a coordinate [pixels].
         confirmation: ratio of the exact test for shear (:mod:`.shear_score`), 1 in the mean without
             motion; NaN if the test above decided.
+        gain: relative decrease of the score of shared lenses by a rolling shutter, if it explains
+            their residuals: they are then compared beside it; else NaN.
         images: (num_images,) index of each image with enough observations.
         slopes: (num_images, 3) its slopes [pixels at half the longer side].
         errors: (num_images, 3) their standard errors.
     """
 
     fires: bool
+    is_suspected: bool
     isotropy: float
     anisotropy: float
     shear: float
@@ -100,6 +109,7 @@ class RowTest:
     images: NDArray[np.int64]
     slopes: _Floats
     errors: _Floats
+    gain: float = math.nan
 
     @property
     def num_images(self) -> int:
@@ -138,6 +148,7 @@ def row_test(problem: Problem, residuals: _Floats) -> RowTest:
         score = shear_score(problem, rows, position, r)
     return RowTest(
         fires=_is_confirmed(score),
+        is_suspected=bool(chi2[1] + chi2[2] > _chi2_quantile(2 * freedom, _SIGNIFICANT)),
         isotropy=float(ratios[0]),
         anisotropy=float(ratios[1]),
         shear=float(ratios[2]),

@@ -66,8 +66,10 @@ def validate(
     candidate is the one with the fewest parameters among those that predict as well as the best:
     within 2 standard errors or 1 %, unless its cameras moved or the best one is much less certain
     (:mod:`bundle.judging.validation.decision`). Errors at repeated measurements (points that occur
-    twice) do not count in the decision. A lens per image is vetoed if the residuals of the shared
-    lens show motion or a rolling shutter, which such lenses absorb.
+    twice) do not count in the decision. Where the residuals of
+    shared lenses show motion or a rolling shutter, and one lens with a shutter predicts as well as
+    any lenses per image (:mod:`bundle.judging.validation.rolling_fits`), the latter are vetoed, and
+    shared lenses are compared beside a shutter.
 
     Args:
         problem: the problem, which is not changed; also the path of one, or a

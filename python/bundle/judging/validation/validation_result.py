@@ -110,7 +110,7 @@ class Validation(Displayed, Tabular):
         headline: the verdict in sentences.
         command: command line that refines the input as recommended; "" if the input is as
             recommended.
-        findings: the finding about motion or a rolling shutter, if the row test fires.
+        findings: the finding about motion or a rolling shutter, if one explains the residuals.
         num_folds: number of folds.
         seed: seed of the folds.
         clip: largest error that counts in ``held_out_rmse``, in pixels.
@@ -122,7 +122,8 @@ class Validation(Displayed, Tabular):
         image: (num_held_out,) their image indices.
         errors: (num_candidates, num_held_out) errors of the predictions in pixels; NaN without a
             projection.
-        normalized: (num_candidates, num_held_out) normalised errors in sigmas.
+        normalized: (num_candidates, num_held_out) normalised errors in sigmas; where motion was
+            found, those of shared lenses beside a rolling shutter.
         notes: sentences about the comparison.
         time_in_seconds: elapsed time.
     """

@@ -129,6 +129,8 @@ def _legend(found: Validation) -> list[str]:
         f"{found.clip:g}; difference: of the normalised errors to the best, with its standard "
         "error; sigma: of the positions, relative to the recommended"
     )
+    if found.row_test is not None and math.isfinite(found.row_test.gain):
+        words.append("difference and =: shared lenses with a rolling shutter, all else without")
     return words
 
 

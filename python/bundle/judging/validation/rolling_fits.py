@@ -1,0 +1,116 @@
+"""Motion or a rolling shutter, found by what a shutter predicts.
+
+A lens per image absorbs part of a motion during the exposure, predicts better than one lens, and
+moves the cameras; so does a shared lens with further terms if the motions do not average out. Such
+gains are no evidence on the lens. Where the row test (:mod:`.row_test`) suspects motion, the
+candidates with shared lenses are therefore fitted again with a rolling shutter, in all folds. By
+the rule of the decision (two standard errors and 1 %)
+
+- the shutter explains the residuals if no shared lens without it predicts as well as the best with
+  it: an error of a lens that images share does not need a shutter;
+- it is motion if, besides, one of the lenses with a shutter predicts as well as the best of all,
+  lenses per image among them: lenses that differ would predict better.
+
+Where motion is found, by this or by the row test, a lens per image is vetoed. If the shutter
+explains the residuals, the scores of the shared lenses are those with the shutter, which compare
+lens with lens. Fits, positions and commands stay without it: whether it is worth its price in
+certainty is another question (:func:`bundle.judging.findings.images.shutter_gain`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.editing.rolling_shutters import with_shutters
+from bundle.errors import InputError
+from bundle.interface.rolling_shutter_options import ShutterOptions
+from bundle.judging.findings.images import direction, named_order
+from bundle.judging.findings.measured import Measured
+from bundle.judging.findings.next_command import NextCommand
+from bundle.judging.findings.systematic import SystematicResiduals
+from bundle.judging.validation.candidate_fits import CandidateFit, Fitting, fit_candidates
+from bundle.judging.validation.candidates import is_shared
+from bundle.judging.validation.decision import Decision, DecisionRule, decide
+from bundle.model.shutter_changes import can_roll
+
+_Floats = NDArray[np.float64]
+
+
+class MotionTest(NamedTuple):
+    """Result of a test by prediction.
+
+    Attributes:
+        gain: relative decrease of the lowest score with shared lenses by a shutter.
+        explains: True if no shared lens without a shutter predicts as well.
+        is_motion: True if, besides, no lens per image predicts better.
+    """
+
+    gain: float
+    explains: bool
+    is_motion: bool
+
+
+def measured(fit: CandidateFit) -> Measured:
+    """Return a fit as the findings see it."""
+    assert fit.prepared is not None
+    return Measured(whole=fit.refined, command=NextCommand(), options=fit.prepared.options)
+
+
+def read_order(model: Measured) -> str:
+    """Return the order in which the residuals say that images are read; in doubt "rows"."""
+    rows, columns, _ = direction(SystematicResiduals(model))
+    return named_order(rows, columns) or "rows"
+
+
+def rolling_fits(
+    fitting: Fitting, fits: Sequence[CandidateFit], order: str
+) -> dict[int, CandidateFit]:
+    """Return the fits with a rolling shutter, by candidate; none if it cannot be added."""
+    chosen = [
+        k
+        for k, fit in enumerate(fits)
+        if not fit.error and is_shared(fit.candidate) and "poses" in fit.candidate.refine
+    ]
+    if not chosen or not can_roll(fitting.problem):
+        return {}
+    given = ShutterOptions(rolling_shutter=order)
+    problem, options = with_shutters(fitting.problem, given, fitting.options)
+    try:
+        found = fit_candidates(
+            [fits[k].candidate for k in chosen], replace(fitting, problem=problem, options=options)
+        )
+    except InputError:  # a fold determines no motion
+        return {}
+    return {k: fit for k, fit in zip(chosen, found, strict=True) if not fit.error}
+
+
+def motion_test(
+    plain: _Floats, rolling: _Floats, image: NDArray[np.int64], shared: Sequence[int],
+    rule: DecisionRule,
+) -> MotionTest:  # fmt: skip
+    """Return the test of shared lenses with a rolling shutter.
+
+    Args:
+        plain: (num_candidates, n) normalised errors without a shutter.
+        rolling: (m, n) those of some shared lenses with one.
+        image: (n,) image index of each error.
+        shared: (m) candidates of these lenses.
+        rule: numbers of the decision.
+    """
+    count = len(rolling)
+    among_shared = _decision(np.concatenate([rolling, plain[shared]]), image, rule)
+    among_all = _decision(np.concatenate([rolling, plain]), image, rule)
+    scores = among_shared.scores
+    gain = 1.0 - float(np.nanmin(scores[:count]) / np.nanmin(scores[count:]))
+    explains = not among_shared.is_equal[count:].any()
+    is_motion = explains and bool(among_all.is_equal[:count].any())
+    return MotionTest(gain, bool(explains), is_motion)
+
+
+def _decision(errors: _Floats, image: NDArray[np.int64], rule: DecisionRule) -> Decision:
+    return decide(errors, image, np.zeros(len(errors)), None, rule)
