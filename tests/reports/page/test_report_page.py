@@ -50,7 +50,8 @@ def test_the_page_says_what_went_in_and_came_out(written, solved):
     before, after = solved.reprojection_error_before, solved.reprojection_error_after
     assert rows["RMSE [px]"] == [f"{before.rmse:.4f}", f"{after.rmse:.4f}"]
     assert float(rows["cost"][1]) == pytest.approx(solved.summary.final_cost, rel=1e-8)
-    assert rows["observations"] == ["2,400", "2,400"]
+    assert rows["observations"] == ["2400", "2400"]
+    assert rows["images"] == ["8", "8"] and rows["points"] == ["300", "300"]
     assert "<b>scene" in page.text
     assert "8 images, 1 camera, 300 points" in page.text
     for words in solved.summary.warnings:

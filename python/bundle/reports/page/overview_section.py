@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from bundle.interface.options import SolveOptions
 from bundle.model.problem import Problem
 from bundle.model.residuals import Residuals
 from bundle.reports.sections import Section, Table
+from bundle.reports.terminal.refine import before_and_after
 from bundle.reports.terminal.solve_data import ERRORS, ROUNDS
 from bundle.solving.headline import edit_facts
 from bundle.solving.result import Result
@@ -95,22 +97,13 @@ def _errors_now(description: Description, found: Residuals) -> Table | None:
 
 
 def _errors_of(result: Result) -> Table:
-    before, after = result.reprojection_error_before, result.reprojection_error_after
-    summary = result.summary
-    rows = [
-        [title, pixels(getattr(before, name)), pixels(getattr(after, name))]
-        for name, title in ERRORS.items()
-    ]
-    if not result.rounds:  # costs of different rounds are not comparable
-        held = f"{summary.held_cost:.9g}"
-        costs = ["cost", f"{summary.initial_cost:.9g}", f"{summary.final_cost:.9g}"]
-        rows[:0] = [costs, ["held cost", "-", held]] if summary.held_cost else [costs]
+    made = before_and_after(result)
     first, last = result.initial_problem, result.problem
-    for title, name in (("images", "num_images"), ("points", "num_points"),
-                        ("observations", "num_observations")):  # fmt: skip
-        rows.append([title, f"{getattr(first, name):,}", f"{getattr(last, name):,}"])
-    rows.append(["behind camera", f"{before.num_behind_camera:,}", f"{after.num_behind_camera:,}"])
-    return Table.of(["", "before", "after"], rows)
+    counts = [
+        ("images", f"{first.num_images:,}", f"{last.num_images:,}"),
+        ("points", f"{first.num_points:,}", f"{last.num_points:,}"),
+    ]
+    return replace(made, rows=[*made.rows, *counts])
 
 
 def _value(value: object) -> str:

@@ -80,18 +80,12 @@ def _run(comparison: Comparison, run: Run) -> dict[str, Any]:
 
 
 def _measurement(measurement: Measurement) -> dict[str, Any]:
+    added = measurement.added_memory_in_bytes
     return {
+        **fields(measurement),
         "total_time_in_seconds": measurement.total_time_in_seconds,
-        "build_time_in_seconds": measurement.build_time_in_seconds,
-        "solve_time_in_seconds": measurement.solve_time_in_seconds,
         "time_per_step_in_seconds": measurement.time_per_step_in_seconds,
         "breakdown": measurement.breakdown,
-        "peak_memory_in_bytes": measurement.peak_memory_in_bytes,
-        "added_memory_in_bytes": (
-            measurement.added_memory_in_bytes if measurement.added_memory_in_bytes >= 0 else None
-        ),
-        "cpu_per_wall": measurement.cpu_per_wall,
-        "load": measurement.load,
-        "summary": measurement.summary,
+        "added_memory_in_bytes": added if added >= 0 else None,
         "iterations": records(measurement.iterations),
     }

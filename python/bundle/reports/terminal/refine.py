@@ -90,7 +90,7 @@ def refinement(
         Section(facts=_facts(path, problem, solved, edits)),
         *([] if closed is None else _loops(closed)),
         *([Section(tables=[Table(ROUNDS, solved.rounds)])] if solved.rounds else []),
-        Section(tables=[_before_and_after(solved)]),
+        Section(tables=[before_and_after(solved)]),
         *_held_out(solved),
         *_positions(georeference),
         *_attitudes(attitudes),
@@ -377,7 +377,8 @@ def _ordering(summary: Summary) -> str:
     return words
 
 
-def _before_and_after(solved: Result) -> Table:
+def before_and_after(solved: Result) -> Table:
+    """Return the table of costs, errors and counts before and after a solve."""
     before, after = solved.reprojection_error_before, solved.reprojection_error_after
     rows = [
         *(
