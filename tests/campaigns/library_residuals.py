@@ -43,10 +43,12 @@ def vee(matrix):
     return np.array([matrix[2, 1], matrix[0, 2], matrix[1, 0], *matrix[:3, 3]])
 
 
+TWISTS = np.array([twist(e) for e in np.eye(6)])
+
+
 def adjoint(matrix):
     """Ad, column by column."""
-    inverse = np.linalg.inv(matrix)
-    return np.column_stack([vee(matrix @ twist(e) @ inverse) for e in np.eye(6)])
+    return vee(np.moveaxis(matrix @ TWISTS @ np.linalg.inv(matrix), 0, -1))
 
 
 def logarithm(matrix):
@@ -206,15 +208,16 @@ def of_ceres(rng, order="wxyz", **scales):
         q[places] = quaternion
         # Where |q| is not 1, this is the polynomial that Eigen evaluates.
         u, w = q[:3], q[3]
-        turned = point + 2 * w * np.cross(u, point) + 2 * np.cross(u, np.cross(u, point))
+        by_w = skew(u) @ point
+        turned = point + 2 * w * by_w + 2 * skew(u) @ by_w
         x, y, z = turned + t
         p = np.array([x, y]) / z
         f, k = lens
         square = p @ p
         bend = (1 + k * square) * np.eye(2) + 2 * k * np.outer(p, p)
         by_seen = f * bend @ np.array([[1, 0, -p[0]], [0, 1, -p[1]]]) / z
-        by_u = -2 * w * skew(point) - 2 * (skew(np.cross(u, point)) + skew(u) @ skew(point))
-        by_q = np.column_stack([by_u, 2 * np.cross(u, point)])[:, places]
+        by_u = -2 * w * skew(point) - 2 * (skew(by_w) + skew(u) @ skew(point))
+        by_q = np.column_stack([by_u, 2 * by_w])[:, places]
         by_point = np.eye(3) + 2 * w * skew(u) + 2 * skew(u) @ skew(u)
         by_lens = np.column_stack([(1 + k * square) * p, f * square * p])
         return f * (1 + k * square) * p, [by_seen @ by_q, by_seen, by_seen @ by_point, by_lens]

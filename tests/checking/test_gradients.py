@@ -6,10 +6,10 @@ import math
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 import bundle
 from bundle import InputError, _core
+from tests.checking.reprojection import skew
 from tests.printed import in_order
 
 
@@ -18,16 +18,18 @@ def rotate(blocks, wxyz=True):
     q, point = blocks
     w, v = (q[0], q[1:]) if wxyz else (q[3], q[:3])
     squared = q @ q
-    cross = np.cross(v, point)
-    rotated = point + 2 * (w * cross + np.cross(v, cross)) / squared
+    by_v = skew(v)
+    cross = by_v @ point
+    rotated = point + 2 * (w * cross + by_v @ cross) / squared
     d_w = 2 * cross / squared
-    skew = np.cross(np.eye(3), point)  # row i: e_i x point
-    d_v = 2 * (w * skew.T + (v @ point) * np.eye(3) + np.outer(v, point) - 2 * np.outer(point, v))
+    d_v = 2 * (
+        (v @ point) * np.eye(3) - w * skew(point) + np.outer(v, point) - 2 * np.outer(point, v)
+    )
     d_v = d_v / squared
     d_q = np.column_stack([d_w, d_v] if wxyz else [d_v, d_w])
     q_row = q if not wxyz else np.array([w, *v])
     d_q = d_q - 2 * np.outer(rotated - point, q_row) / squared
-    matrix = Rotation.from_quat([*v, w]).as_matrix()
+    matrix = np.eye(3) + 2 * (w * by_v + by_v @ by_v) / squared
     return rotated, [d_q, matrix]
 
 
