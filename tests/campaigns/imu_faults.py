@@ -229,7 +229,7 @@ FAULTS: dict[str, tuple[Fault, str]] = {
     "images jump 200 ms": (late(200, 12.0), "gap|stamps|far from"),
     "clock drifts 1 %": (drifting(1e4), CLOCK),
     "clock drifts 0.1 %": (drifting(1e3), CLOCK),
-    "jitter 5 ms": (jitter, ""),
+    "jitter 5 ms": (jitter, "stamps of images"),
     "gap 95 ms": (gap(0.095), "gap"),
     "gap 200 ms": (gap(0.2), "gap"),
     "50 Hz": (every(4), ""),

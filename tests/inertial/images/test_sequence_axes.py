@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -13,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from bundle.cli.main import main
 from bundle.inertial.tracking import force_check, sequence_axes, track_turns
+from bundle.inertial.tracking.force_check import CLEAR, GIVEN, _Start
 from bundle.inertial.tracking.sequence_axes import axes_findings, explanations
 from bundle.inertial.tracking.track_turns import turns_of_tracks
 from bundle.inertial.vio.sequence_images import SequenceImages
@@ -120,62 +122,79 @@ def test_an_unknown_cause_does_not_refuse_a_sequence(
     monkeypatch.setattr(sequence_axes, "check_rotations", lambda *_: None)
     monkeypatch.setattr(sequence_axes, "turns_of_tracks", lambda *_: [])
     monkeypatch.setattr(sequence_axes, "share_unexplained", lambda *_: 1.0)
-    monkeypatch.setattr(sequence_axes, "is_reversed", lambda _: False)
+    monkeypatch.setattr(sequence_axes, "right_signs", lambda *_, **__: None)
     for kind, is_problem, count in (("rotation", True, 0), ("axes", True, 1), ("axes", False, 0)):
         found = Finding(kind=kind, sentence="", is_problem=is_problem)
         monkeypatch.setattr(sequence_axes, "tracking_findings", lambda *_, found=found: (found,))
         assert len(axes_findings(flight.sequence, "S")) == count
     monkeypatch.setattr(sequence_axes, "tracking_findings", lambda *_: ())
-    for signs, count in (((1, 1, 1), 0), (None, 0), ((1, -1, 1), 1)):
+    for signs, count in ((None, 0), ((1, -1, 1), 1)):
         monkeypatch.setattr(sequence_axes, "right_signs", lambda _, signs=signs: signs)
         assert len(explanations(flight.sequence, "S")) == count
 
 
+BEST, OTHER = (-1, 1, 1), (1, -1, 1)
+ALL = tuple(product((1, -1), repeat=3))
+
+
 @pytest.mark.parametrize(
-    ("spans", "expected"),
+    ("changes", "expected"),
     [
-        ([(1.0, ""), (1.0, "bias")], True),
-        ([(0.95, ""), (0.95, "")], True),
-        ([(0.94, ""), (0.94, "")], False),
-        ([(0.96, ""), (0.51, ""), (0.96, "")], True),
-        ([(0.96, ""), (0.5, ""), (0.96, "")], False),
-        ([(1.0, "")], False),
-        ([(1.0, "no parallax"), (1.0, "")], False),
-        ([], False),
+        ({}, BEST),
+        ({OTHER: _Start("", 0.0, 100 + CLEAR - 0.01)}, None),
+        ({OTHER: _Start("", 0.0, 100 + CLEAR + 0.01)}, BEST),
+        ({OTHER: _Start("", 0.0, 90 + CLEAR - 0.01, prior=10.0)}, None),
+        ({OTHER: _Start("", 0.0, 90 + CLEAR + 0.01, prior=10.0)}, BEST),
+        ({BEST: _Start("no excitation", 0.0, 100.0)}, None),
     ],
 )
-def test_two_spans_behind_the_camera_and_none_before_it_are_reversed(
-    monkeypatch: pytest.MonkeyPatch, spans: list[tuple[float, str]], expected: bool
+def test_signs_of_a_span_are_clear_by_a_likelihood_ratio(
+    changes: dict[Any, Any], expected: Any
 ) -> None:
-    monkeypatch.setattr(force_check, "_spans", lambda _: iter(spans))
-    monkeypatch.setattr(force_check, "_start", lambda _, span: span)
-    assert force_check.is_reversed(None) == expected  # type: ignore[arg-type]
+    assert pytest.approx(2 * np.log(7e4)) == CLEAR
+    starts = dict.fromkeys(ALL, _Start("points behind the camera", 1.0, 1e4))
+    starts |= {BEST: _Start("", 0.0, 100.0), **changes}
+    for variance in (1.0, 4.0):
+        scaled = {
+            signs: start._replace(misfit=variance * start.misfit, freedom=100)
+            for signs, start in starts.items()
+        }
+        assert force_check._clear_signs(scaled) == expected
 
 
-X, Y = (-1.0, 1.0, 1.0), (1.0, -1.0, 1.0)
+UNCLEAR = None
+PASSED, BEHIND, BETWEEN, QUIET = ("", 0.0), ("x", 0.95), ("x", 0.94), ("no excitation", 0.0)
+STILL = ("no parallax", 1.0)
 
 
 @pytest.mark.parametrize(
-    ("spans", "expected"),
+    ("spans", "gross", "after"),
     [
-        ([{X}, {X}], (-1, 1, 1)),
-        ([{X, Y}, {X}], (-1, 1, 1)),
-        ([{X, Y}, {X, Y}], None),
-        ([{X}, {Y}], None),
-        ([{X}], None),
-        ([{X}, {(1.0, 1.0, 1.0), Y}], None),
-        ([{X}, {(1.0, 1.0, 1.0), Y}, {X}], (-1, 1, 1)),
+        ([(BEST, BEHIND), (BEST, BEHIND)], BEST, BEST),
+        ([(BEST, BEHIND)], None, None),
+        ([(BEST, STILL), (BEST, STILL)], None, None),
+        ([], None, None),
+        ([(BEST, BETWEEN), (BEST, BETWEEN)], None, BEST),
+        ([(BEST, PASSED), (BEST, PASSED)], None, BEST),
+        ([(BEST, BEHIND), (OTHER, BEHIND), (BEST, BEHIND)], None, None),
+        ([(BEST, BEHIND), (UNCLEAR, BEHIND), (BEST, BEHIND)], BEST, BEST),
+        ([(BEST, BEHIND), (UNCLEAR, QUIET), (BEST, BEHIND)], BEST, BEST),
+        ([(BEST, BEHIND), (GIVEN, PASSED), (BEST, BEHIND)], None, None),
+        ([(BEST, BEHIND), (UNCLEAR, PASSED), (BEST, BEHIND)], None, BEST),
     ],
 )
-def test_signs_that_explain_two_spans_alone_are_right(
-    monkeypatch: pytest.MonkeyPatch, spans: list[set[Any]], expected: Any
+def test_two_spans_name_the_signs_unless_one_before_contradicts(
+    monkeypatch: pytest.MonkeyPatch, spans: list[Any], gross: Any, after: Any
 ) -> None:
     @dataclass
     class Given:
         accel: Any
 
-    def start(images: Any, span: set[Any]) -> tuple[float, str]:
-        return 0.0, "" if tuple(images.sequence.accel) in span else "bias"
+    def start(images: Any, span: Any) -> _Start:
+        best, given = span
+        if best == tuple(images.sequence.accel):
+            return _Start("", given[1] if best == GIVEN else 0.0, 1.0)
+        return _Start(*given, misfit=2.0 if best is UNCLEAR else 100.0)
 
     monkeypatch.setattr(force_check, "_spans", lambda _: iter(spans))
     monkeypatch.setattr(force_check, "_start", start)
@@ -183,7 +202,8 @@ def test_signs_that_explain_two_spans_alone_are_right(
         force_check, "SequenceImages", lambda given: SimpleNamespace(sequence=given)
     )
     images: Any = SimpleNamespace(sequence=Given(np.ones(3)))
-    assert force_check.right_signs(images) == expected
+    assert force_check.right_signs(images, is_gross=True) == gross
+    assert force_check.right_signs(images) == after
 
 
 @pytest.mark.parametrize("milliseconds", [-100, 30, 130])

@@ -21,6 +21,7 @@ imply. Its standard deviation follows from the curvature.
 
 from __future__ import annotations
 
+from copy import copy
 from itertools import permutations, product
 from typing import Any
 
@@ -80,7 +81,7 @@ class RotationCheck:
 
 def check_rotations(recording: Recording, turns: list[Turn]) -> RotationCheck:
     """Compare rotations of image pairs, numbered from the first tracked image."""
-    pairs = _Pairs(recording, turns)
+    pairs = RotationPairs(recording, turns)
     if len(pairs.camera) < FEWEST:
         return RotationCheck()
     lens = rotation_matrices(np.array(recording.calibration.camera_from_imu)[None, :4])[0]
@@ -123,17 +124,29 @@ def check_rotations(recording: Recording, turns: list[Turn]) -> RotationCheck:
 
 def share_unexplained(recording: Recording, turns: list[Turn]) -> float:
     """Return the share of the rotation that the calibration leaves unexplained; 0 if unknown."""
-    pairs = _Pairs(recording, turns)
+    pairs = RotationPairs(recording, turns)
     if len(pairs.camera) < FEWEST:
         return 0.0
     lens = rotation_matrices(np.array(recording.calibration.camera_from_imu)[None, :4])[0]
     return pairs.unexplained(lens, pairs.imu(0.0))
 
 
-class _Pairs:
-    """Rotation vectors of image pairs by the tracks, and by samples at a shift of time."""
+class RotationPairs:
+    """Rotation vectors of image pairs by the tracks, and by samples at a shift of time.
 
-    def __init__(self, recording: Recording, turns: list[Turn]) -> None:
+    Args:
+        recording: samples and stamps.
+        turns: rotations by tracks.
+        least_turn: smallest rotation that counts [rad].
+
+    Attributes:
+        spans: (n, 2) stamps of the pairs on the IMU's clock, ns.
+        camera: (n, 3) rotation vectors by the tracks.
+    """
+
+    def __init__(
+        self, recording: Recording, turns: list[Turn], least_turn: float = LEAST_TURN
+    ) -> None:
         stamps = recording.imu_timestamps_ns
         self._slices = ImuSlices(stamps, recording.gyro, recording.accel, "midpoint")
         self._noise = recording.calibration.noise
@@ -148,12 +161,18 @@ class _Pairs:
             vectors = vector_from_quaternion(quaternion_from_matrix(matrices))
         most = round(1e9 * SHIFTS[-1])
         kept = (spans[:, 0] - most >= stamps[0]) & (spans[:, 1] + most <= stamps[-1])
-        kept &= _norms(vectors) >= LEAST_TURN
+        kept &= _norms(vectors) >= least_turn
         rows = np.flatnonzero(kept)
         if len(rows) > MOST:
             rows = rows[np.linspace(0, len(rows) - 1, MOST).round().astype(int)]
         self.spans, self.camera = spans[rows], vectors[rows]
         self.seconds = 1e-9 * float(np.median(np.diff(self.spans))) if len(rows) else 0.0
+
+    def at(self, spans: Array) -> RotationPairs:
+        """Return the same rotations of the camera at other stamps."""
+        moved = copy(self)
+        moved.spans = spans
+        return moved
 
     def imu(self, shift: float, scale: float = 1.0) -> Array:
         """Return rotation vectors (n, 3) later_from_earlier of the IMU, of scaled samples.
@@ -214,7 +233,7 @@ def kabsch(camera: Array, imu: Array) -> Array:
     return rotation
 
 
-def _angle(lens: Array, pairs: _Pairs, imu: Array) -> tuple[float, float]:
+def _angle(lens: Array, pairs: RotationPairs, imu: Array) -> tuple[float, float]:
     """Return the angle to the rotation that tracks imply, and its standard deviation, degrees."""
     drift = np.median(pairs.camera - imu @ lens.T, axis=0)
     rotation = kabsch(pairs.camera - drift, imu)
@@ -229,7 +248,7 @@ def _angle(lens: Array, pairs: _Pairs, imu: Array) -> tuple[float, float]:
     return angle, float(np.degrees(sigma))
 
 
-def _likely_shifts(pairs: _Pairs) -> list[float]:
+def _likely_shifts(pairs: RotationPairs) -> list[float]:
     """Return the shift at which the sizes of rotations, which no axes change, agree best."""
     sizes = _norms(pairs.camera)
     scores = []
@@ -239,7 +258,7 @@ def _likely_shifts(pairs: _Pairs) -> list[float]:
     return [float(SHIFTS[int(np.argmax(scores))])]
 
 
-def _time_shift(pairs: _Pairs, matrix: Array) -> tuple[float, float]:
+def _time_shift(pairs: RotationPairs, matrix: Array) -> tuple[float, float]:
     """Return the best shift and its standard deviation by a parabola through the cost.
 
     If the best one is the last, those beyond are tried, too.

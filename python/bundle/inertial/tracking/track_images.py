@@ -6,8 +6,10 @@ import os
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
+from bundle.inertial.tracking.stamp_jitter import jitter_findings
 from bundle.inertial.tracking.track_recording import Tracking, track_recording
 from bundle.inertial.tracking.tracking_findings import tracking_findings
+from bundle.inertial.vio.sequence_images import SequenceImages
 from bundle.interface.finding import Finding
 from bundle.interface.tracking_options import TrackingOptions
 from bundle.io.sequences.recordings import RecordingSource, read_recording
@@ -68,6 +70,7 @@ def track_images(
 
     found: tuple[SequenceFinding | Finding, ...] = (
         *tracking_findings(recording, tracking.check),
+        *jitter_findings(SequenceImages(sequence), recording),
         *sequence_findings(sequence, recording.imu_place, place),
     )
     return TrackedImages(sequence, tracking, found)

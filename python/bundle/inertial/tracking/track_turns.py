@@ -23,8 +23,8 @@ APART = 0.25  # s between the images of a pair
 FEWEST = 12  # common tracks
 
 
-def turns_of_tracks(images: SequenceImages, most: int) -> list[Turn]:
-    """Return rotations between images a quarter of a second apart, as of a recording's images."""
+def turns_of_tracks(images: SequenceImages, most: int, apart: float = APART) -> list[Turn]:
+    """Return rotations between images that are some seconds apart, as of a recording's images."""
     stamps, covered = images.stamps, np.flatnonzero(images.covered)
     sigma = images.sequence.calibration.pixel_sigma / images.sequence.calibration.focal
     earlier = covered
@@ -32,12 +32,12 @@ def turns_of_tracks(images: SequenceImages, most: int) -> list[Turn]:
         earlier = earlier[np.linspace(0, len(earlier) - 1, most).round().astype(int)]
     turns = []
     for first in earlier.tolist():
-        second = int(np.searchsorted(stamps, stamps[first] + round(1e9 * APART)))
+        second = int(np.searchsorted(stamps, stamps[first] + round(1e9 * apart)))
         if second > covered[-1]:
             break
         one, other = images.tracks(first), images.tracks(second)
         _, a, b = np.intersect1d(one.ids, other.ids, assume_unique=True, return_indices=True)
-        if len(a) < FEWEST or stamps[second] - stamps[first] > 2e9 * APART:
+        if len(a) < FEWEST or stamps[second] - stamps[first] > 2e9 * apart:
             continue
         rays = [np.column_stack([xy, np.ones(len(xy))]) for xy in (one.xy[a], other.xy[b])]
         x, y = (each / np.linalg.norm(each, axis=1, keepdims=True) for each in rays)
