@@ -25,6 +25,7 @@ from bundle.judging.validation.position_certainty import Certainty, certainty
 from bundle.judging.validation.prediction import normalized_errors, prediction_covariances
 from bundle.judging.validation.refine_command import refine_command
 from bundle.judging.validation.rolling_fits import (
+    are_clearly_worse,
     measured,
     motion_test,
     read_order,
@@ -42,6 +43,8 @@ MOST_REPEATED = 0.5
 """Share of repeated measurements from which they take part in the decision."""
 
 MOTION = "motion or rolling shutter: a lens per image would absorb it"
+
+LACKING = "a rolling shutter would absorb what this lens lacks in all images"
 
 _Floats = NDArray[np.float64]
 
@@ -83,6 +86,7 @@ def judged(
     normalized, others = normalized[: len(fits)], normalized[len(fits) :]
     certainties = [_certainty(fit) for fit in fits]
     compared, known = list(fits), list(certainties)
+    lacking = np.zeros(0, bool)
     if test is not None and rolling:
         found = motion_test(
             normalized[:, counts], others[:, counts], image[counts], list(rolling), rule
@@ -90,10 +94,13 @@ def judged(
         test = replace(test, fires=test.fires or found.is_motion)
         if test.fires and found.explains:
             test = replace(test, gain=found.gain)
+            lacking = are_clearly_worse(normalized[list(rolling)][:, counts], image[counts], rule)
             normalized[list(rolling)] = others
             for k, fit in rolling.items():
                 compared[k], known[k] = fit, _certainty(fit)
     vetoes = [_veto(fit, test) for fit in fits]
+    for k, lacks in zip(rolling, lacking.tolist(), strict=False):
+        vetoes[k] = LACKING if lacks else ""
     num_intrinsics = [0 if fit.error else _num_intrinsics(fit) for fit in fits]
     cameras = cameras_of(compared, known)
     decision = decide(normalized[:, counts], image[counts], num_intrinsics, vetoes, rule, cameras)
