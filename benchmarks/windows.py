@@ -27,8 +27,8 @@ from bundle.inertial.vio.sequence_images import SequenceImages
 from bundle.inertial.vio.sliding_window import SlidingWindow
 from bundle.inertial.vio.window_contents import window_arrays
 from bundle.interface.window_options import WindowOptions
-from bundle.io.sequences.track_csv import read_track_csv
-from bundle.model.rotations import rotation_matrices
+from bundle.io.sequences.sequence_folder import read_track_csv
+from bundle.model.rigid_motions import rotation_matrices
 
 DATA = Path(os.environ.get("BUNDLE_DATA", Path(__file__).parents[2] / "shared" / "data")) / "vio"
 SEQUENCE = DATA / "euroc_V1_01_tracks_imu_30s.csv"

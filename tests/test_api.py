@@ -6,11 +6,12 @@ import sys
 
 import numpy as np
 import pytest
+from tools import public_stub
 
 import bundle
 from bundle.base.words import contents, plural
-from bundle.interface.compare_options import COMPARED
 from bundle.interface.option_class import spellings
+from bundle.interface.planning_options import COMPARED
 from bundle.model.reprojection import reprojection_error
 from tests import scenes
 
@@ -229,3 +230,8 @@ def test_examples_and_pages_are_importable_without_an_installed_matplotlib():
         "import sys; sys.modules['matplotlib'] = None; import bundle; bundle.pictures, bundle.html"
     )
     subprocess.run([sys.executable, "-c", script], check=True)
+
+
+def test_the_stub_has_the_public_names() -> None:
+    """`python tools/public_stub.py` writes it."""
+    assert public_stub.stub() == public_stub.TARGET.read_text(encoding="utf-8")

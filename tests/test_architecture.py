@@ -17,7 +17,7 @@ CORE += (
 LAYERS = f"{CORE} diagnosis ceres solver".split()  # of cpp/core, the lowest first
 ROOMS = "base interface model io checking graphs georeference editing solving inertial synthetic"
 RANKS = f"{ROOMS} planning analysis judging figures reports cli".split()  # of python/bundle
-ROOT_FILES = ["__init__.py", "__main__.py", "_core.pyi", "errors.py", "py.typed"]
+ROOT_FILES = ["__init__.py", "__init__.pyi", "__main__.py", "_core.pyi", "errors.py", "py.typed"]
 OUTSIDERS = {  # other people's packages, and the rooms that may know them
     "argparse": "cli", "shtab": "cli", "rich": "base checking reports cli", "matplotlib": "figures",
     "pycolmap": "model io", "pyproj": "georeference", "yaml": "model",

@@ -13,11 +13,10 @@ import dataclasses
 import sys
 from pathlib import Path
 
-from bundle.interface.flight_options import FlightOptions
 from bundle.interface.option_class import Options
 from bundle.interface.options import SolveOptions
 from bundle.interface.pose_graph_options import PoseGraphOptions
-from bundle.interface.scene_options import SceneOptions
+from bundle.interface.scene_options import FlightOptions, SceneOptions
 from bundle.interface.window_options import WindowOptions
 
 TARGET = Path(__file__).parents[1] / "python" / "bundle" / "interface" / "option_keywords.py"

@@ -26,7 +26,7 @@ namespace {
 
 using Array = py::array_t<double, py::array::c_style | py::array::forcecast>;
 
-/// (name, constant entries), as made by python/bundle/checking/manifolds.py.
+/// (name, constant entries), as made by python/bundle/checking/residual_blocks.py.
 using PythonManifold = std::pair<std::string, std::vector<int>>;
 
 bundle::ManifoldSpec ToSpec(const PythonManifold& manifold) {

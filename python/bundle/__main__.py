@@ -18,9 +18,9 @@ def run() -> int:
     from bundle.base import blas_threads
 
     blas_threads.begin()
-    from bundle.solving.ranks import end_by_mpirun
+    from bundle.solving.ranks import launch
 
-    end_by_mpirun.begin()
+    launch.begin()
     from bundle.cli.main import main
     from bundle.solving.ranks.launch import size_by_launcher
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from bundle.base.memory_sizes import format_size, parse_size
+from bundle.base.words import format_size, parse_size
 from bundle.errors import InputError
 
 

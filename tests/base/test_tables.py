@@ -12,8 +12,7 @@ from rich.console import Console
 from rich.text import Text
 
 from bundle.base import tables
-from bundle.base.tables import columns, facts, notes, print_styled, render
-from bundle.base.wrapped_text import cell_width, wrap
+from bundle.base.tables import cell_width, columns, facts, notes, print_styled, render, wrap
 
 ALPHABETS = ("ab ", "abcdef  \t\n", "a\u4e2d\u6587 ", "e\u0301\u00df\u03c3 -")
 

@@ -12,7 +12,7 @@ import numpy as np
 
 import bundle
 from bundle.analysis.statistics.description import describe
-from bundle.interface.option_lists import REFINABLE
+from bundle.interface.option_fields import REFINABLE
 from bundle.interface.options import GAUGES, LOSSES, ORDERINGS, TRUST_REGION_STRATEGIES
 from tests import scenes
 from tests.campaigns import jobs

@@ -11,8 +11,7 @@ import numpy as np
 
 import bundle
 from bundle.analysis.diagnosis.shutter_modes import shutter_modes
-from bundle.synthetic.video.film_motions import Car, DroneGrid, Motion, PhoneWalk
-from bundle.synthetic.video.video_scene import film
+from bundle.synthetic.video_scene import Car, DroneGrid, Motion, PhoneWalk, film
 
 MODELS = ("PINHOLE", "SIMPLE_RADIAL", "OPENCV")
 HEALTHY = ("phone", "car", "drone", "phone that does not turn", "drone that does not turn")

@@ -27,11 +27,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from bundle.cli.main import main as bundle
-from bundle.io.sequences.sequence_folder import save_sequence
-from bundle.io.sequences.track_csv import read_track_csv
+from bundle.io.sequences.sequence_folder import read_track_csv, save_sequence
 from bundle.io.sequences.trajectory_files import save_tum
 from bundle.model.sequence.sequence import Sequence
-from bundle.synthetic.flight.synthetic_flight import synthesize_flight
+from bundle.synthetic.synthetic_flight import synthesize_flight
 
 Array = np.ndarray[Any, Any]
 Fault = Callable[[Sequence], Sequence]

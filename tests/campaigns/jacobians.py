@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 import bundle
 from bundle import _core
-from bundle.graphs.factors.twist_factors import TwistTieFactor, VelocityFactor
+from bundle.graphs.factors.image_factors import TwistTieFactor, VelocityFactor
 from bundle.model.cameras import camera_models
 from tests.checking.reprojection import left_jacobian, skew
 from tests.scenes import PARAMS

@@ -28,7 +28,7 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 import bundle
-from bundle.model.rotations import rotation_matrices
+from bundle.model.rigid_motions import rotation_matrices
 from tests.io.formats.foreign_files import small
 
 SIZE = (800, 600)

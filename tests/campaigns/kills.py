@@ -32,7 +32,7 @@ import bundle
 import bundle.cli.refine
 import bundle.reports.terminal.refine
 from bundle.cli.main import main
-from bundle.io.atomic import exchange
+from bundle.io.atomic import replacement
 from bundle.io.atomic.model_files import MODEL_FILES
 from bundle.io.atomic.temporary import is_temporary
 from tests.io.kills import killed_before
@@ -148,16 +148,16 @@ def _measure(case: Case) -> None:
 @contextmanager
 def _system(case: Case) -> Iterator[None]:
     """Take the exchange of folders from the system where the case is to go without."""
-    real = exchange._exchange
+    real = replacement._exchange
 
     def refuse(*_: object) -> None:
         raise OSError(22, "Invalid argument")
 
-    exchange._exchange = real if case.can_exchange else refuse
+    replacement._exchange = real if case.can_exchange else refuse
     try:
         yield
     finally:
-        exchange._exchange = real
+        replacement._exchange = real
 
 
 def _kill(case: Case, count: int, draw: random.Random) -> None:

@@ -15,7 +15,7 @@ import numpy as np
 
 from bundle.inertial.vio.keyframe_record import KeyframeRecord
 from bundle.inertial.vio.odometry import run_odometry
-from bundle.synthetic.flight.synthetic_flight import synthesize_flight
+from bundle.synthetic.synthetic_flight import synthesize_flight
 
 PERIOD = 0.25  # s per keyframe
 BATCH = 1000

@@ -28,7 +28,7 @@ from scipy.stats import norm
 from bundle.inertial.vio.sequence_images import SequenceImages
 from bundle.inertial.vio.sliding_window import SlidingWindow
 from bundle.inertial.vio.trajectory_comparison import states_at
-from bundle.synthetic.flight.synthetic_flight import SyntheticFlight, synthesize_flight
+from bundle.synthetic.synthetic_flight import SyntheticFlight, synthesize_flight
 
 Array = np.ndarray[Any, Any]
 

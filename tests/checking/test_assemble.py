@@ -2,9 +2,9 @@
 
 import pytest
 
-from bundle.checking.assemble import make_report
 from bundle.checking.evidence import Finding
 from bundle.checking.gradient_report import GradientCheckerSummary, Undecided
+from bundle.checking.tally import make_report
 
 
 def verdict(num_checked, num_undecided, *findings):

@@ -5,9 +5,9 @@ import pytest
 
 import bundle
 from bundle.checking import column_signatures, row_signatures
-from bundle.checking.columns import Block, Column
 from bundle.checking.evidence import Evidence
 from bundle.checking.jacobian_deviation import JacobianDeviation
+from bundle.checking.residual_blocks import Block, Column
 
 TOLERANCE = 1e-7
 

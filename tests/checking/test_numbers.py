@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import bundle
-from bundle.checking.columns import Column
 from bundle.checking.evidence import Evidence
 from bundle.checking.jacobian_deviation import JacobianDeviation
+from bundle.checking.residual_blocks import Column
 from bundle.checking.tally import Tally
 
 

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from bundle.checking.manifolds import Manifold
-from bundle.checking.residual_blocks import sample
+from bundle.checking.residual_blocks import Manifold, sample
 
 
 @pytest.mark.parametrize(

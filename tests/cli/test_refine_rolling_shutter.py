@@ -8,8 +8,8 @@ import pytest
 import bundle
 from bundle.cli.main import main
 from bundle.interface.scene_options import SceneOptions
-from bundle.io.frame_times import neighbours_in_time, read_frame_times
-from bundle.synthetic.video.video_scene import film
+from bundle.io.rolling_shutter_file import neighbours_in_time, read_frame_times
+from bundle.synthetic.video_scene import film
 from tests import scenes
 
 TIED = ("--twists", "tied", "--twist-sigma", "0.0032,0.0032")

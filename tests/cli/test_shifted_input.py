@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import bundle
-from bundle.model.residuals import residuals
+from bundle.model.reprojection import residuals
 from tests.io.formats import foreign_files as foreign
 from tests.io.formats.foreign_files import small
 from tests.scenes import make_problem

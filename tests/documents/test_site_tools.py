@@ -104,6 +104,15 @@ def test_a_docstring_is_the_comment_of_a_module(tmp_path):
     assert derivations.comments_of(path) == []
 
 
+def test_comments_of_the_parts_of_a_module(tmp_path):
+    path = tmp_path / "a.py"
+    long = "".join(f"# {word}\n" for word in ("One", "two", "three", "four", "five", "six"))
+    path.write_text(f'"""Title."""\n\n{long}\n\ndef f():\n    pass\n\n\n# Short.\nx = 1\n')
+    head, part = derivations.comments_of(path)
+    assert (head.lines, head.stands_above) == (["Title."], "")
+    assert (part.line, part.stands_above, part.lines[5]) == (3, "def f()", "six")
+
+
 def test_code_in_text_is_set_as_code():
     found = derivations.text_nodes("as :func:`bundle.solve` does with ``x[0]``::")
     assert [node.astext() for node in found] == ["as ", "bundle.solve", " does with ", "x[0]", ":"]

@@ -15,8 +15,7 @@ import bundle
 from bundle.georeference.local_frame import LocalFrame
 from bundle.inertial.vio.trajectory_comparison import states_at
 from bundle.io.sequences.trajectory_files import load_trajectory
-from bundle.model.rigid_motions import inverse_poses, multiply_poses
-from bundle.model.rotations import rotation_matrices
+from bundle.model.rigid_motions import inverse_poses, multiply_poses, rotation_matrices
 from bundle.reports.sections import dumps
 from bundle.reports.terminal.compare import compared
 from tests.editing.merging.halves import halves, whole
@@ -181,8 +180,8 @@ def sequence(folder: Path, data: Path) -> None:
 
 
 def images(folder: Path) -> None:
-    """mav0, 1.5 s of a rendered flight, as a bag and as a video; Kalibr's calibration."""
-    mav = render(Flight(duration=1.5, **SMALL), folder)
+    """mav0, three seconds of a rendered flight, as a bag and as a video; Kalibr's calibration."""
+    mav = render(Flight(duration=3.0, **SMALL), folder)
     write_kalibr(mav)
     write_bag(mav, folder / "flight.bag", 1)
     write_video(mav)

@@ -5,9 +5,9 @@ import pytest
 
 import bundle
 from bundle.georeference.similarity import Similarity, moved
-from bundle.model.rotations import quaternion_rotate
+from bundle.model.rigid_motions import quaternion_rotate
 from bundle.model.shutter_motion import read_positions
-from bundle.synthetic.video.video_scene import film
+from bundle.synthetic.video_scene import film
 
 
 def scene_of(kind="orbit", direction="rows", **changes):

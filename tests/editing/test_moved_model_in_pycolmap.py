@@ -13,10 +13,14 @@ from scipy.sparse.linalg import spsolve
 import bundle
 from bundle.analysis.diagnosis.shutter_modes import shutter_jacobians
 from bundle.georeference.similarity import umeyama
-from bundle.model.rigid_motions import multiply_poses
-from bundle.model.rotations import cross_matrices, quaternion_from_vector, rotation_matrices
+from bundle.model.rigid_motions import (
+    cross_matrices,
+    multiply_poses,
+    quaternion_from_vector,
+    rotation_matrices,
+)
 from bundle.model.shutter_motion import moved
-from bundle.synthetic.video.video_scene import film
+from bundle.synthetic.video_scene import film
 from tests.editing.test_global_shutter import rolling_residuals
 
 

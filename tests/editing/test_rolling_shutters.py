@@ -5,7 +5,7 @@ import pytest
 
 import bundle
 from bundle.editing.rolling_shutters import FIRST_READOUT, with_shutters
-from bundle.interface.rolling_shutter_options import ShutterOptions
+from bundle.interface.camera_edit_options import ShutterOptions
 from tests import scenes
 
 OPTIONS = bundle.SolveOptions()

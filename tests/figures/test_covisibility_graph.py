@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from bundle import pictures
-from bundle.figures.covisibility_graph import covisibility_graph, within_view
+from bundle.figures.structure_figures import covisibility_graph, within_view
 from tests.scenes import make_problem
 
 

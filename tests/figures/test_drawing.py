@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from bundle import pictures
-from bundle.figures.axes import Axis, linear, logarithmic, round_down, square
 from bundle.figures.drawing import Figure, LineFigure, over_image
 from bundle.figures.marks import (
+    Axis,
     Bars,
     Cells,
     Dots,
@@ -27,6 +27,10 @@ from bundle.figures.marks import (
     StackedBars,
     Steps,
     Vectors,
+    linear,
+    logarithmic,
+    round_down,
+    square,
 )
 from bundle.figures.matplotlib import draw as matplotlib_draw
 from bundle.reports.page import svg

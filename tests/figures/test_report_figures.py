@@ -9,13 +9,11 @@ import numpy as np
 import pytest
 
 from bundle.figures.cost_figures import column_figure, iteration_figure
-from bundle.figures.lens_curves import lens_curve
-from bundle.figures.lens_figures import distance_figure, lens_figure, sigma_figure
+from bundle.figures.lens_figures import distance_figure, lens_curve, lens_figure, sigma_figure
 from bundle.figures.marks import GREY, Dots, Ellipses, Line, Places, Vectors
-from bundle.figures.placement_errors import placement
-from bundle.figures.placement_figures import plan_figure, position_figure, target_figure
+from bundle.figures.placement_figures import placement, plan_figure, position_figure, target_figure
 from bundle.figures.projection_uncertainty import projection_uncertainty
-from bundle.figures.track_statistics import angle_figure, length_figure, track_statistics
+from bundle.figures.structure_figures import angle_figure, length_figure, track_statistics
 from tests.figures.matplotlib.test_placement_numbers import RECORD
 from tests.scenes import make_problem
 

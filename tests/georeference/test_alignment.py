@@ -12,16 +12,15 @@ from scipy.spatial.transform import Rotation
 
 import bundle
 from bundle import InputError, align
-from bundle.georeference.correspondences import Correspondences
 from bundle.georeference.gcp_list import read_gcp_list
 from bundle.georeference.gps_positions import GpsPositions
 from bundle.georeference.image_index import ImageIndex
 from bundle.georeference.local_frame import LocalFrame
 from bundle.georeference.similarity import Similarity, moved
-from bundle.georeference.similarity_fit import fit_similarity
+from bundle.georeference.similarity_fit import Correspondences, fit_similarity
 from bundle.georeference.triangulated_targets import direction_of, triangulate
 from bundle.model.reprojection import reprojection_errors
-from bundle.model.rotations import quaternion_from_matrix, rotation_matrices
+from bundle.model.rigid_motions import quaternion_from_matrix, rotation_matrices
 from tests.formulas import PARAMS as MODELS
 from tests.georeference.blocks import MODEL, PARAMS, TRUTH, block
 from tests.rig_scenes import rig_problem

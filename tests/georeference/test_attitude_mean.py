@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bundle.georeference.attitude_mean import agree, exp, log
+from bundle.georeference.problem_attitudes import agree, exp, log
 
 
 def agreed(angles, sigma):

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import bundle
-from bundle.georeference.colmap_database import read_database_gps
 from bundle.georeference.given_positions import given_gps
+from bundle.georeference.gps_positions import read_database_gps
 from bundle.georeference.local_frame import LocalFrame
 from tests.georeference import blocks
 

@@ -8,8 +8,7 @@ from PIL import Image
 
 from bundle import InputError
 from bundle.georeference.attitudes import read_attitudes
-from bundle.georeference.dji_xmp import read_dji, xmp_packet
-from bundle.georeference.exif_gps import read_exif_gps
+from bundle.georeference.exif_gps import read_dji, read_exif_gps, xmp_packet
 from tests.scenes import make_problem
 
 HEAD = (

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from bundle import InputError, align
-from bundle.georeference.geo_file import read_geo_file
-from bundle.georeference.gps_positions import GpsPositions, with_fix
-from bundle.georeference.gps_priors import gps_priors
+from bundle.georeference.gps_positions import GpsPositions, read_geo_file, with_fix
 from bundle.georeference.local_frame import LocalFrame
+from bundle.georeference.survey_priors import gps_priors
 from tests.georeference.flights import flight
 
 FILE = """EPSG:4326

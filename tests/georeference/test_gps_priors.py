@@ -7,11 +7,10 @@ import pytest
 
 import bundle
 from bundle import InputError
-from bundle.georeference.geo_file import read_geo_file
 from bundle.georeference.georeferenced import rig_notes
-from bundle.georeference.gps_positions import GpsPositions
-from bundle.georeference.gps_priors import gps_priors
+from bundle.georeference.gps_positions import GpsPositions, read_geo_file
 from bundle.georeference.local_frame import LocalFrame
+from bundle.georeference.survey_priors import gps_priors
 from tests.georeference.blocks import block
 from tests.georeference.test_prior_alignment import problem_and_goal
 from tests.rig_scenes import rig_problem

@@ -5,10 +5,9 @@ import pytest
 
 import bundle
 from bundle import GroundControlPoint, InputError
-from bundle.georeference.gcp_priors import gcp_priors
 from bundle.georeference.gps_positions import GpsPositions
-from bundle.georeference.gps_priors import gps_priors
 from bundle.georeference.local_frame import LocalFrame
+from bundle.georeference.survey_priors import gcp_priors, gps_priors
 from tests.georeference.flights import flight
 
 TARGETS = [[-20, -20, 0], [20, -20, 0.5], [20, 20, 0], [-20, 20, 1]]

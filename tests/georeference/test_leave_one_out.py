@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bundle.georeference.correspondences import Correspondences
-from bundle.georeference.leave_one_out import LEVEL, leave_one_out
-from bundle.georeference.similarity_fit import fit_similarity
+from bundle.georeference.similarity_fit import Correspondences, fit_similarity
+from bundle.georeference.survey import LEVEL, leave_one_out
 
 
 def survey(rng, count=8, sigma=0.02, stated=0.02, relief=2.0):

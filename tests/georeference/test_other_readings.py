@@ -9,14 +9,13 @@ from scipy.spatial.transform import Rotation
 
 import bundle
 from bundle import InputError
-from bundle.georeference.correspondences import Correspondences
-from bundle.georeference.gcp_priors import gcp_priors
 from bundle.georeference.gps_positions import GpsPositions
-from bundle.georeference.gps_priors import gps_priors
 from bundle.georeference.local_frame import LocalFrame
 from bundle.georeference.other_readings import check_readings, uprightness
 from bundle.georeference.reference_system import ReferenceSystem
 from bundle.georeference.similarity import Similarity, moved
+from bundle.georeference.similarity_fit import Correspondences
+from bundle.georeference.survey_priors import gcp_priors, gps_priors
 from tests.georeference.flights import flight
 
 TARGETS = [

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 import bundle
 from bundle import InputError
-from bundle.georeference.position_prior import PositionPrior
+from bundle.georeference.vector_priors import PositionPrior
 from tests import scenes
 
 LEVER = np.array([0.2, -0.1, 0.4])

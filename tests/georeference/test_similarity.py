@@ -7,9 +7,8 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from bundle import InputError
-from bundle.georeference.correspondences import Correspondences
 from bundle.georeference.similarity import umeyama
-from bundle.georeference.similarity_fit import fit_similarity
+from bundle.georeference.similarity_fit import Correspondences, fit_similarity
 
 TURN = Rotation.from_euler("zyx", [130, 12, -25], degrees=True)
 

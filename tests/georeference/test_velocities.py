@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bundle import InputError
-from bundle.georeference.dji_xmp import read_dji
+from bundle.georeference.exif_gps import read_dji
 from bundle.georeference.velocities import read_velocities, velocity_text
 from tests.georeference.test_dji_xmp import attributes, photograph
 from tests.georeference.test_velocity_priors import filmed, priors_of

@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 
 import bundle
 from bundle import InputError, PositionPrior, VelocityPrior
-from bundle.georeference.problem_velocities import ProblemVelocities
 from bundle.georeference.similarity import Similarity, moved
+from bundle.georeference.velocities import ProblemVelocities
 from bundle.solving.placed_problem import place_at_priors
 from tests import rolling, scenes
 from tests.campaigns.rolling_shutter import found_readout, make

@@ -8,20 +8,18 @@ import inspect
 
 import pytest
 
-from bundle.cli.flag_values import READERS
 from bundle.cli.main import command_parser
-from bundle.cli.option_flags import add_options, options_given
+from bundle.cli.option_flags import READERS, add_options, options_given
 from bundle.cli.parser import Parser
 from bundle.errors import InputError
 from bundle.georeference.alignment import align
 from bundle.georeference.control_point import parse_sigma
-from bundle.georeference.gcp_priors import gcp_priors
-from bundle.georeference.gps_priors import gps_priors
+from bundle.georeference.survey_priors import gcp_priors, gps_priors
 from bundle.graphs.loops.loop_graph import close_loops
 from bundle.interface.georeference_options import GeoreferenceOptions
-from bundle.interface.loop_options import LoopOptions
 from bundle.interface.option_class import Options
 from bundle.interface.option_classes import OPTION_CLASSES, option_class
+from bundle.interface.pose_graph_options import LoopOptions
 from bundle.interface.round_options import CheckpointOptions, LocalOptions, RoundOptions
 
 CLASSES = [option_class(name) for name in OPTION_CLASSES]

@@ -13,11 +13,10 @@ import pytest
 
 import bundle
 from bundle.interface import option_keywords
-from bundle.interface.flight_options import FlightOptions
 from bundle.interface.option_class import takes_options
 from bundle.interface.options import SolveOptions
 from bundle.interface.pose_graph_options import PoseGraphOptions
-from bundle.interface.scene_options import SceneOptions
+from bundle.interface.scene_options import FlightOptions, SceneOptions
 from bundle.interface.window_options import WindowOptions
 
 CLASSES = (SolveOptions, PoseGraphOptions, SceneOptions, FlightOptions, WindowOptions)

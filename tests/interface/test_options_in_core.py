@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from bundle import SolveOptions, _core
-from bundle.interface.option_lists import REFINABLE
+from bundle.interface.option_fields import REFINABLE
 
 HEADER = (Path(__file__).parents[2] / "cpp" / "core" / "interface" / "options.h").read_text()
 PYTHON = {field.name: field for field in dataclasses.fields(SolveOptions)}

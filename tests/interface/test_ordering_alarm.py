@@ -8,9 +8,15 @@ import pytest
 
 import bundle
 from bundle.graphs.factors import factor_graph
-from bundle.interface import factor_history, ordering_alarm
-from bundle.interface.factor_history import MOST_ENTRIES, PastFactor, history_path, recall
-from bundle.interface.ordering_alarm import BestOrder, with_ordering_alarm
+from bundle.interface import ordering_alarm
+from bundle.interface.ordering_alarm import (
+    MOST_ENTRIES,
+    BestOrder,
+    PastFactor,
+    history_path,
+    recall,
+    with_ordering_alarm,
+)
 from tests.campaigns import orderings
 from tests.campaigns.triage_inputs import chain_of_poses, graph_of
 
@@ -67,7 +73,7 @@ def test_cameras_first_is_named(solver):
 def test_the_bound_of_cameras_first_is_a_bound():
     """Dense: the exact flops of all points together are at least those of the largest image."""
     from bundle.interface.options import SolveOptions
-    from bundle.solving.points_first_look import _least_flops
+    from bundle.solving.prepare import _least_flops
 
     problem = bundle.synthesize(scene="orbit", num_images=6, num_points=80, seed=1).problem
     bound = _least_flops(problem, SolveOptions())
@@ -217,5 +223,5 @@ def test_a_user_without_a_home_has_no_record(monkeypatch):
     def homeless():
         raise RuntimeError("Could not determine home directory.")
 
-    monkeypatch.setattr(factor_history, "cache_folder", homeless)
+    monkeypatch.setattr(ordering_alarm, "cache_folder", homeless)
     assert recall("a", PastFactor(1e9, 1e6, "amd")) is None

@@ -6,7 +6,7 @@ import signal
 import sys
 from collections.abc import Callable
 
-from bundle.io.atomic import exchange
+from bundle.io.atomic import replacement
 
 OPERATIONS = (
     "chmod", "chown", "fsync", "link", "mkdir", "open", "rename", "replace", "rmdir", "unlink",
@@ -32,7 +32,7 @@ def killed_before(operation: int, work: Callable[[], None]) -> bool:
         os.fsync = lambda _: None  # it takes long, and no kill can tell
         for name in OPERATIONS:
             setattr(os, name, counted(getattr(os, name)))
-        exchange._exchange = counted(exchange._exchange)
+        replacement._exchange = counted(replacement._exchange)
         try:
             work()
             os._exit(0)

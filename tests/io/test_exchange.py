@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from bundle.io.atomic import atomic_write as atomic
-from bundle.io.atomic import exchange
+from bundle.io.atomic import replacement
 from bundle.io.atomic.temporary import temporary_folder
 from tests.io.trees import FOREIGN, NEW_MODEL, OLD_MODEL, tree, write_tree
 
@@ -30,7 +30,7 @@ def assert_replaced(path: Path, extra: dict[str, str] | None = None) -> None:
 @pytest.fixture
 def exchanged(monkeypatch: pytest.MonkeyPatch) -> list[Path]:
     """The folders that were exchanged; skips where the file system cannot."""
-    done, real = [], exchange._exchange
+    done, real = [], replacement._exchange
 
     def noting(first: Path, second: Path) -> None:
         try:
@@ -39,7 +39,7 @@ def exchanged(monkeypatch: pytest.MonkeyPatch) -> list[Path]:
             pytest.skip(f"cannot exchange here: {error}")
         done.append(second)
 
-    monkeypatch.setattr(exchange, "_exchange", noting)
+    monkeypatch.setattr(replacement, "_exchange", noting)
     return done
 
 
@@ -71,14 +71,14 @@ def test_files_that_come_meanwhile_are_kept(
     path: Path, exchanged: list[Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Another program makes, replaces and removes files after they were linked."""
-    real = exchange._exchange
+    real = replacement._exchange
 
     def busy(first: Path, second: Path) -> None:
         write_tree(path, {"images/b.jpg": "new", "notes/a": "new", "changed": "new"})
         (path / "changed").replace(path / "project.ini")
         real(first, second)
 
-    monkeypatch.setattr(exchange, "_exchange", busy)
+    monkeypatch.setattr(replacement, "_exchange", busy)
     replace(path)
     assert exchanged
     assert_replaced(path, {"images/b.jpg": "new", "notes/a": "new", "project.ini": "new"})
@@ -87,7 +87,7 @@ def test_files_that_come_meanwhile_are_kept(
 def test_a_latecomer_that_cannot_be_moved_is_not_removed(
     path: Path, exchanged: list[Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    real = exchange._exchange
+    real = replacement._exchange
 
     def busy(first: Path, second: Path) -> None:
         write_tree(path, {"late": "late"})
@@ -97,7 +97,7 @@ def test_a_latecomer_that_cannot_be_moved_is_not_removed(
         raise OSError(5, "Input/output error")
 
     with monkeypatch.context() as patch:
-        patch.setattr(exchange, "_exchange", busy)
+        patch.setattr(replacement, "_exchange", busy)
         patch.setattr(os, "replace", refuse)
         replace(path)
     assert exchanged
@@ -140,10 +140,10 @@ def test_the_temporary_of_another_process_stays_where_it_is(path: Path) -> None:
 
 def test_too_many_files_are_not_linked(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     inode = path.stat().st_ino
-    monkeypatch.setattr(exchange, "MAX_LINKS", 4)  # three files and a folder
+    monkeypatch.setattr(replacement, "MAX_LINKS", 4)  # three files and a folder
     replace(path)
     assert path.stat().st_ino != inode
-    monkeypatch.setattr(exchange, "MAX_LINKS", 3)
+    monkeypatch.setattr(replacement, "MAX_LINKS", 3)
     inode = path.stat().st_ino
     replace(path)
     assert path.stat().st_ino == inode
@@ -151,11 +151,11 @@ def test_too_many_files_are_not_linked(path: Path, monkeypatch: pytest.MonkeyPat
 
 
 def test_what_is_not_exchanged(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert exchange.can_exchange(path)
+    assert replacement.can_exchange(path)
     for inside in (path, path / "images"):
         with monkeypatch.context() as patch:
             patch.chdir(inside)
-            assert not exchange.can_exchange(path)
+            assert not replacement.can_exchange(path)
             inode = path.stat().st_ino
             replace(path)
             assert path.stat().st_ino == inode
@@ -163,9 +163,9 @@ def test_what_is_not_exchanged(path: Path, monkeypatch: pytest.MonkeyPatch) -> N
             assert list(Path().iterdir())
     for mounted in (path, path / "images"):
         with monkeypatch.context() as patch:
-            patch.setattr(exchange, "mount_points", lambda point=mounted: frozenset({point}))
-            assert not exchange.can_exchange(path)
+            patch.setattr(replacement, "mount_points", lambda point=mounted: frozenset({point}))
+            assert not replacement.can_exchange(path)
     with monkeypatch.context() as patch:
         patch.setattr(os, "access", lambda name, _: Path(name) != path.parent)
-        assert not exchange.can_exchange(path)
-    assert not exchange.can_exchange(Path("/"))
+        assert not replacement.can_exchange(path)
+    assert not replacement.can_exchange(Path("/"))

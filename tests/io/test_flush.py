@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from bundle.io.atomic import atomic_write as atomic
-from bundle.io.atomic import exchange
-from bundle.io.atomic.flush import flush_with_files
+from bundle.io.atomic import replacement
+from bundle.io.atomic.temporary import flush_with_files
 from tests.io.trees import NEW_MODEL, OLD_MODEL, tree, write_tree
 
 FILES = sorted(NEW_MODEL)
@@ -101,7 +101,7 @@ def test_a_failure_of_any_file_leaves_what_was_there(tmp_path, monkeypatch, name
 
 def test_the_folder_moves_when_all_of_it_is_on_the_disk(tmp_path, monkeypatch):
     events: list[str] = []
-    move, fsync = exchange.move_new_folder, os.fsync
+    move, fsync = replacement.move_new_folder, os.fsync
 
     def slow(descriptor: int) -> None:
         fsync(descriptor)
@@ -114,7 +114,7 @@ def test_the_folder_moves_when_all_of_it_is_on_the_disk(tmp_path, monkeypatch):
         return move(new, target)
 
     monkeypatch.setattr(os, "fsync", slow)
-    monkeypatch.setattr(exchange, "move_new_folder", moved)
+    monkeypatch.setattr(replacement, "move_new_folder", moved)
     with atomic.replace_folder(tmp_path / "model") as temporary:
         write_tree(temporary, NEW_MODEL)
     assert events == ["flushed"] * (len(NEW_MODEL) + 1) + ["moved", "flushed"]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import bundle
-from bundle.io.frame_times import LONGEST_GAP, neighbours_in_time, read_frame_times
+from bundle.io.rolling_shutter_file import LONGEST_GAP, neighbours_in_time, read_frame_times
 from tests import scenes
 
 ONE = np.zeros(4, np.int32)

@@ -7,7 +7,7 @@ import pytest
 
 import bundle
 from bundle.io.atomic import atomic_write as atomic
-from bundle.io.atomic import exchange, in_place
+from bundle.io.atomic import replacement
 from bundle.io.atomic.temporary import temporaries_in
 from tests.io.trees import FOREIGN, NEW_MODEL, OLD_MODEL, tree, write_tree
 from tests.scenes import scene
@@ -17,11 +17,11 @@ SAME_FORMAT = {name: content.upper() for name, content in OLD_MODEL.items()} | {
 
 @pytest.fixture(autouse=True, params=["inside", "beside"])
 def no_exchange(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Do not even try to exchange, or notice at the last moment that the kernel cannot."""
+    """Do not even try to replacement, or notice at the last moment that the kernel cannot."""
     if request.param == "inside":
-        monkeypatch.setattr(exchange, "can_exchange", lambda _: False)
+        monkeypatch.setattr(replacement, "can_exchange", lambda _: False)
     else:
-        monkeypatch.setattr(exchange, "_renameat2", lambda: None)
+        monkeypatch.setattr(replacement, "_renameat2", lambda: None)
 
 
 class Interruption(BaseException):
@@ -118,13 +118,13 @@ def half_replaced(path: Path) -> None:
 
 def test_a_running_process_is_left_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = write_tree(tmp_path / "model", OLD_MODEL)
-    monkeypatch.setattr(in_place, "PATIENCE", 0.05)
-    finish = in_place._finish
+    monkeypatch.setattr(replacement, "PATIENCE", 0.05)
+    finish = replacement._finish
 
     def look(target: Path, folder: Path, done: list) -> None:
         assert atomic.recover(target) == ()
         finish(target, folder, done)
 
-    monkeypatch.setattr(in_place, "_finish", look)
+    monkeypatch.setattr(replacement, "_finish", look)
     replace(path, NEW_MODEL)
     assert tree(path) == NEW_MODEL

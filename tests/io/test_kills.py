@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from bundle.io.atomic import atomic_write as atomic
-from bundle.io.atomic import exchange
+from bundle.io.atomic import replacement
 from tests.io.kills import killed_before
 from tests.io.trees import FOREIGN as BESIDE
 from tests.io.trees import NEW_MODEL, OLD_MODEL, tree, write_tree
@@ -51,7 +51,7 @@ def exchange_or_skip(folder: Path) -> None:
     for name in ("a", "b"):
         (folder / name).mkdir()
     try:
-        exchange._exchange(folder / "a", folder / "b")
+        replacement._exchange(folder / "a", folder / "b")
     except OSError as error:
         pytest.skip(f"cannot exchange here: {error}")
     for name in ("a", "b"):
@@ -68,8 +68,8 @@ def test_folder_is_replaced_in_place(
     def refuse(*_: object) -> None:
         raise OSError(22, "Invalid argument")
 
-    monkeypatch.setattr(exchange, "can_exchange", lambda _: beside)
-    monkeypatch.setattr(exchange, "_exchange", refuse)
+    monkeypatch.setattr(replacement, "can_exchange", lambda _: beside)
+    monkeypatch.setattr(replacement, "_exchange", refuse)
     path = write_tree(tmp_path / "model", OLD_MODEL | FOREIGN)
     recovered = 0
     for operation in range(300):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import bundle
-from bundle.synthetic.video.video_scene import film
+from bundle.synthetic.video_scene import film
 from tests.scenes import make_problem
 
 OPTIONS = bundle.SceneOptions(

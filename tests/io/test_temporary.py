@@ -8,7 +8,7 @@ import pytest
 
 from bundle.io.atomic import atomic_write as atomic
 from bundle.io.atomic import temporary
-from bundle.io.atomic.special_paths import mount_points
+from bundle.io.atomic.replaced_paths import mount_points
 from tests.io.trees import FOREIGN, NEW_MODEL, OLD_MODEL, tree, write_tree
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bundle.model.sequence.bad_samples import bad_stretches
+from bundle.model.sequence.sequence_findings import bad_stretches
 
 Array = np.ndarray[Any, Any]
 SIZE = 2000

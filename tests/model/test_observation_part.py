@@ -3,7 +3,7 @@
 import numpy as np
 
 import bundle
-from bundle.model.observation_part import part_of_observations
+from bundle.model.point_elimination import part_of_observations
 
 
 def street():

@@ -7,12 +7,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from bundle.model.rigid_motions import (
+    inverse_jacobian_coefficient,
     inverse_poses,
     multiply_as_colmap,
     multiply_poses,
     unit_poses,
+    vector_from_quaternion,
 )
-from bundle.model.rotations import inverse_jacobian_coefficient, vector_from_quaternion
 
 
 def random_poses(seed):

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 import bundle
-from bundle.model import worst_images as module
-from bundle.model.reprojection import reprojection_error, reprojection_errors
-from bundle.model.worst_images import worst_images
+from bundle.model import reprojection as module
+from bundle.model.reprojection import reprojection_error, reprojection_errors, worst_images
 from tests.scenes import make_problem, scene
 
 

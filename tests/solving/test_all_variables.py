@@ -16,7 +16,7 @@ from bundle.judging.validation.candidate_fits import Fitting, fit_candidates
 from bundle.judging.validation.candidates import Candidate
 from bundle.model.estimates import VARIABLES, estimates, with_estimates
 from bundle.model.folds import folds_of
-from bundle.model.rotations import rotation_matrices
+from bundle.model.rigid_motions import rotation_matrices
 from bundle.planning.comparison import hand_over
 from bundle.solving.rounds import input_digest
 from bundle.solving.slices.out_of_core import OutOfCoreRefinement, scratch_folder

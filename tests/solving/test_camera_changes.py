@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import bundle
-from bundle.solving.camera_changes import camera_changes
+from bundle.solving.parameter_changes import camera_changes
 from tests.reports.terminal import fakes
 from tests.scenes import make_problem
 

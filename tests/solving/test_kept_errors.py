@@ -7,7 +7,7 @@ import pytest
 
 from bundle.solving.headline import is_at_minimum
 from bundle.solving.kept_errors import Deleted, Edit, PixelErrors, measure, outlier_limit
-from bundle.solving.movement import Movement
+from bundle.solving.measured_result import Movement
 from tests.reports.terminal import fakes
 from tests.scenes import make_problem, with_observations
 

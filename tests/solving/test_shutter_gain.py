@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import bundle
-from bundle.solving.shutter_gain import known_readouts, shutter_gain
+from bundle.solving.parameter_changes import known_readouts, shutter_gain
 from tests.rolling import filmed
 from tests.scenes import make_problem
 

@@ -6,7 +6,7 @@ import numpy as np
 
 import bundle
 from bundle.interface.scene_options import SceneOptions
-from bundle.synthetic.pixel_noise import measure
+from bundle.synthetic.observations import measure
 
 
 def test_focal_lengths_are_never_below_a_half():

@@ -13,12 +13,11 @@ from scipy.spatial.transform import Rotation
 import bundle
 from bundle.cli.main import main
 from bundle.inertial.vio.trajectory_comparison import states_at
-from bundle.interface.flight_options import MOTIONS
+from bundle.interface.scene_options import MOTIONS
 from bundle.io.sequences.sequence_folder import load_sequence
 from bundle.io.sequences.trajectory_files import load_trajectory
-from bundle.model.rigid_motions import inverse_poses, multiply_poses
-from bundle.model.rotations import quaternion_rotate
-from bundle.synthetic.flight.motions import (
+from bundle.model.rigid_motions import inverse_poses, multiply_poses, quaternion_rotate
+from bundle.synthetic.flight_motions import (
     DEGREE,
     GRAVITY,
     control_points,
@@ -28,7 +27,7 @@ from bundle.synthetic.flight.motions import (
     spline_at,
     surroundings,
 )
-from bundle.synthetic.flight.synthetic_flight import DENSITIES
+from bundle.synthetic.synthetic_flight import DENSITIES
 
 QUIET = {"imu_noise_scale": 0.0, "gyro_bias": 0.0, "accel_bias": 0.0, "pixel_noise": 0.0}
 

@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
-from bundle.model.rotations import (
+from bundle.model.rigid_motions import (
     look_along,
     quaternion_from_matrix,
     quaternion_from_vector,
@@ -13,7 +13,7 @@ from bundle.model.rotations import (
     quaternion_rotate,
     rotate,
 )
-from bundle.synthetic.body import Body, random_directions
+from bundle.synthetic.orbit import Body, random_directions
 from bundle.synthetic.street import drive_laps, drive_one_way, waypoints
 
 

@@ -7,8 +7,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from bundle import InputError
+from bundle.synthetic.observations import components, select_observations
 from bundle.synthetic.scene import Pairs
-from bundle.synthetic.tracks import components, select_observations
 
 
 def pairs_of(seen):

@@ -5,11 +5,11 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from bundle import SceneOptions
-from bundle.synthetic.intrinsics import draw_intrinsics
+from bundle.synthetic.observations import Cells, Visibility
 from bundle.synthetic.orbit import Orbit
 from bundle.synthetic.photo_collection import PhotoCollection
+from bundle.synthetic.scene import draw_intrinsics
 from bundle.synthetic.street import ROAD_WIDTH, Street
-from bundle.synthetic.visibility import Cells, Visibility
 from tests.scenes import project
 
 KINDS = {"street": Street, "orbit": Orbit, "photo_collection": PhotoCollection}

@@ -1,9 +1,9 @@
 """The directive ``derivation``: what a source file derives, on a page of the site.
 
 The text is the comments of the file itself, read while the site is built, so that page and code
-cannot differ. A C++ file gives its comments of at least ``SHORTEST`` lines that begin in the first
-column, the head of the file first, the others under the declaration that they stand above. A Python
-file gives its docstring. Lines that are indented are formulas, all others are text.
+cannot differ. A file gives its head (of Python: the docstring), then its comments of at least
+``SHORTEST`` lines that begin in the first column, each under the declaration that it stands above.
+Lines that are indented are formulas, all others are text.
 
 A file of the core with a comment of ``LONG`` lines or more has to be on some page. A link to a file
 that has a page leads to that page.
@@ -43,25 +43,27 @@ def comments_of(path: Path) -> list[Comment]:
     text = path.read_text(encoding="utf-8")
     if path.suffix == ".py":
         docstring = ast.get_docstring(ast.parse(text)) or ""
-        return [Comment(1, docstring.splitlines(), "")] if docstring else []
-    return list(_cpp_comments(text.splitlines()))
+        head = [Comment(1, docstring.splitlines(), "")] if docstring else []
+        return [*head, *_comments(text.splitlines(), "#", code_seen=True)]
+    return list(_comments(text.splitlines(), "//", code_seen=False))
 
 
-def _cpp_comments(lines: list[str]) -> Iterator[Comment]:
-    code_seen = False
+def _comments(lines: list[str], sign: str, *, code_seen: bool) -> Iterator[Comment]:
     at = 0
     while at < len(lines):
-        if not lines[at].startswith("//"):
+        if not lines[at].startswith(sign):
             code_seen |= bool(lines[at].strip()) and not lines[at].startswith("#pragma")
             at += 1
             continue
         begin = at
-        while at < len(lines) and lines[at].startswith("//"):
+        while at < len(lines) and lines[at].startswith(sign):
             at += 1
         following = lines[at] if at < len(lines) else ""
         head = not code_seen and not following.strip()
         if head or at - begin >= SHORTEST:
-            text = [re.sub(r"^///? ?", "", line) for line in lines[begin:at]]
+            text = [re.sub(rf"^{sign}/? ?", "", line) for line in lines[begin:at]]
+            if sign == "#":  # the blank lines of the formatter stand between
+                following = next(filter(None, lines[at:]), "")
             above = "" if head else following.rstrip(" {;(,").strip()
             yield Comment(begin + 1, text, above)
 

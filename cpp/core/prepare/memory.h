@@ -44,7 +44,7 @@ double PredictFusedWorkingBytes(const ParameterLayout& layout,
 /// (python/bundle/planning/inspection/peak_memory.py).
 double PredictCeresWorkingBytes(const ProblemShape& shape);
 
-/// "1.4 GB": powers of 1000 and three digits, as python/bundle/base/memory_sizes.py writes them.
+/// "1.4 GB": powers of 1000 and three digits, as python/bundle/base/words.py writes them.
 std::string FormatBytes(double bytes);
 
 /// Error of a solve that would need more memory than is available.

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.base.records import dataclass
-from bundle.checking.columns import Block, Column
 from bundle.checking.jacobian_deviation import Array, JacobianDeviation, norm
+from bundle.checking.residual_blocks import Block, Column
 
 EXPLAINED = 1e-5
 """Largest fraction of the deviation that an accepted hypothesis may leave unexplained."""

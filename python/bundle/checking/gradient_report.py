@@ -12,8 +12,8 @@ from bundle.base.display import Display
 from bundle.base.records import dataclass
 from bundle.base.tables import Bar, Block, Columns, columns, facts, notes, render
 from bundle.base.words import plural
-from bundle.checking.check_details import CheckDetails
 from bundle.checking.evidence import Finding
+from bundle.checking.step_curve import CheckDetails
 from bundle.interface.tabular import Tabular
 
 STYLES = {"correct": "green", "wrong": "red", "undecided": "yellow"}

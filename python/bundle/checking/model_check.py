@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.base.records import dataclass
-from bundle.checking.columns import Block, Column
 from bundle.checking.evidence import Finding
 from bundle.checking.jacobian_deviation import Array
+from bundle.checking.residual_blocks import Block, Column
 from bundle.checking.tally import MOST_KEPT, Tally
 from bundle.model.cameras import camera_models, param_kinds
 

@@ -13,9 +13,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from bundle.checking.columns import Block
 from bundle.checking.evidence import EXPLAINED, Evidence
 from bundle.checking.jacobian_deviation import Array
+from bundle.checking.residual_blocks import Block
 
 BY_LEFT = "the derivative by d of Exp(d) Exp(w), not by w: J_l is missing"
 BY_RIGHT = "the derivative by d of Exp(w) Exp(d), not by w: J_r is missing"

@@ -1,27 +1,28 @@
-"""Check of a function at sample points: both references, verdicts, findings."""
+"""Check of a user-defined residual at sample points: both references, verdicts, findings."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from bundle.base.arguments import as_array, as_flag
 from bundle.base.words import plural
-from bundle.checking.assemble import make_report, undecided_points
-from bundle.checking.check_details import CheckDetails, make_details
 from bundle.checking.classify import classify, float_precision, is_single, stale
-from bundle.checking.columns import Block, Column
-from bundle.checking.evidence import Evidence, Finding, join_names
+from bundle.checking.evidence import EXPLAINED, Evidence, Finding, join_names
+from bundle.checking.function import Probe, ResidualFunction, SampleLines, SamplePoint, UserFunction
 from bundle.checking.gradient_report import GradientCheckerSummary, GradientReport, Offender
 from bundle.checking.jacobian_deviation import Array, JacobianDeviation
-from bundle.checking.padding import padded
-from bundle.checking.residual_blocks import Layout
-from bundle.checking.sample_points import Probe, SampleLines, SamplePoint
-from bundle.checking.tally import Tally
+from bundle.checking.residual_blocks import Block, Column, Layout, ManifoldLike, Name, sample
+from bundle.checking.step_curve import CheckDetails, make_details
+from bundle.checking.tally import Tally, make_report, undecided_points
+from bundle.errors import InputError, brief
 from bundle.interface.check_options import TOLERANCE
+from bundle.interface.option_fields import number
 
 SAME_RESIDUAL = 1e-9
 """Largest difference between residuals of two calls at one point, relative to the largest entry."""
@@ -344,3 +345,118 @@ def _vagueness(findings: Sequence[Finding]) -> int:
     if not findings:
         return 100
     return sum(f.kind in ("small_part", "large_part", "order", "missing_term") for f in findings)
+
+
+# Signature: tangent Jacobians padded with a column of zeros to the size of the block.
+#
+# Older solvers expect a Jacobian by the parameters of a block (4 for a quaternion). They multiply
+# it by the Jacobian of the manifold's Plus. If the Plus Jacobian is (I, 0)^T, the tangent Jacobian
+# with a zero column is correct. For any other manifold it is wrong.
+
+SCALES = (1.0, 2.0, 0.5)
+"""Scales of tangent coordinates: a rotation vector, or twice or half a quaternion's vector part."""
+
+
+def padded(
+    layout: Layout, space: JacobianDeviation, tangent: JacobianDeviation, tolerance: float
+) -> list[Finding]:
+    """Return one finding per padded block if no other mistake exists.
+
+    Args:
+        layout: layout of the blocks.
+        space: Jacobians by the parameters of the blocks.
+        tangent: Jacobians by the tangent coordinates, at the same points.
+        tolerance: relative error above which an entry is wrong.
+    """
+    wrong = set(np.flatnonzero((space.error > tolerance).any(axis=(0, 1))).tolist())
+    findings = []
+    first = first_tangent = 0
+    for manifold in layout.manifolds:
+        columns = list(range(first, first + manifold.size))
+        moves = slice(first_tangent, first_tangent + manifold.tangent_size)
+        first, first_tangent = first + manifold.size, first_tangent + manifold.tangent_size
+        if manifold.tangent_size != manifold.size - 1 or not wrong & set(columns):
+            continue
+        given = space.analytic[..., columns]
+        names = [layout.columns[j].name for j in columns]
+        for place in np.flatnonzero(~given.any(axis=(0, 1))):
+            if not _is_tangent(np.delete(given, place, axis=2), tangent.reference[..., moves]):
+                continue
+            wrong -= set(columns)
+            findings.append(
+                Finding(
+                    "padded",
+                    tuple(names),
+                    f"{join_names(names)}: the Jacobian by the {manifold.tangent_size} tangent "
+                    f"coordinates, padded with a zero column ({names[place]}), instead of that by "
+                    f"the {manifold.size} numbers of the block",
+                    float(space.error[..., columns].max()),
+                )
+            )
+            break
+    return [] if wrong else findings
+
+
+def _is_tangent(given: Array, reference: Array) -> bool:
+    """Return True if columns are derivatives by tangent coordinates, up to scale or rotation.
+
+    Rotations and translations have three columns each. Their perturbation may be from the other
+    side; then the columns are A Q with a rotation Q, and A A^T does not change.
+    """
+    parts = [slice(j, j + 3) for j in range(0, given.shape[2], 3)]
+    for part in parts:
+        right = reference[..., part]
+        size = np.linalg.norm(right)
+        products = right @ right.transpose(0, 2, 1)
+        found = given[..., part] @ given[..., part].transpose(0, 2, 1)
+        if not any(
+            np.linalg.norm(found - scale**2 * products) <= EXPLAINED * size**2 * scale**2
+            for scale in SCALES
+        ):
+            return False
+    return True
+
+
+def check_function_at(
+    function: ResidualFunction,
+    blocks: Sequence[ArrayLike],
+    manifolds: Sequence[ManifoldLike] | None = None,
+    *,
+    names: Sequence[Name] | None = None,
+    num_samples: int = 10,
+    radius: float = 0.1,
+    seed: int = 0,
+    tolerance: float = TOLERANCE,
+    ambient: bool = True,
+    details: bool = False,
+) -> GradientReport:
+    """Check the Jacobians of a function; see :func:`bundle.check_gradients`."""
+    if not callable(function):
+        raise InputError(f"function: expected a function, found {brief(function)}")
+    single = isinstance(blocks, np.ndarray) and blocks.ndim == 0
+    if isinstance(blocks, str | bytes | Mapping) or not isinstance(blocks, Iterable) or single:
+        raise InputError(f"blocks: expected a list of arrays, found {brief(blocks)}")
+    start: list[Array] = [as_array("blocks", block).reshape(-1).copy() for block in blocks]
+    if not start or not all(len(block) for block in start):
+        raise InputError("blocks: expected at least one block, and no empty block")
+    for b, block in enumerate(start):
+        if not np.isfinite(block).all():
+            raise InputError(f"blocks: expected finite numbers, found nan or infinity in block {b}")
+    num_samples = number("num_samples", num_samples, minimum=1, whole=True)
+    radius = number("radius", radius, minimum=0)
+    ambient = as_flag("ambient", ambient)
+    seed = number("seed", seed, minimum=0, maximum=math.inf, whole=True)
+    tolerance = number("tolerance", tolerance, above=0)
+    layout = Layout.make(start, manifolds, names)
+    user = UserFunction(function, start)
+    rng = np.random.default_rng(seed)
+    samples = [SamplePoint(user, start)]
+    for _ in range(num_samples - 1):
+        around = [
+            sample(manifold, block, radius, rng)
+            for manifold, block in zip(layout.manifolds, start, strict=True)
+        ]
+        samples.append(SamplePoint(user, around))
+    return check_samples(
+        samples, layout, tolerance=tolerance, ambient=ambient, details=as_flag("details", details)
+    )

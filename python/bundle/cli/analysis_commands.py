@@ -73,7 +73,7 @@ def _kind_of_inspection(given: argparse.Namespace) -> str:
 
 def add_compare(parser: Parser) -> None:
     """Add the arguments of `bundle compare`."""
-    from bundle.interface.compare_options import COMPARED  # only for this command
+    from bundle.interface.planning_options import COMPARED  # only for this command
 
     parser.usage = "bundle compare INPUT... [options]"
     parser.add_argument(

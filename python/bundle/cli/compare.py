@@ -10,8 +10,8 @@ from bundle.cli.flags_by_kind import refuse_flags_of_graphs
 from bundle.cli.option_flags import naming_flags, options_given
 from bundle.cli.output import publish
 from bundle.cli.progress import Progress
-from bundle.interface.compare_options import COMPARED, CompareOptions
 from bundle.interface.options import ORDERINGS, SolveOptions
+from bundle.interface.planning_options import COMPARED, CompareOptions
 from bundle.planning.comparison.compare_methods import compare
 from bundle.reports.terminal.compare import compared
 

@@ -23,7 +23,7 @@ from bundle.io.open import check_target, load, output_format, save
 from bundle.reports.terminal.convert import converted
 
 if TYPE_CHECKING:
-    from bundle.editing.global_shutter import GlobalShutterModel
+    from bundle.editing.rolling_shutters import GlobalShutterModel
     from bundle.model.problem import Problem
 
 
@@ -59,7 +59,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _without_rolling_shutter(problem: Problem, source: str) -> GlobalShutterModel:
-    from bundle.editing.global_shutter import to_global_shutter
+    from bundle.editing.rolling_shutters import to_global_shutter
 
     with naming_flags(problem=f"--global-shutter: {shown(source)}"):
         return to_global_shutter(problem)

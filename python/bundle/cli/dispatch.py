@@ -75,7 +75,7 @@ HANDLERS = {
     ("convert", Kind.POSE_GRAPH): "pose_graph_commands:convert",
     ("convert", Kind.SEQUENCE): "sequence_commands:convert",
     ("synth", Kind.RECONSTRUCTION): "synth:run",
-    ("synth", FLIGHT): "flight_synthesis:run",
+    ("synth", FLIGHT): "synth:run_flight",
     ("demo", Kind.RECONSTRUCTION): "demo:run",
 }
 """Functions in this package that run a command, by the kind of its input.

@@ -9,7 +9,7 @@ from bundle.cli.option_flags import naming_flags, options_given
 from bundle.cli.output import publish
 from bundle.cli.progress import Progress
 from bundle.errors import shown
-from bundle.interface.evaluate_options import EvaluateOptions
+from bundle.interface.judging_options import EvaluateOptions
 from bundle.judging.evaluation.evaluate_models import evaluate
 from bundle.reports.terminal.evaluate import evaluated
 

@@ -8,8 +8,7 @@ from collections.abc import Collection, Iterable
 from typing import Any
 
 from bundle.cli.dispatch import FLIGHT
-from bundle.cli.flag_values import choice_word
-from bundle.cli.option_flags import add_options
+from bundle.cli.option_flags import add_options, choice_word
 from bundle.errors import InputError
 from bundle.interface.option_class import Options
 from bundle.interface.option_classes import option_class

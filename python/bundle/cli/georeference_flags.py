@@ -13,9 +13,8 @@ from bundle.errors import InputError, shown
 from bundle.interface.georeference_options import GeoreferenceOptions
 
 if TYPE_CHECKING:
-    from bundle.georeference.gcp_priors import GcpPriors
-    from bundle.georeference.gps_priors import GpsPriors
     from bundle.georeference.known_priors import KnownPriors
+    from bundle.georeference.survey_priors import GcpPriors, GpsPriors
     from bundle.model.problem import Problem
 
 GEOREFERENCE_FLAGS = {**flags_of(GeoreferenceOptions), "gcps": "--gcp"}
@@ -133,8 +132,7 @@ def priors_of(
 def _survey(given: GeoreferenceOptions, problem: Problem) -> GcpPriors | GpsPriors:
     """Return the priors of positions and control points."""
     # Only geographic coordinates need pyproj.
-    from bundle.georeference.gcp_priors import gcp_priors
-    from bundle.georeference.gps_priors import gps_priors
+    from bundle.georeference.survey_priors import gcp_priors, gps_priors
 
     settings = settings_of(given, problem)
     if given.gps != "exif":  # the folder is for the report page

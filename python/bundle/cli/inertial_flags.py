@@ -139,12 +139,9 @@ def adjusted_with_imu(
     from bundle.inertial.offline.imu_adjustment import adjust_with_imu
     from bundle.inertial.offline.inertial_result import ImuSamples
     from bundle.io.sequences.csv_tables import read_csv
-    from bundle.io.sequences.recording_calibration import find_calibration
-    from bundle.io.sequences.sensor_yaml import kind_of_yaml
-    from bundle.model.sequence.calibration import load_calibration
-    from bundle.model.sequence.sequence import check_imu
-    from bundle.model.sequence.stamp_units import check_stamp_unit
-    from bundle.model.sequence.yaml_files import read_yaml
+    from bundle.io.sequences.recording_calibration import find_calibration, kind_of_yaml
+    from bundle.model.sequence.calibration import load_calibration, read_yaml
+    from bundle.model.sequence.sequence import check_imu, check_stamp_unit
 
     times = read_image_times(given.frame_times, problem)
     table = read_csv(given.imu, ["timestamp"], ["wx", "wy", "wz", "ax", "ay", "az"])

@@ -13,9 +13,10 @@ from bundle.cli.progress import Progress
 from bundle.cli.recording_flags import refuse_recording_flags
 from bundle.cli.shared_arguments import READING, given_of, read_options
 from bundle.errors import shown
+from bundle.interface.finding import one_list
 from bundle.io.open import load
 from bundle.io.recognition import recognize
-from bundle.judging.findings.find import find, one_list
+from bundle.judging.findings.find import find
 from bundle.reports.sections import Report, several
 from bundle.reports.terminal.info import information
 

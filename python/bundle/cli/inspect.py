@@ -10,8 +10,8 @@ from bundle.cli.option_flags import naming_flags, options_given, with_named_imag
 from bundle.cli.output import publish
 from bundle.cli.progress import Progress
 from bundle.errors import shown
-from bundle.interface.inspect_options import GraphFileOptions, RankOptions
 from bundle.interface.options import PATTERN, SolveOptions
+from bundle.interface.planning_options import GraphFileOptions, RankOptions
 from bundle.io.open import load
 from bundle.planning.inspection.problem_inspection import inspect
 from bundle.planning.inspection.rank_prediction import predict_ranks

@@ -9,8 +9,8 @@ from bundle.cli.error_lines import EXIT_DONE
 from bundle.cli.option_flags import options_given
 from bundle.cli.output import publish
 from bundle.errors import InputError, shown
-from bundle.interface.inspect_options import GraphFileOptions, RankOptions
 from bundle.interface.options import SolveOptions
+from bundle.interface.planning_options import GraphFileOptions, RankOptions
 from bundle.planning.inspection.graph_inspection import GraphInspection, inspect_graph, load_graph
 from bundle.reports.terminal.inspect_graph import inspected
 

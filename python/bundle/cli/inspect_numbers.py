@@ -10,8 +10,8 @@ from bundle.cli.error_lines import EXIT_DONE
 from bundle.cli.option_flags import options_given
 from bundle.cli.output import publish
 from bundle.errors import InputError
-from bundle.interface.inspect_options import GraphFileOptions, RankOptions, ShapeOptions
 from bundle.interface.options import SolveOptions
+from bundle.interface.planning_options import GraphFileOptions, RankOptions, ShapeOptions
 from bundle.planning.inspection.problem_needs import count_schur, needs_of
 from bundle.reports.terminal.inspect_shape import inspected
 

@@ -24,9 +24,8 @@ from bundle.cli.error_lines import (
     describe_error,
     is_interruption,
 )
-from bundle.cli.parser import Parser
+from bundle.cli.parser import Parser, unknown_flag
 from bundle.cli.standard_streams import complain, open_missing_streams, release_broken_streams
-from bundle.cli.suggestions import unknown_flag
 from bundle.errors import end_in_one_line
 from bundle.io.atomic.replaced_paths import NoteWarning, recording
 

@@ -15,8 +15,14 @@ from typing import Any
 
 from bundle.cli.error_lines import EXIT_BAD_INPUT, EXIT_DONE, describe_error
 from bundle.cli.standard_streams import complain
-from bundle.solving.ranks.end_by_mpirun import know_processes, speaks_for_all, take_the_word
-from bundle.solving.ranks.launch import rank_by_launcher, size_by_launcher, use
+from bundle.solving.ranks.launch import (
+    know_processes,
+    rank_by_launcher,
+    size_by_launcher,
+    speaks_for_all,
+    take_the_word,
+    use,
+)
 
 DELIVERY = 0.5
 """Seconds that mpirun gets to forward a line of another process."""

@@ -13,7 +13,7 @@ from bundle.cli.error_lines import EXIT_DONE
 from bundle.cli.option_flags import naming_flags
 from bundle.cli.output import check_replaced, publish, same_images
 from bundle.cli.progress import Progress
-from bundle.editing.merging.merge_models import merge
+from bundle.editing.merge_models import merge
 from bundle.errors import shown
 from bundle.io.open import check_target, load, output_format, save
 from bundle.reports.terminal.merge import merged_report

@@ -13,7 +13,7 @@ from bundle.base.tables import Block, is_terminal, print_styled, render, screen_
 from bundle.cli.standard_streams import print_out
 from bundle.errors import InputError, shown
 from bundle.io.atomic import atomic_write as atomic
-from bundle.io.image_names import has_same_images
+from bundle.io.open import has_same_images
 from bundle.io.recognition import reconstruction_at, sequence_at
 from bundle.reports.sections import Report, dumps
 from bundle.reports.terminal.screen import fitted, laid_out

@@ -19,10 +19,9 @@ from bundle.base.records import dataclass
 from bundle.errors import InputError, shown
 from bundle.io.atomic import atomic_write as atomic
 from bundle.io.atomic.model_files import MODEL_FILES
-from bundle.io.atomic.special_paths import is_stream
-from bundle.io.file_names import PAGE, check_name
+from bundle.io.atomic.replaced_paths import is_stream
 from bundle.io.georeference_file import GEOREFERENCE
-from bundle.io.recognition import SEQUENCE_FILES, reconstruction_at
+from bundle.io.recognition import PAGE, SEQUENCE_FILES, check_name, reconstruction_at
 
 _OF_SENSORS = [
     f"{each}/{name}" for each in ("cam0", "imu0") for name in ("data.csv", "sensor.yaml")

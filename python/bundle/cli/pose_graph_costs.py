@@ -11,7 +11,7 @@ from bundle.cli.option_flags import naming_flags, options_given
 from bundle.cli.output import publish
 from bundle.cli.progress import Progress
 from bundle.errors import InputError, shown
-from bundle.interface.inspect_options import RankOptions
+from bundle.interface.planning_options import RankOptions
 from bundle.interface.pose_graph_options import PoseGraphOptions
 from bundle.io.g2o_files import load_g2o
 from bundle.planning.comparison.graph_comparison import compare_graph as compare_graph_methods

@@ -9,13 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 from bundle.cli.option_flags import naming_flags
 from bundle.errors import InputError
-from bundle.interface.camera_edit_options import LensOptions, RuleOptions
-from bundle.interface.loop_options import LoopOptions
+from bundle.interface.camera_edit_options import LensOptions, RuleOptions, ShutterOptions
 from bundle.interface.options import SolveOptions
-from bundle.interface.rolling_shutter_options import ShutterOptions
+from bundle.interface.pose_graph_options import LoopOptions
 
 if TYPE_CHECKING:
-    from bundle.editing.cameras.edit_record import CameraEdits
+    from bundle.editing.edit_record import CameraEdits
     from bundle.graphs.loops.loop_closing import LoopClosing
     from bundle.model.problem import Problem
     from bundle.solving.constraints.rule_list import Constraints
@@ -70,7 +69,7 @@ def cameras_edited(
         return None
     if given.share_cameras is not None and given.split_cameras:
         raise InputError("--split-cameras: not valid with --share-cameras, found both")
-    from bundle.editing.cameras.edit_record import edit_cameras
+    from bundle.editing.edit_record import edit_cameras
 
     share = False if given.share_cameras is None else given.share_cameras
     with naming_flags(model="--camera-model", camera_ids="--share-cameras"):
@@ -105,8 +104,7 @@ def rules_of(given: RuleOptions) -> Constraints | tuple[()]:
     """
     if given.rules is None and given.constraints is None:
         return ()
-    from bundle.solving.constraints.rule_list import Constraints
-    from bundle.solving.constraints.rule_text import parse_rule
+    from bundle.solving.constraints.rule_list import Constraints, parse_rule
 
     texts = given.rules or ()
     rules = [

@@ -11,7 +11,7 @@ import dataclasses
 from bundle.cli.option_flags import add_fields
 from bundle.cli.path_checks import a_path
 from bundle.errors import InputError
-from bundle.interface.tracking_options import TrackingOptions
+from bundle.interface.window_options import TrackingOptions
 
 RECORDING = (
     "calibration",

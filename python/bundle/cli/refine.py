@@ -30,10 +30,10 @@ from bundle.cli.refine_outcome import judge, readout_sigmas, write_page
 from bundle.cli.refinement import Refinement
 from bundle.cli.standard_streams import complain
 from bundle.errors import InputError, shown
-from bundle.interface.loop_options import LoopOptions
+from bundle.interface.judging_options import HoldOutOptions
 from bundle.interface.options import SolveOptions
+from bundle.interface.pose_graph_options import LoopOptions
 from bundle.interface.round_options import CheckpointOptions, LocalOptions, RoundOptions
-from bundle.interface.validation_options import HoldOutOptions
 from bundle.io.open import save
 from bundle.reports.terminal.refine import refinement
 from bundle.reports.terminal.timing import WallTime
@@ -176,7 +176,7 @@ def _write(
     if opened.sliced is None:
         refined = solved.problem
         if georeference is not None:
-            from bundle.georeference.moved_source import with_origin  # late: needs the room
+            from bundle.georeference.opensfm_frame import with_origin  # late: needs the room
 
             refined = with_origin(refined, georeference.origin)
         lost = save(refined, **opened.output, progress=progress.text)

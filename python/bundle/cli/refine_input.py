@@ -8,20 +8,19 @@ from typing import TYPE_CHECKING, Any
 from bundle.base.records import dataclass
 from bundle.cli.carried_georeference import check_georeference, georeference_at
 from bundle.cli.georeference_flags import priors_of
-from bundle.cli.on_disk import input_on_disk
+from bundle.cli.on_disk import input_on_disk, sliced_input
 from bundle.cli.option_flags import with_named_images
 from bundle.cli.output import check_replaced, same_images
 from bundle.cli.problem_edits import cameras_edited, with_rigs, with_shutters
 from bundle.cli.progress import Progress
 from bundle.cli.refinement import Refinement
-from bundle.cli.sliced_input import sliced_input
 from bundle.errors import shown
 from bundle.interface.options import SolveOptions
 from bundle.io.open import check_target, load, output_format
 from bundle.model.unobserved import require_observations, require_tracks
 
 if TYPE_CHECKING:
-    from bundle.editing.cameras.edit_record import CameraEdits
+    from bundle.editing.edit_record import CameraEdits
     from bundle.georeference.known_priors import KnownPriors
     from bundle.model.problem import Problem
     from bundle.solving.slices.sliced_refinement import SlicedRefinement

@@ -9,8 +9,8 @@ import numpy as np
 
 from bundle.analysis.statistics.suspicions import broken_parts
 from bundle.base.words import plural
-from bundle.interface.finding import Finding
-from bundle.judging.findings.find import find, one_list
+from bundle.interface.finding import Finding, one_list
+from bundle.judging.findings.find import find
 from bundle.judging.findings.measured import Measured
 from bundle.judging.findings.minimum import SMALLEST_SHIFT, shifted_pixels
 from bundle.judging.findings.next_command import NextCommand

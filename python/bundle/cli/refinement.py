@@ -6,12 +6,12 @@ Only this file reads the arguments; all later steps use typed options.
 from __future__ import annotations
 
 import argparse
+import dataclasses
 from collections.abc import Set
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bundle.base.records import dataclass
-from bundle.cli.colmap_flag import take_colmap_options
 from bundle.cli.georeference_flags import georeference_given
 from bundle.cli.inertial_flags import InertialFiles, inertial_given
 from bundle.cli.next_run import repeated_flags
@@ -20,14 +20,17 @@ from bundle.cli.problem_edits import rules_as_options, rules_of
 from bundle.cli.shared_arguments import read_options
 from bundle.cli.standard_streams import complain
 from bundle.errors import InputError, shown
-from bundle.interface.camera_edit_options import LensOptions, RuleOptions
+from bundle.interface.camera_edit_options import LensOptions, RuleOptions, ShutterOptions
 from bundle.interface.georeference_options import GeoreferenceOptions
-from bundle.interface.loop_options import LoopOptions
+from bundle.interface.judging_options import HoldOutOptions
 from bundle.interface.options import SolveOptions
-from bundle.interface.out_of_core_options import OutOfCoreOptions
-from bundle.interface.rolling_shutter_options import ShutterOptions
-from bundle.interface.round_options import CheckpointOptions, LocalOptions, RoundOptions
-from bundle.interface.validation_options import HoldOutOptions
+from bundle.interface.pose_graph_options import LoopOptions
+from bundle.interface.round_options import (
+    CheckpointOptions,
+    LocalOptions,
+    OutOfCoreOptions,
+    RoundOptions,
+)
 from bundle.io.formats.read_options import ReadOptions
 
 if TYPE_CHECKING:
@@ -188,3 +191,36 @@ def _checkpoints_given(arguments: argparse.Namespace) -> CheckpointOptions:
     if given.resume is not None and not Path(given.resume).exists():
         complain(f"note: {shown(given.resume)} does not exist; the run starts with the input")
     return given
+
+
+SHORTEST_TRACK = 2
+"""Length of the shortest tracks that COLMAP has."""
+
+
+def take_colmap_options(arguments: argparse.Namespace) -> None:
+    """Set the options that the command line lacks from the file of --colmap-options, if given.
+
+    Raises:
+        InputError: the file is wrong, or has an option that no flag can express; the message names
+            its line.
+        OSError: the file cannot be read.
+    """
+    path = arguments.colmap_options
+    if path is None:
+        return
+    from bundle.io.project_ini import read_project_ini  # for this flag only
+
+    asked = read_project_ini(path)
+    if asked.min_track_length > SHORTEST_TRACK:
+        raise InputError(
+            f"{shown(path)}: min_track_length: expected at most {SHORTEST_TRACK}, found "
+            f"{asked.min_track_length}; to delete short tracks, use --rounds with --min-track"
+        )
+    if asked.asks_for_gpu:
+        complain(f"note: {shown(path)}: use_gpu: there is no GPU solver; the CPU is used")
+    for field in dataclasses.fields(SolveOptions):
+        value = getattr(asked.options, field.name)
+        if value != field.default and getattr(arguments, field.name) is None:
+            setattr(arguments, field.name, value)
+    if asked.constant_rotations:
+        arguments.rules = [*(arguments.rules or ()), "images *: rotation fixed"]

@@ -25,10 +25,11 @@ from bundle.cli.problem_edits import rules_of, with_rigs
 from bundle.cli.progress import Progress
 from bundle.errors import InputError, shown
 from bundle.interface.camera_edit_options import RuleOptions
+from bundle.interface.finding import one_list
 from bundle.interface.options import SolveOptions
 from bundle.io.georeference_file import owner_of, path_beside
 from bundle.io.open import load
-from bundle.judging.findings.find import find, one_list
+from bundle.judging.findings.find import find
 from bundle.reports.page.report_page import write_report
 from bundle.reports.terminal.report import reported
 

@@ -47,7 +47,7 @@ def begin() -> None:
     if atexit._ncallbacks() == 0:  # otherwise others, such as profilers, would run after it
         atexit.register(_exit)
     if os.environ.get("OMPI_COMM_WORLD_SIZE", "1") != "1":
-        # One thread will wait for the signals (bundle.solving.ranks.end_by_mpirun). Without a
+        # One thread will wait for the signals (bundle.solving.ranks.launch). Without a
         # block, threads that libraries start during imports would receive them and end the
         # process.
         signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGCONT, signal.SIGTERM])

@@ -1,4 +1,4 @@
-"""`bundle synth` of a reconstruction."""
+"""`bundle synth`: a reconstruction, or a visual-inertial sequence."""
 
 from __future__ import annotations
 
@@ -8,24 +8,25 @@ from pathlib import Path
 
 from bundle.cli.commands import ground_truth_path, path_beside
 from bundle.cli.error_lines import EXIT_DONE
-from bundle.cli.flags_by_kind import refuse_flags_of_flights
+from bundle.cli.flags_by_kind import refuse_flags_of_flights, refuse_flags_of_scenes
 from bundle.cli.option_flags import naming_flags, options_given
 from bundle.cli.output import check_new, publish
 from bundle.cli.progress import Progress
 from bundle.errors import InputError, shown
 from bundle.georeference.attitude_files import gravity_text, orientation_text
 from bundle.georeference.attitude_priors import AttitudePrior, GravityPrior, OrientationPrior
-from bundle.interface.scene_options import SceneOptions
+from bundle.interface.scene_options import FlightOptions, SceneOptions
 from bundle.io.atomic import atomic_write as atomic
 from bundle.io.open import check_target, output_format, save
 from bundle.io.rolling_shutter_file import LOST_ROLLING_SHUTTER
+from bundle.io.sequences.sequence_folder import check_sequence_target
 from bundle.model.problem import Problem
 from bundle.model.reprojection import reprojection_error
-from bundle.reports.terminal.synth import synthesized
+from bundle.reports.terminal.synth import made_flight, synthesized
 from bundle.synthetic.blocks import SceneInBlocks
-from bundle.synthetic.measured_attitudes import measured_attitudes
 from bundle.synthetic.streamed import SceneTally, write_bal_scene
-from bundle.synthetic.synthesis import SyntheticScene, assemble, filmed
+from bundle.synthetic.synthesis import SyntheticScene, assemble, filmed, measured_attitudes
+from bundle.synthetic.synthetic_flight import save_flight, synthesize_flight
 
 LOSSES = (LOST_ROLLING_SHUTTER,)
 """Losses of a format that a user who asked for a scene does not expect."""
@@ -113,3 +114,21 @@ def _tally(scene: SyntheticScene) -> SceneTally:
         "ground_truth": reprojection_error(scene.ground_truth),
     }
     return tally
+
+
+def run_flight(arguments: argparse.Namespace) -> int:
+    """Generate a flight and write its measurements and ground truth."""
+    refuse_flags_of_scenes(arguments)
+    options = options_given(arguments, FlightOptions)
+    path = arguments.output
+    if not arguments.overwrite:
+        check_new(path, "--overwrite")
+    check_sequence_target(path)
+    with Progress(quiet=arguments.quiet) as progress:
+        progress.stage(f"making {options.duration:g} s of flight")
+        with naming_flags(FlightOptions):
+            flight = synthesize_flight(options)
+        progress.stage(f"writing {shown(path)}")
+        save_flight(flight, path)
+    publish(made_flight(path, flight.sequence, options), arguments)
+    return EXIT_DONE

@@ -7,7 +7,7 @@ import argparse
 from bundle.cli.error_lines import EXIT_DONE, EXIT_NO_SOLUTION
 from bundle.cli.option_flags import naming_flags, options_given
 from bundle.cli.output import publish
-from bundle.interface.triage_options import TriageOptions
+from bundle.interface.judging_options import TriageOptions
 from bundle.judging.triage.triage_reports import triage
 from bundle.reports.terminal.triage import triaged
 

@@ -20,8 +20,8 @@ from bundle.cli.progress import Progress
 from bundle.errors import shown
 from bundle.interface.camera_edit_options import RuleOptions
 from bundle.interface.georeference_options import GeoreferenceOptions
+from bundle.interface.judging_options import ValidationOptions
 from bundle.interface.options import SolveOptions
-from bundle.interface.validation_options import ValidationOptions
 from bundle.io.open import load
 from bundle.judging.validation.validate_problem import validate
 from bundle.reports.terminal.validate import validated

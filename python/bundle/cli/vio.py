@@ -11,10 +11,10 @@ import numpy as np
 from bundle.base.paths import as_path
 from bundle.base.waiting_time import Waiting, waiting_since
 from bundle.cli.error_lines import EXIT_DONE, EXIT_NO_SOLUTION
-from bundle.cli.given_sequence import given_sequence
 from bundle.cli.option_flags import naming_flags, options_given
 from bundle.cli.output import publish
 from bundle.cli.progress import Progress
+from bundle.cli.sequence_commands import given_sequence
 from bundle.cli.standard_streams import complain
 from bundle.errors import InputError, shown
 from bundle.inertial.tracking.sequence_axes import explanations

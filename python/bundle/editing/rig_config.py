@@ -35,8 +35,7 @@ from bundle.errors import InputError, brief, first_line, shown
 from bundle.model.cameras import camera_models
 from bundle.model.problem import Problem
 from bundle.model.rig_arrays import compose, placed
-from bundle.model.rigid_motions import inverse_poses, unit_poses
-from bundle.model.rotations import quaternion_rotate
+from bundle.model.rigid_motions import inverse_poses, quaternion_rotate, unit_poses
 
 _Pose = NDArray[np.float64]
 

@@ -2,21 +2,31 @@
 
 from bundle.figures.certainty import Certainty, certainty
 from bundle.figures.drawing import Figure, LineFigure
-from bundle.figures.image_residuals import ImageResiduals, image_residuals, worst_residuals
-from bundle.figures.lens_curves import LensCurve, lens_curve, most_observed_cameras
+from bundle.figures.lens_figures import LensCurve, lens_curve, most_observed_cameras
 from bundle.figures.marks import Line
 from bundle.figures.odometry_figures import odometry_figures
-from bundle.figures.placement_errors import Placement, placement
+from bundle.figures.placement_figures import Placement, placement
 from bundle.figures.projection_uncertainty import (
     ProjectionUncertainty,
     projection_uncertainty,
 )
-from bundle.figures.residual_field import RadialProfile, ResidualField, residual_fields
-from bundle.figures.residual_histogram import ResidualHistogram, residual_histogram
-from bundle.figures.row_residuals import RowResiduals, row_residuals
+from bundle.figures.residual_field import (
+    RadialProfile,
+    ResidualField,
+    RowResiduals,
+    residual_fields,
+    row_residuals,
+)
+from bundle.figures.residual_figures import (
+    ImageResiduals,
+    ResidualHistogram,
+    image_residuals,
+    residual_histogram,
+    worst_residuals,
+)
 from bundle.figures.scene_view import SceneView, scene_view
-from bundle.figures.track_statistics import TrackStatistics, track_statistics
-from bundle.model.residuals import Residuals, residuals
+from bundle.figures.structure_figures import TrackStatistics, track_statistics
+from bundle.model.reprojection import Residuals, residuals
 
 __all__ = [
     "Certainty",

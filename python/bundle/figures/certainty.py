@@ -17,7 +17,7 @@ from bundle.figures.drawing import Figure
 from bundle.figures.marks import Matrix
 from bundle.model.cameras import camera_models
 from bundle.model.problem import Problem
-from bundle.model.rotations import cross_matrices, rotation_matrices
+from bundle.model.rigid_motions import cross_matrices, rotation_matrices
 
 if TYPE_CHECKING:
     from bundle.analysis.uncertainty.covariance_result import Covariance

@@ -6,12 +6,14 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from bundle.figures.axes import linear, logarithmic
+from bundle.base.records import dataclass
 from bundle.figures.drawing import Figure
-from bundle.figures.marks import Array, Bars, StackedBars, Steps
-from bundle.figures.series import cost_curve, labels, profile_curve, styles
-from bundle.planning.comparison.comparison_result import Comparison
+from bundle.figures.marks import Array, Bars, StackedBars, Steps, linear, logarithmic
+from bundle.planning.comparison.comparison_result import Comparison, PerformanceProfile
+from bundle.planning.comparison.graph_comparison import GraphComparison, GraphRun, best_cost
+from bundle.planning.comparison.method import Method
 
 WIDE = 30.0
 """Ratio of costs above which the axis is logarithmic."""
@@ -142,3 +144,131 @@ def bar_figure(
 
 def _values(parts: Iterable[Array]) -> list[float]:
     return [value for part in parts for value in part.tolist()]
+
+
+MOST_DRAWN = 8
+"""Number of the fastest methods in a figure."""
+
+PHASES = {
+    "set-up": "preprocessor_time_in_seconds",
+    "Jacobians": "jacobian_evaluation_time_in_seconds",
+    "residuals": "residual_evaluation_time_in_seconds",
+    "linear solver": "linear_solver_time_in_seconds",
+}
+
+
+def graph_time_figure(found: GraphComparison) -> Figure:
+    """Return the distance of each run's cost to the best cost against time, both logarithmic."""
+    best = best_cost(found.runs)
+    marks = []
+    backends = list(dict.fromkeys(_backend(run) for run in found.runs))
+    for colour, run in enumerate(_fastest(found)):
+        table = run.result.iterations
+        times, costs = table["cumulative_time_in_seconds"], table["cost"]
+        known = np.isfinite(costs) & (times > 0)
+        if known.any() and np.isfinite(best):
+            gaps = gaps_to(best, costs[known])
+            line = backends.index(_backend(run))
+            marks.append(Steps(_name(found, run), times[known], gaps, colour, line))
+    return cost_against_time(marks, "the start")
+
+
+def graph_breakdown_figure(found: GraphComparison) -> Figure:
+    """Return the phases of each run as stacked bars, the fastest on top."""
+    rows = {}
+    for run in _fastest(found):
+        summary = run.result.summary
+        parts = {name: float(getattr(summary, field) or 0.0) for name, field in PHASES.items()}
+        rest = float(summary.total_time_in_seconds or 0.0) - sum(parts.values())
+        rows[_name(found, run)] = parts | {"rest": max(0.0, rest)}
+    return Figure(name="breakdown", title="Where the time went", marks=(StackedBars(rows, " s"),))
+
+
+def _fastest(found: GraphComparison) -> Sequence[GraphRun]:
+    usable = [run for run in found.runs if not run.failure and run.result is not None]
+    return sorted(usable, key=lambda run: run.time_in_seconds)[:MOST_DRAWN]
+
+
+def _backend(run: GraphRun) -> str:
+    return str(getattr(run.method, "backend", ""))
+
+
+def _name(found: GraphComparison, run: GraphRun) -> str:
+    several = len({one.method.num_threads for one in found.runs}) > 1
+    return f"{run.method.name}, {run.method.num_threads}" if several else str(run.method.name)
+
+
+# Costs of different solvers agree to about this; smaller differences are due to chance.
+SMALLEST_GAP = 1e-9
+
+
+@dataclass(frozen=True)
+class Style:
+    """Drawing style of a method in all figures.
+
+    Attributes:
+        colour: index from 0, the same for all backends and thread counts.
+        line: index from 0, one per backend.
+    """
+
+    colour: int
+    line: int
+
+
+def styles(methods: tuple[Method, ...]) -> dict[Method, Style]:
+    """Return a style for each method: colour by linear solver and trust region, line by backend."""
+    kinds: dict[tuple[str, ...], int] = {}
+    lines: dict[tuple[str, int], int] = {}
+    for method in sorted(methods, key=lambda method: -method.num_threads):
+        lines.setdefault((method.backend, method.num_threads), len(lines))
+    for method in methods:
+        kinds.setdefault(_kind(method), len(kinds))
+    return {
+        method: Style(kinds[_kind(method)], lines[method.backend, method.num_threads])
+        for method in methods
+    }
+
+
+def labels(methods: tuple[Method, ...]) -> dict[Method, str]:
+    """Return the name of each method, with its thread count if the methods differ in it."""
+    several = len({method.num_threads for method in methods}) > 1
+    return {
+        method: f"{method.name}, {method.threads}" if several else method.name for method in methods
+    }
+
+
+def cost_curve(comparison: Comparison, run: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return (seconds, lowest cost so far / best of all - 1) of a run, empty without a trace.
+
+    Relative distances below 1e-9 become 1e-9. If the best cost is 0, the second array is the cost.
+    """
+    times, costs = comparison.runs[run].trace
+    best = comparison.best_cost(comparison.runs[run].problem)
+    if len(costs) == 0 or not np.isfinite(best):
+        return np.empty(0), np.empty(0)
+    return times, gaps_to(best, costs)
+
+
+def gaps_to(best: float, costs: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the lowest cost so far / best - 1, as in :func:`cost_curve`."""
+    lowest = np.minimum.accumulate(costs)
+    gaps = lowest / best - 1.0 if best > 0 else lowest
+    return np.maximum(gaps, SMALLEST_GAP)
+
+
+def profile_curve(
+    profile: PerformanceProfile, largest: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the corners (factor, share) of a profile's steps from factor 1 to the largest."""
+    factors = np.array([1.0, *(ratio for ratio in profile.ratios if 1.0 < ratio <= largest)])
+    shares = np.array([profile.share(factor) for factor in factors])
+    return np.append(factors, largest), np.append(shares, shares[-1])
+
+
+def _kind(method: Method) -> tuple[str, ...]:
+    return (
+        method.linear_solver_type,
+        method.preconditioner_type,
+        method.linear_solver_ordering,
+        method.trust_region_strategy_type,
+    )

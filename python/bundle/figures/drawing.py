@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.base.records import dataclass
-from bundle.figures.axes import SHAPE, Axis, linear, logarithmic, square
-from bundle.figures.marks import GREY, Line, Mark, Steps
+from bundle.figures.marks import GREY, SHAPE, Axis, Line, Mark, Steps, linear, logarithmic, square
 
 Array = NDArray[np.float64]
 

@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from bundle.base.records import dataclass
 from bundle.base.words import plural
-from bundle.figures.axes import Axis, logarithmic, square
 from bundle.figures.drawing import Figure
-from bundle.figures.marks import GREY, Line, Mark, Vectors
+from bundle.figures.marks import GREY, Axis, Line, Mark, Vectors, logarithmic, square
 
 Floats = NDArray[np.float64]
 

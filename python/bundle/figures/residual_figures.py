@@ -2,20 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 import numpy as np
+from numpy.typing import NDArray
 
+from bundle.base.records import dataclass
 from bundle.base.words import pixels, plural
 from bundle.errors import shown
-from bundle.figures.axes import linear, logarithmic, round_down
 from bundle.figures.drawing import Figure, over_image
-from bundle.figures.image_residuals import ImageResiduals
-from bundle.figures.marks import GREY, Array, Cells, Dots, Line, Photo, Steps, Vectors
+from bundle.figures.marks import (
+    GREY,
+    Array,
+    Cells,
+    Dots,
+    Line,
+    Photo,
+    Steps,
+    Vectors,
+    linear,
+    logarithmic,
+    round_down,
+)
 from bundle.figures.residual_field import SIGNIFICANT, ResidualField
-from bundle.figures.residual_histogram import ResidualHistogram
 from bundle.model.problem import Problem
-from bundle.model.residuals import Residuals
+from bundle.model.reprojection import ImageError, Residuals, worst_of_errors
 
 MOST_IMAGES = 2000
 """Number of images with a dot each; of more images every k-th has one."""
@@ -242,3 +253,122 @@ def image_frame(image: ImageResiduals) -> tuple[Array, float]:
     largest = float(np.hypot(*image.residual.T).max(initial=0.0))
     size = float((box[2:] - box[:2]).max())
     return box, round_down(LONGEST * size / largest) if largest > 0 else 1.0
+
+
+BINS = 61
+SHARE = 0.99
+WIDEST = 4.0
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ResidualHistogram:
+    """Histograms of sets of residuals with labels such as "before" and "after".
+
+    Attributes:
+        edges: (bins + 1,) edges of coordinates [pixels], symmetric about 0.
+        coordinates: (bins,) counts of x and y together, by label.
+        share_outside: share of the coordinates beyond the edges, by label.
+        length_edges: (bins + 1,) edges of lengths [pixels], with a constant ratio.
+        lengths: (bins,) counts, by label; lengths below the first edge are in the first bin.
+        sigma: robust spread of the coordinates by label [pixels], 1.4826 median |r_x|, |r_y|; for
+            normally distributed residuals it is their standard deviation.
+    """
+
+    edges: NDArray[np.float64]
+    coordinates: dict[str, NDArray[np.int64]]
+    share_outside: dict[str, float]
+    length_edges: NDArray[np.float64]
+    lengths: dict[str, NDArray[np.int64]]
+    sigma: dict[str, float]
+
+
+def residual_histogram(sets: dict[str, Residuals]) -> ResidualHistogram | None:
+    """Return histograms of counted residuals; None if no observation counts.
+
+    The axis of coordinates covers 99 % of the last set. It covers up to 99 % of the others, but at
+    most four times the range of the last set.
+    """
+    values = {label: found.xy[found.counted] for label, found in sets.items()}
+    if not values or not all(len(part) for part in values.values()):
+        return None
+    widths = [float(np.quantile(np.abs(part), SHARE)) for part in values.values()]
+    limit = max(min(max(widths), WIDEST * widths[-1]), 1e-12)
+    edges = np.linspace(-limit, limit, BINS + 1)
+    lengths = {label: np.hypot(part[:, 0], part[:, 1]) for label, part in values.items()}
+    positive = np.concatenate([part[part > 0] for part in lengths.values()])
+    low, high = np.quantile(positive, [0.001, 1.0]) if len(positive) else (0.1, 1.0)
+    length_edges = np.geomspace(max(low, high * 1e-9), high * (1 + 1e-9), BINS + 1)
+    return ResidualHistogram(
+        edges=edges,
+        coordinates={label: np.histogram(part, edges)[0] for label, part in values.items()},
+        share_outside={
+            label: float((np.abs(part) > limit).mean()) for label, part in values.items()
+        },
+        length_edges=length_edges,
+        lengths={
+            label: np.histogram(np.maximum(part, length_edges[0]), length_edges)[0]
+            for label, part in lengths.items()
+        },
+        sigma={label: 1.4826 * float(np.median(np.abs(part))) for label, part in values.items()},
+    )
+
+
+MOST_PHOTOGRAPHS = 6
+MOST_ARROWS = 400
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ImageResiduals:
+    """Residuals of one image.
+
+    Attributes:
+        error: RMSE, largest residual, name and id.
+        camera_id: id of its camera.
+        size: (2,) width and height [pixels]; 0 if unknown.
+        xy: (n, 2) measured positions [pixels] of the largest residuals, at most 400.
+        residual: (n, 2) residuals at these positions [pixels].
+    """
+
+    error: ImageError
+    camera_id: int
+    size: tuple[int, int]
+    xy: NDArray[np.float64]
+    residual: NDArray[np.float64]
+
+
+def worst_residuals(
+    problem: Problem, found: Residuals, most: int = MOST_PHOTOGRAPHS
+) -> list[ImageResiduals]:
+    """Return the residuals of the images with the largest RMSE, the largest first."""
+    lengths = np.where(found.counted, found.lengths, np.nan)
+    behind = np.zeros(len(lengths), bool)  # observations that do not count have length NaN
+    return image_residuals(
+        problem, found, worst_of_errors(problem, lengths, behind, "algebraic", most=most)
+    )
+
+
+def image_residuals(
+    problem: Problem, found: Residuals, images: Iterable[ImageError]
+) -> list[ImageResiduals]:
+    """Return the residuals of some images."""
+    index = {int(image_id): place for place, image_id in enumerate(problem.image_ids)}
+    counted = np.flatnonzero(found.counted)
+    counted = counted[np.argsort(problem.observation_image[counted], kind="stable")]
+    ends = np.searchsorted(problem.observation_image[counted], np.arange(problem.num_images + 1))
+    result = []
+    for error in images:
+        image = index[error.image_id]
+        camera = problem.image_camera[image]
+        rows = counted[ends[image] : ends[image + 1]]
+        rows = rows[np.argsort(-found.lengths[rows], kind="stable")[:MOST_ARROWS]]
+        width, height = problem.camera_sizes[camera].tolist()
+        result.append(
+            ImageResiduals(
+                error=error,
+                camera_id=int(problem.camera_ids[camera]),
+                size=(width, height),
+                xy=problem.observation_xy[rows],
+                residual=found.xy[rows],
+            )
+        )
+    return result

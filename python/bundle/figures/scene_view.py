@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from bundle.base.records import dataclass
 from bundle.model.cameras import camera_models, param_kinds
 from bundle.model.problem import Problem
-from bundle.model.residuals import Residuals
-from bundle.model.rotations import rotation_matrices
+from bundle.model.reprojection import Residuals
+from bundle.model.rigid_motions import rotation_matrices
 
 MOST_POINTS = 60_000
 FARTHEST = 50.0

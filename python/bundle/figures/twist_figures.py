@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.figures.axes import linear
 from bundle.figures.drawing import Figure
-from bundle.figures.marks import GREY, Line
+from bundle.figures.marks import GREY, Line, linear
 from bundle.model.problem import Problem
 
 

@@ -6,17 +6,14 @@ from bundle.georeference.attitudes import AttitudeErrors, Attitudes, read_attitu
 from bundle.georeference.control_point import GroundControlPoint, Measurement
 from bundle.georeference.exif_gps import read_exif_gps
 from bundle.georeference.gcp_list import read_gcp_list
-from bundle.georeference.gcp_priors import GcpPriors, gcp_priors
-from bundle.georeference.geo_file import read_geo_file
 from bundle.georeference.georeferenced import Georeference
-from bundle.georeference.gps_positions import GpsPositions
-from bundle.georeference.gps_priors import GpsPriors, gps_priors
+from bundle.georeference.gps_positions import GpsPositions, read_geo_file
 from bundle.georeference.local_frame import LocalFrame
-from bundle.georeference.position_prior import PositionPrior
 from bundle.georeference.reference_system import ReferenceSystem
 from bundle.georeference.similarity import Similarity
+from bundle.georeference.survey_priors import GcpPriors, GpsPriors, gcp_priors, gps_priors
+from bundle.georeference.vector_priors import PositionPrior, VelocityPrior
 from bundle.georeference.velocities import Velocities, read_velocities
-from bundle.georeference.velocity_prior import VelocityPrior
 
 __all__ = [
     "Alignment",

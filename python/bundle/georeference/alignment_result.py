@@ -37,7 +37,7 @@ class ControlPointError:
         sigma: (3,) standard deviations of the survey [m]; nan for an unknown height.
         pixels: root mean square reprojection error of the triangulated target.
         images: name, and error in x and y [pixels], of each measurement.
-        suspect: True if a gross error is likely; see ``bundle.georeference.leave_one_out``.
+        suspect: True if a gross error is likely; see ``bundle.georeference.survey``.
         reason: reason why the point is unused; "" if it is used.
         redundancy: share of an error of its coordinates that its residual shows after a solve; nan
             if unknown.

@@ -37,8 +37,8 @@ from bundle.georeference.attitude_priors import (
     as_sigma,
     quaternion_of_angles,
 )
-from bundle.georeference.image_finder import ImageFinder
-from bundle.georeference.image_lines import content_lines, headed_rows, image_rows, row_numbers
+from bundle.georeference.image_index import ImageFinder
+from bundle.georeference.text_lines import content_lines, headed_rows, image_rows, row_numbers
 
 SIGMAS = ("sigma_heading", "sigma_tilt")
 LAYOUTS = {

@@ -36,18 +36,18 @@ from bundle.base.arrays import FrozenArrays, freeze
 from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
 from bundle.errors import InputError, brief
-from bundle.graphs.factors.attitude_factors import (
+from bundle.graphs.factors.factors import Factor
+from bundle.graphs.factors.image_factors import (
     DOWN,
     FORWARD,
     DirectionFactor,
     HeadingFactor,
     RotationFactor,
 )
-from bundle.graphs.factors.factors import Factor
 from bundle.interface.georeference_options import ROBUST_SCALES
 from bundle.interface.option_fields import choice, number
 from bundle.interface.options import LOSSES
-from bundle.model.rotations import quaternion_from_matrix
+from bundle.model.rigid_motions import quaternion_from_matrix
 
 Array = NDArray[np.float64]
 

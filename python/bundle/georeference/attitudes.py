@@ -15,10 +15,16 @@ from bundle.base.records import dataclass
 from bundle.base.words import plural
 from bundle.errors import InputError, brief, shown
 from bundle.georeference.attitude_files import read_gravity, read_orientations
-from bundle.georeference.attitude_mean import MEDIAN, TUKEY, Agreement, log
 from bundle.georeference.attitude_priors import AttitudePrior, GravityPrior
-from bundle.georeference.image_finder import ImageFinder
-from bundle.georeference.problem_attitudes import AttitudesOfKind, ProblemAttitudes
+from bundle.georeference.image_index import ImageFinder
+from bundle.georeference.problem_attitudes import (
+    MEDIAN,
+    TUKEY,
+    Agreement,
+    AttitudesOfKind,
+    ProblemAttitudes,
+    log,
+)
 from bundle.georeference.similarity import Similarity, moved
 from bundle.interface.georeference_options import (
     GRAVITY_SIGMA,
@@ -28,7 +34,7 @@ from bundle.interface.georeference_options import (
 from bundle.interface.option_fields import choice, number
 from bundle.interface.options import LOSSES
 from bundle.model.problem import Problem
-from bundle.model.rotations import rotation_matrices
+from bundle.model.rigid_motions import rotation_matrices
 
 Array = NDArray[np.float64]
 
@@ -391,8 +397,7 @@ def _from_xmp(
     problem: Problem, folder: str | os.PathLike[str] | None, sigmas: tuple[float, float]
 ) -> tuple[list[AttitudePrior], tuple[str, ...]]:
     """Return priors of the images with gimbal angles, and notes about the others."""
-    from bundle.georeference.dji_xmp import read_dji
-    from bundle.georeference.exif_gps import counted_images, files_of_images
+    from bundle.georeference.exif_gps import counted_images, files_of_images, read_dji
 
     if folder is None:
         raise InputError("images: expected the folder of the images, for orientations xmp")

@@ -39,7 +39,7 @@ from bundle.georeference.control_point import (
     parse_pixel_sigma,
     parse_sigma,
 )
-from bundle.georeference.odm_lines import parse_number, read_lines
+from bundle.georeference.text_lines import parse_number, read_lines
 
 PIXEL_SHIFT = 0.5
 """Shift from pixel coordinates with origin at the centre of the first pixel to COLMAP's."""

@@ -11,12 +11,15 @@ import numpy as np
 
 from bundle.base.paths import as_path, is_path
 from bundle.errors import InputError, brief, nearest
-from bundle.georeference.colmap_database import read_database_gps
 from bundle.georeference.control_point import GroundControlPoint, parse_sigma
 from bundle.georeference.exif_gps import read_exif_gps
 from bundle.georeference.gcp_list import read_gcp_list
-from bundle.georeference.geo_file import read_geo_file
-from bundle.georeference.gps_positions import GpsPositions, with_fix
+from bundle.georeference.gps_positions import (
+    GpsPositions,
+    read_database_gps,
+    read_geo_file,
+    with_fix,
+)
 from bundle.georeference.local_frame import LocalFrame
 from bundle.georeference.opensfm_frame import is_opensfm, read_opensfm_gcps, read_opensfm_gps
 from bundle.georeference.reference_system import ReferenceSystem

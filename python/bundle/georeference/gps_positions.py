@@ -1,9 +1,11 @@
-"""Measured positions of images from a file or from EXIF tags, and their images by name."""
+"""Measured positions of images: geo.txt, a COLMAP database, and their images by name."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Sequence
 from dataclasses import field, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +15,8 @@ from bundle.base.records import dataclass
 from bundle.base.words import plural
 from bundle.errors import InputError, brief, shown
 from bundle.georeference.image_index import ImageIndex
+from bundle.georeference.text_lines import parse_number, read_lines
+from bundle.io.database_images import open_database
 from bundle.model.problem import Problem
 
 EXIF_TAGS = "EXIF tags"
@@ -157,3 +161,187 @@ def case_notes(index: ImageIndex, names: Iterable[str]) -> list[str]:
         f"{plural(len(alike), 'name')} of these differ from names of the model only in "
         f"upper and lower case: {shown(name)} and {shown(str(other))}."
     ]
+
+
+# OpenDroneMap's image geolocation file, ``geo.txt``.
+#
+# The first line is the coordinate reference system, every other line an image::
+#
+#     EPSG:4326
+#     # image         x            y          z       yaw pitch roll  h-acc v-acc
+#     DJI_0028.JPG    -91.9942096  46.8425213 198.609
+#     DJI_0032.JPG    -91.9938293  46.8424584 198.609 0   0     0     0.02  0.03
+#
+# Numbers are identified by position, as in OpenDroneMap: accuracies follow the three angles, and an
+# incomplete group at the end of a line does not belong to the format. x is east or longitude, y
+# north or latitude; 0 and 0 mean a receiver without a fix. With the first line ``LOCAL``,
+# coordinates are metres in a frame of their own, its third axis up, and 0 and 0 a position like any
+# other. A name with blanks is in quotes, or between tabs if tabs separate all fields. Angles are
+# checked and not used: they have no effect on a position, and the images determine the attitude
+# better.
+#
+# Source: https://docs.opendronemap.org/geo/ and ``opendm/geo.py`` of OpenDroneMap.
+
+_ANGLES = ("yaw", "pitch", "roll")
+_ACCURACIES = ("horizontal accuracy", "vertical accuracy")
+
+
+def read_geo_file(path: str | os.PathLike[str]) -> GpsPositions:
+    """Read the positions of images from OpenDroneMap's geo.txt.
+
+    Raises:
+        InputError: the reference system is unknown, a line has missing or non-numeric values, an
+            image has two lines, or a position is outside the system's area. The message is one
+            line with file, line number, expected and found.
+        OSError: the file cannot be read.
+    """
+    system, lines = read_lines(path, name_at=0)
+    name = shown(path)
+    seen: dict[str, int] = {}
+    rows: list[list[float]] = []
+    odd = 0
+    for number, words in lines:
+        place = f"{name}: line {number}"
+        rows.append(_row(place, words))
+        image = words[0]
+        if image in seen:
+            raise InputError(
+                f"{place}: expected one line for each image, found {brief(image)} again (first "
+                f"in line {seen[image]})"
+            )
+        seen[image] = number
+        odd += len(words) in (5, 6, 8)
+    if not rows:
+        raise InputError(f"{name}: expected images after the first line, found 0")
+    table = np.array(rows)
+    lines_of = np.array(list(seen.values()))
+    fixed = np.ones(len(table), bool) if system is None else ~system.is_no_fix(table[:, :3])
+    without = [image for image, has_fix in zip(seen, fixed, strict=True) if not has_fix]
+    images = tuple(image for image, has_fix in zip(seen, fixed, strict=True) if has_fix)
+    table, lines_of = table[fixed], lines_of[fixed]
+    geodetic, notes = table[:, :3], []
+    if system is not None:
+        geodetic = system.to_geodetic(geodetic, [f"{name}: line {line}" for line in lines_of])
+        notes = [*system.notes, *system.area_notes(geodetic), *no_fix_notes(without, name)]
+    if odd:
+        notes.append(
+            f"{plural(odd, 'line')} of {name} have numbers after the height that are "
+            "neither three angles nor three angles and two accuracies; they are ignored."
+        )
+    return GpsPositions(
+        names=images,
+        geodetic=geodetic,
+        accuracy=table[:, 3:],
+        reference_system=None if system is None else system.name.strip("'\" "),
+        source=name,
+        notes=tuple(notes),
+    )
+
+
+def _row(place: str, words: list[str]) -> list[float]:
+    """Return x, y, z and the two accuracies; nan if missing."""
+    if len(words) < 3:
+        raise InputError(
+            f"{place}: expected image x y [z] [yaw pitch roll] [h-acc v-acc], "
+            f"found {brief(' '.join(words))}"
+        )
+    x, y = (parse_number(place, name, word) for name, word in zip("xy", words[1:3], strict=True))
+    z = parse_number(place, "z", words[3], unknown=True) if len(words) > 3 else np.nan
+    accuracies = [np.nan, np.nan]
+    if len(words) >= 7:
+        for name, word in zip(_ANGLES, words[4:7], strict=True):
+            parse_number(place, name, word, unknown=True)
+    if len(words) >= 9:
+        accuracies = [
+            parse_number(place, name, word, unknown=True)
+            for name, word in zip(_ACCURACIES, words[7:9], strict=True)
+        ]
+        for name, accuracy in zip(_ACCURACIES, accuracies, strict=True):
+            if accuracy <= 0:
+                raise InputError(
+                    f"{place}: {name}: expected metres above 0, or nan, found {accuracy:g}"
+                )
+    return [x, y, z, *accuracies]
+
+
+# GPS positions of COLMAP's database: the table pose_priors.
+#
+# A prior in WGS84 (coordinate_system 0) has latitude, longitude and height, and a covariance in
+# metres of east, north, up, where it is known; a Cartesian one (1) has x, y, z in metres, z up. The
+# table of COLMAP 4 refers to an image by corr_data_id, that of COLMAP 3.10 and 3.11 by image_id.
+# Blobs are doubles, nan where unknown.
+#
+# Source: src/colmap/scene/database_sqlite.cc and geometry/pose_prior.h of COLMAP.
+
+_WGS84 = 0
+_CARTESIAN = 1
+_SYSTEMS = {-1: "undefined", _WGS84: "WGS84", _CARTESIAN: "Cartesian"}
+_CAMERA = 0
+"""corr_sensor_type of a camera; an IMU has another one."""
+
+
+def read_database_gps(path: Path) -> GpsPositions:
+    """Read the positions of the images of a COLMAP database.
+
+    Raises:
+        InputError: the database is damaged, or has no positions, or positions in several systems.
+        OSError: the file cannot be read.
+    """
+    name = shown(path)
+    with open_database(path) as database:
+        columns = [row[1] for row in database.execute("PRAGMA table_info(pose_priors)")]
+        if "position" not in columns:
+            raise InputError(
+                f"{name}: expected COLMAP's table pose_priors, found a database without it"
+            )
+        key = "corr_data_id" if "corr_data_id" in columns else "image_id"
+        of_cameras = f" AND corr_sensor_type = {_CAMERA}" if "corr_sensor_type" in columns else ""
+        rows = database.execute(
+            "SELECT images.name, position, position_covariance, coordinate_system "
+            f"FROM pose_priors JOIN images ON images.image_id = pose_priors.{key}{of_cameras} "
+            "ORDER BY images.image_id"
+        ).fetchall()
+    names, geodetic, accuracy, without, common = [], [], [], 0, None
+    for image, position, covariance, system in rows:
+        place = f"{name}: pose_priors: {shown(str(image))}"
+        where = _doubles(position, 3, f"{place}: position")
+        if not np.isfinite(where[:2]).all():
+            without += 1
+            continue
+        common = system if common is None else common
+        if system not in (_WGS84, _CARTESIAN) or system != common:
+            found = _SYSTEMS.get(system, brief(system))
+            wanted = "WGS84 or Cartesian" if common == system else f"{_SYSTEMS.get(common)}"
+            raise InputError(f"{place}: expected {wanted} coordinates, found {found}")
+        if system == _WGS84 and (abs(where[0]) > 90 or abs(where[1]) > 360):
+            raise InputError(
+                f"{place}: expected latitude and longitude in degrees, found {where[0]:g}, "
+                f"{where[1]:g}"
+            )
+        variances = np.diag(_doubles(covariance, 9, f"{place}: position_covariance").reshape(3, 3))
+        known = (variances > 0) & np.isfinite(variances)
+        horizontal = np.sqrt(variances[:2].mean()) if known[:2].all() else np.nan
+        vertical = np.sqrt(variances[2]) if known[2] else np.nan
+        names.append(str(image))
+        geodetic.append(where)
+        accuracy.append((horizontal, vertical))
+    if not names:
+        raise InputError(f"{name}: expected positions in pose_priors, found 0")
+    return GpsPositions(
+        names=tuple(names),
+        geodetic=np.array(geodetic),
+        accuracy=np.array(accuracy),
+        reference_system="WGS84" if common == _WGS84 else None,
+        source=name,
+        notes=(f"{plural(without, 'pose prior')} without a position.",) if without else (),
+    )
+
+
+def _doubles(blob: object, count: int, place: str) -> NDArray[np.float64]:
+    """Return the numbers of a blob; nan without one."""
+    if blob is None:
+        return np.full(count, np.nan)
+    if not isinstance(blob, bytes) or len(blob) != 8 * count:
+        found = f"{len(blob)} bytes" if isinstance(blob, bytes) else brief(blob)
+        raise InputError(f"{place}: expected {8 * count} bytes, found {found}")
+    return np.frombuffer(blob, "<f8")

@@ -6,13 +6,10 @@ from bundle.base.records import dataclass
 from bundle.georeference.attitude_priors import AttitudePrior
 from bundle.georeference.attitudes import AttitudeErrors, Attitudes
 from bundle.georeference.control_point import GroundControlPoint
-from bundle.georeference.gcp_priors import GcpPriors
 from bundle.georeference.georeferenced import Georeference, Solved
-from bundle.georeference.gps_priors import GpsPriors
-from bundle.georeference.position_prior import PositionPrior
-from bundle.georeference.problem_velocities import VelocityErrors
-from bundle.georeference.velocities import Velocities
-from bundle.georeference.velocity_prior import VelocityPrior
+from bundle.georeference.survey_priors import GcpPriors, GpsPriors
+from bundle.georeference.vector_priors import PositionPrior, VelocityPrior
+from bundle.georeference.velocities import Velocities, VelocityErrors
 
 
 @dataclass(frozen=True)

@@ -27,13 +27,13 @@ from numpy.typing import NDArray
 
 from bundle.errors import InputError
 from bundle.georeference.control_point import GroundControlPoint
-from bundle.georeference.correspondences import Correspondences
 from bundle.georeference.gps_positions import GpsPositions
 from bundle.georeference.prior_alignment import robust_similarity
 from bundle.georeference.reference_system import ReferenceSystem
 from bundle.georeference.similarity import Similarity
+from bundle.georeference.similarity_fit import Correspondences
 from bundle.model.problem import Problem
-from bundle.model.rotations import rotation_matrices
+from bundle.model.rigid_motions import rotation_matrices
 
 if TYPE_CHECKING:  # avoids a cycle: survey calls check_readings
     from bundle.georeference.survey import Survey

@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 from bundle.errors import InputError
 from bundle.georeference.similarity import Similarity, umeyama
 from bundle.georeference.similarity_fit import THINNEST
-from bundle.model.rotations import quaternion_from_matrix, quaternion_multiply
+from bundle.model.rigid_motions import quaternion_from_matrix, quaternion_multiply
 
 SMALLEST = 1e-100
 """Length below which squares of coordinates lose digits."""

@@ -22,9 +22,9 @@ from numpy.typing import NDArray
 
 from bundle.base.records import dataclass
 from bundle.errors import InputError
-from bundle.georeference.vector_prior import UNKNOWN
-from bundle.graphs.factors.attitude_factors import RotationFactor
+from bundle.georeference.vector_priors import UNKNOWN
 from bundle.graphs.factors.factors import Factor, PositionFactor
+from bundle.graphs.factors.image_factors import RotationFactor
 from bundle.model.problem import Problem
 
 AXES = {"none": (0.0, 0.0, 0.0), "up": (0.0, 0.0, 1.0), "all": (1.0, 1.0, 1.0)}

@@ -27,11 +27,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.base.records import dataclass
-from bundle.georeference.moved_source import without_origin
+from bundle.georeference.opensfm_frame import without_origin
 from bundle.model.estimates import VARIABLES, Variable, estimates, with_estimates
 from bundle.model.problem import Problem
 from bundle.model.rig_arrays import placed
-from bundle.model.rotations import (
+from bundle.model.rigid_motions import (
     quaternion_from_matrix,
     quaternion_inverse,
     quaternion_multiply,

@@ -22,12 +22,12 @@ from bundle.base.records import dataclass
 from bundle.errors import InputError
 from bundle.georeference.alignment_result import ControlPointError
 from bundle.georeference.control_point import GCP_PIXEL_SIGMA, GCP_SIGMA, GroundControlPoint
-from bundle.georeference.correspondences import Correspondences
 from bundle.georeference.image_index import ImageIndex
 from bundle.georeference.similarity import Similarity
+from bundle.georeference.similarity_fit import Correspondences
 from bundle.georeference.survey import control_point_error, surveyed
 from bundle.georeference.triangulated_targets import Triangulated, triangulate
-from bundle.georeference.vector_prior import UNKNOWN
+from bundle.georeference.vector_priors import UNKNOWN
 from bundle.graphs.factors.factors import PriorFactor
 from bundle.model.problem import Problem
 

@@ -22,7 +22,7 @@ from bundle.georeference.control_point import GroundControlPoint, Measurement
 from bundle.georeference.image_index import ImageIndex
 from bundle.model.cameras import camera_models, project
 from bundle.model.problem import Problem
-from bundle.model.rotations import rotation_matrices
+from bundle.model.rigid_motions import rotation_matrices
 
 Array = NDArray[np.float64]
 

@@ -98,7 +98,7 @@ class SceneKeywords(TypedDict, total=False):
 
 
 class FlightKeywords(TypedDict, total=False):
-    """Keywords of :class:`bundle.interface.flight_options.FlightOptions`."""
+    """Keywords of :class:`bundle.interface.scene_options.FlightOptions`."""
 
     motion: str  # 'loop'
     duration: float  # 30.0

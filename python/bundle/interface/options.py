@@ -14,10 +14,11 @@ from bundle.base.records import dataclass
 from bundle.errors import InputError
 from bundle.interface import trust_region_fields as trust_region
 from bundle.interface.option_class import Options, documented
-from bundle.interface.option_fields import checked, option
-from bundle.interface.option_lists import (
+from bundle.interface.option_fields import (
     REFINABLE,
     SENSORS,
+    checked,
+    option,
     refined_names,
     sensor_pairs,
     two_sigmas,

@@ -7,7 +7,7 @@ Three signs, each with the explanation that it must exclude:
   a factorisation takes less time than the linearisation, and a ratio of 2 to 3 costs nothing.
 - nnz(L) / nnz(Lambda). It is 1 to 3 in healthy graphs; 40 is often the ordering. Some matrices fill
   in under every order, so that the ratio is evidence only.
-- growth since an earlier solve of the same matrix (``factor_history``). The size is the same, or
+- growth since an earlier solve of the same matrix (``recall``). The size is the same, or
   the matrix is another one. Equal orders of equal matrices have equal factors: a record of the same
   order with other flops is of another matrix.
 
@@ -18,12 +18,18 @@ The alarm counts flops, not seconds, and is therefore the same on every machine.
 
 from __future__ import annotations
 
+import contextlib
+import json
+import zlib
 from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle._core import __version__
+from bundle.base.cache_folder import cache_folder, write_cached
 from bundle.base.records import dataclass
 from bundle.base.words import amount, number
 
@@ -115,7 +121,6 @@ def _is_far(fields: Mapping[str, Any], flops: float, best: float, times: float) 
 def _earlier(
     fields: Mapping[str, Any], structure: Callable[[], Iterable[NDArray[Any]]]
 ) -> BestOrder | None:
-    from bundle.interface.factor_history import PastFactor, recall  # long solves only
 
     names = ("backend_used", "linear_solver_type_used", "num_factor_columns")
     key = " ".join(
@@ -159,3 +164,67 @@ def _sentence(
         f"{at_least}{number(flops / best.flops)} times the flops of {where}{best.ordering} "
         f"order{fill}.{f' {advice}' if advice else ''}"
     )
+
+
+# Record of the cheapest factor of each structure that this user has solved.
+#
+# The file ``factors-VERSION.json`` in the cache folder has one entry per structure: a checksum of
+# who is coupled with whom, the size of the matrix and the solver. An entry holds flops, nnz(L) and
+# the ordering, no path and no measurement. The checksum and nnz(Lambda) are equal only for the same
+# matrix: more flops than recorded are due to the ordering, not to the size.
+#
+# Only solves of some tenths of a second read and write the file. It keeps the last MOST_ENTRIES
+# structures. Its first line is the checksum of the second: a file that was edited counts as empty,
+# as one that cannot be read or written.
+
+MOST_ENTRIES = 200
+
+
+@dataclass(frozen=True)
+class PastFactor:
+    """Cost of the factor of an earlier solve."""
+
+    flops: float
+    nonzeros: float
+    ordering: str
+
+
+def history_path() -> Path:
+    """Return the path of the record."""
+    return cache_folder() / f"factors-{__version__}.json"
+
+
+def recall(structure: str, now: PastFactor) -> PastFactor | None:
+    """Return the cheapest earlier factor of a structure, or None; record the present one.
+
+    Args:
+        structure: checksum of the matrix and name of its solver.
+        now: factor of this solve.
+    """
+    try:
+        path = history_path()
+        entries = _read(path)
+    except (OSError, RuntimeError):  # no home folder
+        return None
+    past = entries.pop(structure, None)
+    entries[structure] = now if past is None or now.flops < past.flops else past
+    kept = list(entries.items())[-MOST_ENTRIES:]
+    with contextlib.suppress(OSError):
+        text = json.dumps({key: [one.flops, one.nonzeros, one.ordering] for key, one in kept})
+        write_cached(path, f"{_checksum(text)}\n{text}\n")
+    return past
+
+
+def _read(path: Path) -> dict[str, PastFactor]:
+    """Return the entries in order of their last use; empty if the file is missing or damaged."""
+    try:
+        checksum, text = path.read_text(encoding="ascii").splitlines()
+    except (OSError, ValueError):  # not two lines of ASCII
+        return {}
+    if checksum != _checksum(text):
+        return {}
+    return {key: PastFactor(*values) for key, values in json.loads(text).items()}
+
+
+def _checksum(text: str) -> str:
+    return f"{zlib.crc32(text.encode()):08x}"

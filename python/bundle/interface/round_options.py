@@ -1,4 +1,4 @@
-"""Options of rounds: their number, and the limits of their filter."""
+"""Options of rounds: their number, the limits of their filter, and scratch files."""
 
 from __future__ import annotations
 
@@ -112,4 +112,20 @@ class CheckpointOptions(Options):
         metavar="N",
         needs=("checkpoint", "resume"),
         late=True,
+    )
+
+
+@documented
+@dataclass(frozen=True, kw_only=True, repr=False)
+class OutOfCoreOptions(Options):
+    """Folder for problems that are larger than the memory."""
+
+    out_of_core: str | None = option(
+        None,
+        "--out-of-core",
+        "keep observations and points in files in this folder, of a local disk; the result has the "
+        "same bits. For BAL files and binary COLMAP models, without rounds and other inputs. The "
+        "files have no names and end with the process",
+        metavar="DIR",
+        value="path",
     )

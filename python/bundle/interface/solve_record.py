@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from bundle.base.display import Displayed
 from bundle.base.records import dataclass
 from bundle.interface.options import SolveOptions
-from bundle.interface.summary import Summary
+from bundle.interface.summary import Summary, sentence
 from bundle.interface.tabular import Tabular
-from bundle.interface.termination import sentence
 
 Progress = Callable[[dict[str, Any]], None]
 

@@ -1,4 +1,4 @@
-"""Summary of a solve, as data and as text.
+"""Summary of a solve, as data and as text: steps, times, termination, processes.
 
 ``bundle.base.tables`` is imported only when something is printed.
 """
@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Sequence
+import re
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from bundle.base.display import Display, Displayed
@@ -16,7 +17,6 @@ from bundle.base.words import change, number, plural, seconds
 
 if TYPE_CHECKING:
     from bundle.base.tables import Columns
-    from bundle.interface.process_record import ProcessRecord
 
 
 # Methods written for all subclasses: a dataclass would compile its own, and with sixty fields that
@@ -48,7 +48,7 @@ class Summary(Displayed):
     - ``num_factors``: number of factors in addition to the observations.
     - ``num_processes``: number of processes that mpirun started.
     - ``processes``: with several processes, their parts of the problem, times and messages
-      (:class:`bundle.interface.process_record.ProcessRecord`). All other times are those of the
+      (:class:`bundle.interface.summary.ProcessRecord`). All other times are those of the
       first process.
 
     Size of the matrix that each step factorises. Values are None, or "", if no matrix is factorised
@@ -278,3 +278,148 @@ def share(time: float, total: float) -> str:
 def sizes(groups: Sequence[int]) -> str:
     """Return the sizes of elimination groups, "22106, 16", or AUTOMATIC if Ceres chose them."""
     return ", ".join(map(str, groups)) if groups else "AUTOMATIC"
+
+
+# First words of Ceres' messages (trust_region_minimizer.cc, solver.cc), identical in versions 1.14
+# to 2.2. "{limit}" is the tolerance at the end of the message.
+_REASONS = {
+    "Function tolerance reached. No non-constant": ": all parameters are constant",
+    "Function tolerance reached": " (relative cost change below {limit})",
+    "Gradient tolerance reached": " (largest entry of the gradient below {limit})",
+    "Parameter tolerance reached": " (relative parameter change below {limit})",
+    "Minimum trust region radius reached": (
+        ": no step lowers the cost (minimum trust region radius reached)"
+    ),
+    "Maximum number of iterations reached": ": iteration limit reached. The best state is kept",
+    "Maximum solver time reached": ": time limit reached. The best state is kept",
+    "Number of consecutive invalid steps": (
+        ": consecutive steps had no finite cost, or their linear system was not solved"
+    ),
+    "Linear solver failed": ": fatal error of the linear solver",
+    "Initial residual and Jacobian evaluation failed": (
+        ": cost or Jacobian not finite at the start"
+    ),
+    "Residual and Jacobian evaluation failed": ": cost or Jacobian no longer finite",
+}
+_VERDICTS = {
+    "CONVERGENCE": "Converged in",
+    "NO_CONVERGENCE": "Not converged after",
+    "FAILURE": "Failed after",
+}
+
+
+def short_outcome(summary: Summary, done: str) -> str:
+    """Return the outcome as "Not converged after 5 steps (time limit reached)".
+
+    `done` is the work done, such as "5 steps". A tolerance that was reached is not named.
+    """
+    if summary.interrupted:
+        return f"Interrupted after {done}"
+    verdict = f"{_verdict(summary)} {done}"
+    for beginning, reason in _REASONS.items():
+        if summary.message.startswith(beginning):
+            why = reason.partition(": ")[2].removesuffix(". The best state is kept")
+            return f"{verdict} ({why})" if why else verdict
+    return verdict
+
+
+def sentence(summary: Summary, num_steps: int, num_rejected: int = 0) -> str:
+    """Return a sentence on the termination of a solve.
+
+    `num_rejected` of its `num_steps` steps were not accepted.
+    """
+    steps = plural(num_steps, "step")
+    if num_rejected:
+        steps += f", {num_rejected} rejected"
+    if summary.interrupted:
+        return f"Interrupted after {steps}. The best state is kept."
+    verdict = f"{_verdict(summary)} {steps}"
+    for beginning, reason in _REASONS.items():
+        if summary.message.startswith(beginning):
+            return f"{verdict}{reason.format(limit=_limit(summary.message))}."
+    return f"{verdict}: {' '.join(summary.message.split()) or summary.termination_type}"
+
+
+def _verdict(summary: Summary) -> str:
+    """Return the first words; a solve whose result is no solution has not converged to one."""
+    if summary.termination_type == "CONVERGENCE" and not summary.is_solution_usable:
+        return "Ended after"
+    return _VERDICTS.get(summary.termination_type, "Ended after")
+
+
+def _limit(message: str) -> str:
+    """Return the tolerance in a message such as "... 3.4e-07 <= 1.0e-06": "1e-6"."""
+    found = re.search(r"<= ([-+.\de]+)", message)
+    if found is None:
+        return "its tolerance"
+    text = f"{float(found[1].rstrip('.')):g}"
+    return re.sub(r"e([-+])0?", lambda sign: "e-" if sign[1] == "-" else "e", text)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProcessPart:
+    """One process: its part of the problem, and the times of its phases in seconds.
+
+    The phases are those of :class:`bundle.Summary`. Each includes the time in which the process
+    waited for other processes; ``waiting_time_in_seconds`` is the total of these waiting times.
+    """
+
+    num_points: int
+    num_observations: int
+    preprocessor_time_in_seconds: float
+    residual_evaluation_time_in_seconds: float
+    jacobian_evaluation_time_in_seconds: float
+    linear_solver_time_in_seconds: float
+    total_time_in_seconds: float
+    waiting_time_in_seconds: float
+    peak_memory_in_bytes: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class Traffic:
+    """Messages of one kind between the processes of a solve.
+
+    Attributes:
+        what: "normal equations" (S, its right-hand side and block diagonal, to the first process),
+            "gradient", "step", "scalars", or "setup".
+        num_messages: number of calls in each process.
+        num_bytes: size of the arrays that were summed or sent, counted once per call.
+        seconds: time that the first process spent in these calls, including waiting for others.
+    """
+
+    what: str
+    num_messages: int
+    num_bytes: int
+    seconds: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProcessRecord:
+    """A solve by several processes.
+
+    Attributes:
+        parts: one entry per process, in order of rank.
+        traffic: one entry per kind of message, in the order of first appearance.
+    """
+
+    parts: tuple[ProcessPart, ...]
+    traffic: tuple[Traffic, ...]
+
+    @staticmethod
+    def of_dict(given: Mapping[str, Any]) -> ProcessRecord:
+        """Return the record from its ``dataclasses.asdict`` or JSON form."""
+        return ProcessRecord(
+            parts=tuple(ProcessPart(**part) for part in given["parts"]),
+            traffic=tuple(Traffic(**kind) for kind in given["traffic"]),
+        )
+
+    @property
+    def balance(self) -> float:
+        """Largest number of observations of a process, divided by the mean; 1: balanced."""
+        counts = [part.num_observations for part in self.parts]
+        return max(counts) * len(counts) / max(sum(counts), 1)
+
+    @property
+    def num_bytes(self) -> int:
+        """Total number of bytes of all messages."""
+        return sum(kind.num_bytes for kind in self.traffic)

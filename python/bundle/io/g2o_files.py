@@ -11,7 +11,7 @@ from bundle.base.paths import as_path
 from bundle.base.words import plural
 from bundle.errors import shown
 from bundle.io.atomic import atomic_write as atomic
-from bundle.io.file_names import check_name
+from bundle.io.recognition import check_name
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.model.starts import start_without_poses
 

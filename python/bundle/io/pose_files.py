@@ -21,13 +21,12 @@ import numpy as np
 from bundle.base.paths import UTF16, as_path, numbered_lines
 from bundle.base.words import plural
 from bundle.errors import InputError, brief, shown
-from bundle.interface.evaluate_options import DIRECTIONS, POSE_FORMATS
+from bundle.interface.judging_options import DIRECTIONS, POSE_FORMATS
 from bundle.interface.option_fields import choice
 from bundle.io.sequences.csv_tables import read_csv
 from bundle.io.sequences.trajectory_files import load_ground_truth, load_tum
 from bundle.model.pose_table import PoseTable
-from bundle.model.rigid_motions import inverse_poses, unit_poses
-from bundle.model.rotations import quaternion_from_matrix
+from bundle.model.rigid_motions import inverse_poses, quaternion_from_matrix, unit_poses
 
 NORM = 0.01
 """Largest deviation of the norm of a quaternion from 1, and of R^T R from the identity."""

@@ -1,7 +1,8 @@
-"""Reprojection errors at a problem's current values."""
+"""Residuals and reprojection errors at a problem's current values, and their statistics."""
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -177,3 +178,245 @@ def linearize(
         raise InputError(f"rotation_offsets: expected shape {shape}, found {offsets.shape}")
     cheirality = resolve_cheirality(problem, cheirality)
     return Linearization(*_core.linearize(problem, cheirality, np.ascontiguousarray(offsets)))
+
+
+# Signed residuals of all observations: projection minus measurement, in pixels.
+#
+# ``bundle.reprojection_errors`` has only their lengths. Lens errors show in the directions.
+
+
+@dataclass(frozen=True, eq=False)
+class Residuals:
+    """Residuals of the observations of a problem.
+
+    Attributes:
+        xy: (num_observations, 2) projection minus measurement [pixels], x right, y down; across a
+            seam the shorter way; NaN if the point has no projection.
+        counted: (num_observations,) True for observations that count: the point has a projection
+            and, unless cheirality is "algebraic", is in front of the camera.
+    """
+
+    xy: NDArray[np.float64]
+    counted: NDArray[np.bool_]
+
+    @property
+    def lengths(self) -> NDArray[np.float64]:
+        """(num_observations,) lengths [pixels]; NaN without a projection."""
+        return np.hypot(self.xy[:, 0], self.xy[:, 1])
+
+
+def residuals(problem: Problem, cheirality: str = "auto") -> Residuals:
+    """Return the residuals at the current values of a problem.
+
+    Args:
+        problem: the problem; not modified.
+        cheirality: "algebraic", "zero" or "auto", as in :class:`SolveOptions`.
+    """
+    cheirality = resolve_cheirality(problem, cheirality)
+    xy, behind = _core.reprojection_residuals(problem, 0, cheirality)
+    counted = np.isfinite(xy[:, 0]) & np.isfinite(xy[:, 1])
+    if cheirality != "algebraic":
+        counted &= ~behind
+    return Residuals(xy, counted)
+
+
+# Robust statistics of reprojection errors: each error counts at most as the clip.
+#
+# A model may have no projection of an observation that it was not fitted to: the point is behind
+# the camera, or outside the range of the lens. This error has no finite value. One point near the
+# camera's plane has an error of many thousand pixels, and would decide a mean of squares alone. The
+# clipped RMSE limits both: sqrt(mean min(e, clip)^2), with e = clip if there is no projection.
+
+CLIP = 4.0
+"""Clip in pixels: COLMAP's largest error of an inlier (``filter_max_reproj_error``)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ClippedErrors:
+    """Statistics of reprojection errors in pixels.
+
+    Attributes:
+        num_observations: number of observations, with and without a projection.
+        rmse: sqrt(mean ||r||^2) over the observations with a projection; not clipped.
+        median: median over all observations; infinite if most have no projection.
+        clipped_rmse: the RMSE of errors that count at most as the clip.
+        share_clipped: share of observations that count as the clip.
+        clip: largest error that counts, in pixels.
+        num_without_projection: number of observations without a projection.
+    """
+
+    num_observations: int
+    rmse: float
+    median: float
+    clipped_rmse: float
+    share_clipped: float
+    clip: float
+    num_without_projection: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class HeldOut(ClippedErrors):
+    """Errors of observations that a fit did not see, and those of the observations that it saw.
+
+    The statistics themselves are of the held-out observations.
+
+    Attributes:
+        percent: share of the observations that was requested.
+        seed: seed of the choice.
+        fitted: the same statistics of the other observations, in the same fit.
+        is_converged: True if that fit converged; if not, it may still know the held-out
+            observations from its start, the fit to all observations.
+    """
+
+    percent: float
+    seed: int
+    fitted: ClippedErrors
+    is_converged: bool
+
+
+def errors_or_nan(
+    problem: Problem, cheirality: str = "auto", num_threads: int = 0
+) -> NDArray[np.float64]:
+    """Return the reprojection error of each observation; NaN if it does not count."""
+    cheirality = resolve_cheirality(problem, cheirality)
+    errors, behind = reprojection_errors(problem, cheirality=cheirality, num_threads=num_threads)
+    return np.where(counted_errors(errors, behind, cheirality), errors, np.nan)
+
+
+def summarize_clipped(errors: NDArray[np.float64], clip: float = CLIP) -> ClippedErrors:
+    """Return the statistics of errors in pixels, NaN without a projection."""
+    found = np.isfinite(errors)
+    clipped = np.minimum(np.where(found, errors, clip), clip)
+    with np.errstate(over="ignore"):  # a huge error may overflow
+        rmse = math.sqrt(np.mean(errors[found] ** 2)) if found.any() else math.nan
+    count = len(errors)
+    return ClippedErrors(
+        num_observations=count,
+        rmse=rmse,
+        median=_median(np.where(found, errors, np.inf)),
+        clipped_rmse=math.sqrt(np.mean(clipped**2)) if count else math.nan,
+        share_clipped=float(np.mean(clipped >= clip)) if count else math.nan,
+        clip=clip,
+        num_without_projection=count - int(found.sum()),
+    )
+
+
+def _median(values: NDArray[np.float64]) -> float:
+    """Return the median, the mean of the two middle values; they may be infinite."""
+    if not len(values):
+        return math.nan
+    half = len(values) // 2
+    low, high = np.partition(values, [half - (len(values) % 2 == 0), half])[
+        [half - (len(values) % 2 == 0), half]
+    ]
+    return float(low if low == high else (low + high) / 2)
+
+
+WORST = 5
+"""Default number of images to return."""
+
+# Number of observations copied at a time: a copy of hundreds of millions takes gigabytes.
+_BLOCK = 1 << 20
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImageError:
+    """Reprojection errors of one image, in pixels, over the observations that count.
+
+    Attributes:
+        image_id: id of the image in the source.
+        name: name of the image; "" if the source has no name for it.
+        num_observations: number of observations that count.
+        rmse: sqrt(mean ||r||^2).
+        max: largest ||r||.
+    """
+
+    image_id: int
+    name: str
+    num_observations: int
+    rmse: float
+    max: float
+
+
+def worst_images(
+    problem: Problem, cheirality: str = "auto", *, most: int = WORST, num_threads: int = 0
+) -> tuple[ImageError, ...]:
+    """Return the images with the largest RMSE, the worst first.
+
+    Args:
+        problem: the problem; errors are evaluated at its values.
+        cheirality: as in a solve; observations that do not count are left out.
+        most: largest number of images to return.
+        num_threads: number of threads; 0: all cores.
+
+    Raises:
+        InputError: an observed image has a camera model that is not supported.
+    """
+    errors, behind = reprojection_errors(problem, cheirality=cheirality, num_threads=num_threads)
+    return worst_of_errors(problem, errors, behind, cheirality, most=most)
+
+
+def worst_of_errors(
+    problem: Problem,
+    errors: NDArray[np.float64],
+    behind: NDArray[np.bool_],
+    cheirality: str = "auto",
+    *,
+    most: int = WORST,
+) -> tuple[ImageError, ...]:
+    """Return the worst images from the output of `reprojection_errors`."""
+    cheirality = resolve_cheirality(problem, cheirality)
+    return worst_of_sums(
+        problem,
+        *sums_of_images(problem.observation_image, problem.num_images, errors, behind, cheirality),
+        most,
+    )
+
+
+def sums_of_images(
+    observation_image: NDArray[np.int32],
+    num_images: int,
+    errors: NDArray[np.float64],
+    behind: NDArray[np.bool_],
+    cheirality: str,
+) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
+    """Return for each image the number, sum of squares and maximum of the errors that count.
+
+    `cheirality` is the resolved value with which `behind` was computed.
+    """
+    count = np.zeros(num_images, dtype=np.int64)
+    total, largest = np.zeros(num_images), np.zeros(num_images)
+    with np.errstate(over="ignore", invalid="ignore"):
+        for first in range(0, len(errors), _BLOCK):
+            block = slice(first, first + _BLOCK)
+            counted = counted_errors(errors[block], behind[block], cheirality)
+            image = observation_image[block][counted].astype(np.intp)
+            its_errors = errors[block][counted]
+            count += np.bincount(image, minlength=num_images)
+            np.add.at(total, image, its_errors**2)
+            np.maximum.at(largest, image, its_errors)
+    return count, total, largest
+
+
+def worst_of_sums(
+    problem: Problem,
+    count: NDArray[np.int64],
+    total: NDArray[np.float64],
+    largest: NDArray[np.float64],
+    most: int = WORST,
+) -> tuple[ImageError, ...]:
+    """Return the images with the largest RMSE, from the output of `sums_of_images`."""
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        rmse = np.sqrt(total / count)
+    seen = np.flatnonzero(count)
+    worst = seen[np.argsort(-rmse[seen], kind="stable")][:most]
+    return tuple(
+        ImageError(
+            image_id=int(problem.image_ids[index]),
+            name=problem.image_names[index],
+            num_observations=int(count[index]),
+            rmse=float(rmse[index]),
+            max=float(largest[index]),
+        )
+        for index in worst
+    )

@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 from bundle.base.arrays import distinct, filled, freeze
 from bundle.errors import InputError
 from bundle.model.problem_arrays import ProblemArrays
-from bundle.model.rigid_motions import inverse_poses, multiply_poses, unit_poses
-from bundle.model.rotations import rotation_matrices
+from bundle.model.rigid_motions import inverse_poses, multiply_poses, rotation_matrices, unit_poses
 
 _Poses = NDArray[np.float64]
 _Rows = NDArray[np.int32]

@@ -24,12 +24,13 @@ which the image moves during the readout: 10 iterations reduce an error of 5 % t
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from bundle.errors import InputError
 from bundle.model.cameras import camera_models, project
 from bundle.model.problem import Problem
-from bundle.model.rigid_motions import inverse_poses, log_of_poses, multiply_poses
-from bundle.model.rotations import dot
+from bundle.model.rigid_motions import dot, inverse_poses, log_of_poses, multiply_poses
+from bundle.model.rolling_shutter import RollingShutter
 
 Array = NDArray[np.float64]
 
@@ -122,3 +123,61 @@ def _coefficients(square: Array) -> tuple[Array, Array, Array]:
 
 def _num_params(model: str) -> int:
     return len(camera_models()[model])
+
+
+def scaled(shutter: RollingShutter | None, scale: ArrayLike) -> RollingShutter | None:
+    """Return the rolling shutters after a change of the length unit.
+
+    A twist is in the frame of its camera: rotations and translations of the world do not change it.
+
+    Args:
+        shutter: rolling shutters before.
+        scale: new per old lengths, one number or (num_images,).
+    """
+    if shutter is None:
+        return None
+    twist = shutter.twist.copy()
+    twist[:, 3:] *= np.asarray(scale, float).reshape(-1, 1)
+    return shutter.replace(twist=twist)
+
+
+def shutter_of_cameras(
+    shutter: RollingShutter | None, rows: NDArray[np.int64]
+) -> RollingShutter | None:
+    """Return the rolling shutters for other cameras: copies of the cameras ``rows``, by index."""
+    if shutter is None:
+        return None
+    return shutter.replace(
+        direction=tuple(shutter.direction[row] for row in rows.tolist()),
+        readout=shutter.readout[rows],
+    )
+
+
+def can_roll(problem: Problem) -> bool:
+    """Return True if rolling shutters can be added: known sizes, no rigs, no shutters so far."""
+    sizes = problem.camera_sizes[problem.image_camera]
+    shutter = problem.rolling_shutter
+    is_global = shutter is None or not shutter.is_rolling.any()
+    return bool(is_global and not problem.num_frames and sizes.size and (sizes > 0).all())
+
+
+def check_same_shutter(problem: Problem, cameras: NDArray[np.int64]) -> None:
+    """Check that cameras have the same direction and readout.
+
+    Raises:
+        InputError: two cameras differ.
+    """
+    shutter = problem.rolling_shutter
+    if shutter is None:
+        return
+    words = [
+        f"{direction}, readout {readout:g}"
+        for direction, readout in zip(shutter.direction, shutter.readout.tolist(), strict=True)
+    ]
+    first = int(cameras[0])
+    for camera in cameras[1:].tolist():
+        if words[camera] != words[first]:
+            raise InputError(
+                f"camera {problem.camera_ids[camera]}: expected the shutter of camera "
+                f"{problem.camera_ids[first]} ({words[first]}) to share it, found {words[camera]}"
+            )

@@ -49,7 +49,7 @@ from bundle.interface.option_class import takes_options
 from bundle.interface.options import SolveOptions
 from bundle.io.files import Source, as_problem
 from bundle.model.problem import Problem
-from bundle.model.rotations import cross_matrices, rotation_matrices
+from bundle.model.rigid_motions import cross_matrices, rotation_matrices
 from bundle.solving.placed_problem import place_at_priors
 
 if TYPE_CHECKING:

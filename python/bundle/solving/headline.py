@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bundle.base.words import number, pixels, plural, rounded
-from bundle.interface.termination import short_outcome
+from bundle.interface.summary import short_outcome
 
 if TYPE_CHECKING:
     from bundle.solving.kept_errors import KeptErrors

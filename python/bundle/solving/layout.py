@@ -87,7 +87,7 @@ def _with_twists(
     Raises:
         InputError: twists cannot be tied.
     """
-    from bundle.graphs.factors.twist_factors import twist_ties  # only with rolling shutters
+    from bundle.graphs.factors.image_factors import twist_ties  # only with rolling shutters
 
     shutter = problem.rolling_shutter
     if shutter is None:

@@ -12,9 +12,17 @@ from numpy.typing import NDArray
 
 from bundle.base.records import dataclass
 from bundle.interface.solve_record import SolveRecord
+from bundle.model.cameras import param_kinds
 from bundle.model.problem import Problem
-from bundle.model.reprojection import ReprojectionError, reprojection_error
-from bundle.model.worst_images import ImageError, worst_images, worst_of_errors
+from bundle.model.reprojection import (
+    ImageError,
+    ReprojectionError,
+    quantiles,
+    reprojection_error,
+    worst_images,
+    worst_of_errors,
+)
+from bundle.model.rigid_motions import rotation_matrices
 from bundle.solving.gauge_freedom import GaugeFreedom, gauge_freedom
 from bundle.solving.kept_errors import (
     Deleted,
@@ -25,18 +33,16 @@ from bundle.solving.kept_errors import (
     measure,
     outlier_limit,
 )
-from bundle.solving.movement import Movement, movement
 
 if TYPE_CHECKING:
     from bundle.georeference.alignment_result import ControlPointError
     from bundle.georeference.point_check import SurveyChecks
     from bundle.georeference.similarity import Similarity
     from bundle.graphs.factors.factors import Factor
-    from bundle.model.clipped_errors import HeldOut
-    from bundle.solving.constraints.camera_bounds import ActiveBound
-    from bundle.solving.constraints.constraint_record import RuleEnd
+    from bundle.model.reprojection import HeldOut
+    from bundle.solving.constraints.ends import RuleEnd
+    from bundle.solving.constraints.restrictions import ActiveBound
     from bundle.solving.placed_problem import Prior
-    from bundle.solving.round_record import PartRecord, Round
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -175,3 +181,204 @@ class MeasuredResult(SolveRecord):
     def _measure(self, problem: Problem) -> ReprojectionError:
         options = self.options
         return reprojection_error(problem, options.cheirality, num_threads=options.num_threads)
+
+
+# Movement of camera positions and lenses from the input to the output of a solve.
+#
+# Positions are compared in the frame of the output: if the input was moved to its priors by a
+# similarity, the similarity moves its positions, too. The size of the scene is twice the median
+# distance of the points from their median, or of the camera positions from theirs if that is
+# larger. A few far points do not change it.
+
+MOST_POINTS = 100_000
+"""Number of points, taken at equal steps, from which the size of a scene is computed."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Movement:
+    """Changes of images and lenses. All medians are nan if nothing changed.
+
+    Attributes:
+        num_images: number of images whose pose changed.
+        position: median distance by which the positions of these images moved, in length units of
+            the output.
+        largest_position: the largest distance.
+        rotation: median angle by which these images turned, in degrees.
+        scene_size: size of the scene in the same length unit.
+        num_cameras: number of cameras whose parameters changed.
+        focal: median relative change of the focal length |f / f0 - 1| over the images of these
+            cameras; 0 if their focal lengths did not change.
+    """
+
+    num_images: int
+    position: float
+    largest_position: float
+    rotation: float
+    scene_size: float
+    num_cameras: int
+    focal: float
+
+
+def movement(before: Problem, after: Problem, similarity: Similarity | None = None) -> Movement:
+    """Return the changes between two problems with the same images in the same order.
+
+    Args:
+        before: the input; its cameras may be other ones.
+        after: the output.
+        similarity: motion of the input to its priors, or None.
+    """
+    centers, turns = before.projection_centers, rotation_matrices(before.cam_from_world[:, :4])
+    moved = (before.cam_from_world != after.cam_from_world).any(axis=1)
+    if similarity is not None:
+        centers, turns = similarity.apply(centers), turns @ similarity.rotation.T
+        moved[:] = True
+    distances = np.linalg.norm(after.projection_centers[moved] - centers[moved], axis=1)
+    # The Frobenius norm of the difference of two rotations is sqrt(8) sin(angle / 2).
+    turned = rotation_matrices(after.cam_from_world[moved, :4]) - turns[moved]
+    half = np.clip(np.linalg.norm(turned, axis=(1, 2)) / np.sqrt(8), 0, 1)
+    num_cameras, focal = _lenses(before, after)
+    return Movement(
+        num_images=int(moved.sum()),
+        largest_position=float(distances.max()) if len(distances) else float("nan"),
+        position=_median(distances),
+        rotation=_median(np.degrees(2 * np.arcsin(half))),
+        scene_size=max(_size(after.points), _size(after.projection_centers)),
+        num_cameras=num_cameras,
+        focal=focal,
+    )
+
+
+def _lenses(before: Problem, after: Problem) -> tuple[int, float]:
+    """Return the number of changed cameras, and the median change of their focal lengths."""
+    first, last = before.image_camera, after.image_camera
+    width = max(before.camera_params.shape[1], after.camera_params.shape[1])
+    params = [_widened(one.camera_params, width) for one in (before, after)]
+    models = [np.array(one.camera_models) for one in (before, after)]
+    changed = (params[0][first] != params[1][last]).any(axis=1)
+    changed |= models[0][first] != models[1][last]
+    ratios = np.abs(_focals(after)[last] / _focals(before)[first] - 1)[changed]
+    cameras = np.count_nonzero(np.bincount(last[changed]))
+    return int(cameras), _median(ratios[np.isfinite(ratios)])
+
+
+def _widened(params: NDArray[np.float64], width: int) -> NDArray[np.float64]:
+    return np.pad(params, ((0, 0), (0, width - params.shape[1])))
+
+
+def _focals(problem: Problem) -> NDArray[np.float64]:
+    """Return the mean focal length of each camera; nan for a model without any."""
+    focals = np.full(problem.num_cameras, np.nan)
+    models = np.array(problem.camera_models)
+    for model in set(problem.camera_models):
+        columns = [k for k, kind in enumerate(param_kinds(model)) if kind == "focal"]
+        if columns:
+            of_model = models == model
+            focals[of_model] = np.abs(problem.camera_params[of_model][:, columns]).mean(axis=1)
+    return focals
+
+
+def _size(points: NDArray[np.float64]) -> float:
+    if not len(points):
+        return 0.0
+    some = points[:: -(-len(points) // MOST_POINTS)]
+    center = np.array([_median(coordinate.copy()) for coordinate in some.T])
+    return 2 * _median(np.linalg.norm(some - center, axis=1))
+
+
+def _median(values: NDArray[np.float64]) -> float:
+    """Return the median; nan without values, which are reordered."""
+    return quantiles(values, [0.5])[0] if len(values) else float("nan")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Round:
+    """One round: an adjustment, then a filter. Costs of different rounds cannot be compared.
+
+    Attributes:
+        round: number of the round, from 1.
+        initial_cost: cost at the start of the adjustment, 1/2 sum rho(||r||^2).
+        cost: cost after the adjustment, before the filter.
+        termination_type: Ceres' name of the adjustment's termination type.
+        num_iterations: steps of the adjustment, including rejected steps.
+        num_points: number of adjusted points.
+        num_observations: number of adjusted observations.
+        num_observations_removed: observations that the filter removed after the adjustment,
+            including those of removed points.
+        num_points_removed: points that the filter removed after the adjustment.
+        num_observations_beyond_max_error: removed because of their own error, because they are
+            behind the camera, or because they have no projection.
+        num_observations_with_short_track: removed with points whose track became too short.
+        num_observations_below_min_angle: removed with points of a small triangulation angle.
+        max_error: largest error that the filter keeps [px].
+        min_angle: smallest triangulation angle that the filter keeps [degrees].
+    """
+
+    round: int
+    initial_cost: float
+    cost: float
+    termination_type: str
+    num_iterations: int
+    num_points: int
+    num_observations: int
+    num_observations_removed: int
+    num_points_removed: int
+    num_observations_beyond_max_error: int = 0
+    num_observations_with_short_track: int = 0
+    num_observations_below_min_angle: int = 0
+    max_error: float = 0.0
+    min_angle: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class RestRecord:
+    """Marginalized remainder of a problem in a local adjustment, and its prior.
+
+    Attributes:
+        num_images: number of eliminated images, without the neighbours of the part.
+        num_points: number of eliminated points.
+        num_points_without_parallax: number of these points that have an unobserved direction, which
+            was left out.
+        prior_size: number of unknowns of the prior: poses of neighbours and parameters of cameras.
+            0: no prior, because the remainder has no information on the part.
+        prior_rank: rank of the prior's information matrix, including the fixed gauge.
+        prior_bytes: size of this matrix in bytes.
+        gauge_degrees: gauge freedom, which is fixed by keeping the neighbours in place on average.
+        cost_before: cost of the prior at the start, above its minimum.
+        cost_after: cost of the prior at the end, above its minimum.
+    """
+
+    num_images: int
+    num_points: int
+    num_points_without_parallax: int
+    prior_size: int
+    prior_rank: int
+    prior_bytes: int
+    gauge_degrees: int
+    cost_before: float = 0.0
+    cost_after: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class PartRecord:
+    """Part of a problem that takes part in a local adjustment.
+
+    Attributes:
+        num_images: number of refined images.
+        num_images_held: number of other images that see a point of the refined images. They are
+            constant, or under the marginal prior.
+        num_points: number of points that a refined image sees; all are refined.
+        num_observations: number of observations of these points.
+        shared_camera_ids: cameras of both refined and other images. If their intrinsics are
+            refined, projections into constant images change.
+        num_sensors: number of sensors on rigs of which all images are refined; the solve may move
+            these alone.
+        rest: the marginalized remainder; None if it was constant.
+    """
+
+    num_images: int
+    num_images_held: int
+    num_points: int
+    num_observations: int
+    shared_camera_ids: tuple[int, ...]
+    num_sensors: int = 0
+    rest: RestRecord | None = None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -15,15 +15,14 @@ if TYPE_CHECKING:
     from bundle.georeference.attitude_priors import AttitudePrior
     from bundle.georeference.control_point import GroundControlPoint
     from bundle.georeference.position_offset import PositionOffset
-    from bundle.georeference.position_prior import PositionPrior
     from bundle.georeference.prior_alignment import ProblemPriors
     from bundle.georeference.problem_attitudes import ProblemAttitudes
     from bundle.georeference.similarity import Similarity
     from bundle.georeference.target_priors import TargetPriors
-    from bundle.georeference.velocity_prior import VelocityPrior
+    from bundle.georeference.vector_priors import PositionPrior, VelocityPrior
     from bundle.graphs.factors.factors import Factor
 
-    Prior = PositionPrior | GroundControlPoint | AttitudePrior | VelocityPrior
+    Prior: TypeAlias = PositionPrior | GroundControlPoint | AttitudePrior | VelocityPrior
 
 FEWEST = 3
 
@@ -111,7 +110,7 @@ def place_at_priors(
         start = targets.added_to(start, similarity)
         of_priors += targets.factors()
     if velocities:
-        from bundle.georeference.problem_velocities import ProblemVelocities  # few solves have any
+        from bundle.georeference.velocities import ProblemVelocities  # few solves have any
 
         of_priors += ProblemVelocities.make(start, velocities).factors(start)
     if offset is not None:
@@ -183,8 +182,8 @@ def _levelled(
     Raises:
         InputError: positions do not determine scale and heading.
     """
-    from bundle.georeference.correspondences import Correspondences
-    from bundle.georeference.level_alignment import level_similarity
+    from bundle.georeference.prior_alignment import level_similarity
+    from bundle.georeference.similarity_fit import Correspondences
 
     points = known.correspondences(problem)
     if targets is not None:
@@ -197,8 +196,7 @@ def sorted_priors(priors: tuple[Any, ...]) -> tuple[list[Any], list[Any], list[A
     """Return the positions, the attitudes, the control points, and the velocities."""
     from bundle.georeference.attitude_priors import AttitudePrior
     from bundle.georeference.control_point import GroundControlPoint
-    from bundle.georeference.position_prior import PositionPrior
-    from bundle.georeference.velocity_prior import VelocityPrior
+    from bundle.georeference.vector_priors import PositionPrior, VelocityPrior
 
     kinds = (PositionPrior, AttitudePrior, GroundControlPoint, VelocityPrior)
     groups: tuple[list[Any], list[Any], list[Any], list[Any]] = ([], [], [], [])
@@ -225,9 +223,8 @@ def _similarity(problem: Problem, known: ProblemPriors, targets: TargetPriors | 
         return known.align(problem)
     if any(prior.offset != "none" for prior in known.priors):
         return _similarity_beside_offset(problem, known, targets)
-    from bundle.georeference.correspondences import Correspondences
     from bundle.georeference.prior_alignment import robust_similarity
-    from bundle.georeference.similarity_fit import fit_similarity
+    from bundle.georeference.similarity_fit import Correspondences, fit_similarity
 
     count = len(targets.used) + len(known.priors)
     if count < FEWEST:

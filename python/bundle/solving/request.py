@@ -12,10 +12,10 @@ from numpy.typing import ArrayLike
 from bundle.base.paths import as_path
 from bundle.base.records import dataclass
 from bundle.errors import InputError
+from bundle.interface.judging_options import HoldOutOptions
 from bundle.interface.option_fields import choice, number
 from bundle.interface.options import SolveOptions
 from bundle.interface.round_options import CHECKPOINT_INTERVAL, RESTS, RoundOptions
-from bundle.interface.validation_options import HoldOutOptions
 from bundle.model.image_selection import ImageSelection
 from bundle.model.problem import Problem
 

@@ -200,7 +200,7 @@ def solve(
         from bundle.graphs.pose_graphs.solve_pose_graph import solve_pose_graph
 
         return solve_pose_graph(problem, options, progress=progress, **changes)  # type: ignore[arg-type]
-    from bundle.interface.validation_options import HoldOutOptions
+    from bundle.interface.judging_options import HoldOutOptions
     from bundle.solving.executors import finished, solve_prepared
     from bundle.solving.prepare import prepare
     from bundle.solving.request import SolveRequest
@@ -222,7 +222,7 @@ def solve(
     )
     if not share.hold_out:
         return finished(prepared, solve_prepared(prepared, progress))
-    from bundle.solving.held_out.measurement import HeldOutFit
+    from bundle.solving.hold_out import HeldOutFit
 
     held_out = HeldOutFit(prepared, share)
     last = solve_prepared(prepared, progress)

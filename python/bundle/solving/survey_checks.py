@@ -44,7 +44,7 @@ from bundle.georeference.position_offset import AXES, PositionOffset
 from bundle.georeference.target_priors import TargetPriors, survey_sigmas
 from bundle.graphs.factors.factors import Factor, PositionFactor
 from bundle.model.problem import Problem
-from bundle.model.rotations import rotation_matrices
+from bundle.model.rigid_motions import rotation_matrices
 
 if TYPE_CHECKING:
     from bundle.solving.prepare import Prepared

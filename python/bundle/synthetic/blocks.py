@@ -20,15 +20,12 @@ from bundle.base.records import dataclass
 from bundle.errors import InputError
 from bundle.interface.scene_options import SceneOptions
 from bundle.model.problem import Problem
-from bundle.model.rotations import quaternion_from_matrix, rotate
-from bundle.synthetic.intrinsics import draw_intrinsics
+from bundle.model.rigid_motions import quaternion_from_matrix, rotate
+from bundle.synthetic.observations import Visibility, measure, select_observations, wanted_lengths
 from bundle.synthetic.orbit import Orbit
 from bundle.synthetic.photo_collection import PhotoCollection
-from bundle.synthetic.pixel_noise import measure
-from bundle.synthetic.scene import Pairs, Points, Scene
+from bundle.synthetic.scene import Pairs, Points, Scene, draw_intrinsics
 from bundle.synthetic.street import Street
-from bundle.synthetic.tracks import select_observations, wanted_lengths
-from bundle.synthetic.visibility import Visibility
 
 Array = NDArray[np.float64]
 

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from bundle.base.records import dataclass
 from bundle.interface.scene_options import SceneOptions
-from bundle.model.rotations import dot, look_along
-from bundle.synthetic.body import Body
+from bundle.model.rigid_motions import dot, look_along
+from bundle.synthetic.orbit import Body
 from bundle.synthetic.scene import Images, Pairs, Points, Scene
 
 Array = NDArray[np.float64]

@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 
 from bundle.interface.scene_options import SceneOptions
 from bundle.model.problem import Problem
-from bundle.model.rotations import (
+from bundle.model.rigid_motions import (
     dot,
     quaternion_from_vector,
     quaternion_inverse,
     quaternion_multiply,
     quaternion_rotate,
 )
-from bundle.synthetic.intrinsics import FOCAL_PARAMS, RADIAL_PARAMS, TANGENTIAL_PARAMS, Intrinsics
+from bundle.synthetic.scene import FOCAL_PARAMS, RADIAL_PARAMS, TANGENTIAL_PARAMS, Intrinsics
 
 Array = NDArray[np.float64]
 

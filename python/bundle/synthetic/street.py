@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.interface.scene_options import SceneOptions
-from bundle.model.rotations import look_along
+from bundle.model.rigid_motions import look_along
 from bundle.synthetic.scene import Images, Pairs, Points, Scene
 
 Array = NDArray[np.float64]

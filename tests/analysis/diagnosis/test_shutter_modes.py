@@ -7,10 +7,9 @@ from scipy.linalg import expm
 import bundle
 from bundle.analysis.diagnosis import shutter_modes as module
 from bundle.analysis.diagnosis.shutter_modes import shutter_modes
-from bundle.model.rotations import quaternion_rotate
+from bundle.model.rigid_motions import quaternion_rotate
 from bundle.model.shutter_motion import read_positions
-from bundle.synthetic.video.film_motions import DroneGrid
-from bundle.synthetic.video.video_scene import film
+from bundle.synthetic.video_scene import DroneGrid, film
 from tests.campaigns.degenerate_shutters import HEALTHY, PLANTED, kinds, scene_of
 from tests.synthetic.video.test_video_scene import algebra
 

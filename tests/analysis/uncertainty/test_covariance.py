@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import bundle
-from bundle.model.rotations import rotation_matrices
+from bundle.model.rigid_motions import rotation_matrices
 from tests.analysis.uncertainty.dense import Dense
 from tests.analysis.uncertainty.random_problems import Case, random_case
 from tests.georeference.flights import flight

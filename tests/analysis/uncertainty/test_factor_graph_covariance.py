@@ -7,7 +7,7 @@ import pytest
 
 import bundle
 from bundle.graphs.factors.null_space import find_null_space
-from bundle.model.rotations import rotation_matrices
+from bundle.model.rigid_motions import rotation_matrices
 from tests.graphs.factors import both_ways
 from tests.graphs.pose_graphs import graphs
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import bundle
-from bundle.model.rotations import rotation_matrices
+from bundle.model.rigid_motions import rotation_matrices
 from tests.analysis.uncertainty.dense import scatter
 from tests.scenes import make_problem
 

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from bundle.editing.merging.merge_models import disagreements
+from bundle.editing.merge_models import disagreements
 from tests.editing.merging.halves import whole
 from tests.scenes import project
 

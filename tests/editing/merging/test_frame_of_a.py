@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 import bundle
 from bundle import InputError
-from bundle.editing.merging.frame_of_a import find_similarity
+from bundle.editing.frame_of_a import find_similarity
 from bundle.georeference.similarity import Similarity, moved
 from tests.editing.merging.halves import TO_B, edited, halves, move_point, whole
 

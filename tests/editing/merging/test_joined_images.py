@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from bundle.editing.merging.joined_images import AddedImages, added_images
+from bundle.editing.joining import AddedImages, added_images
 from bundle.model.colmap.source_records import CAMERA, Sensor
 
 NONE = np.empty(0, np.int64)

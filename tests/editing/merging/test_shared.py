@@ -5,7 +5,7 @@ import pycolmap
 import pytest
 
 import bundle
-from bundle.editing.merging.shared_keypoints import shared_keypoints
+from bundle.editing.joining import shared_keypoints
 from bundle.model.colmap.model_records import model_records
 
 

@@ -13,7 +13,7 @@ import pytest
 
 import bundle
 from bundle import pictures
-from bundle.figures.series import cost_curve, labels, profile_curve, styles
+from bundle.figures.cost_figures import cost_curve, labels, profile_curve, styles
 from tests.figures.matplotlib.comparisons import METHODS, comparison
 from tests.scenes import make_problem
 

@@ -7,8 +7,13 @@ import pytest
 from numpy.typing import NDArray
 
 import bundle
-from bundle.figures.matplotlib.density import FAINTEST, factor_density, matrix_density
-from bundle.figures.matplotlib.matrix_pattern import MatrixPattern, factor_columns
+from bundle.figures.matplotlib.matrix_pattern import (
+    FAINTEST,
+    MatrixPattern,
+    factor_columns,
+    factor_density,
+    matrix_density,
+)
 
 
 def random_pattern(seed: int, num_blocks: int, sizes: tuple[int, int] = (1, 1)) -> MatrixPattern:

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from bundle import InputError, pictures
 from bundle.figures.certainty import certainty, largest_eigenvalues
-from bundle.figures.placement_errors import placement
+from bundle.figures.placement_figures import placement
 from tests.scenes import make_problem
 
 

@@ -5,12 +5,10 @@ import itertools
 import numpy as np
 import pytest
 
-from bundle.figures.image_residuals import worst_residuals
 from bundle.figures.residual_field import residual_fields
-from bundle.figures.residual_histogram import residual_histogram
-from bundle.figures.track_statistics import track_statistics
-from bundle.model.reprojection import reprojection_errors
-from bundle.model.residuals import residuals
+from bundle.figures.residual_figures import residual_histogram, worst_residuals
+from bundle.figures.structure_figures import track_statistics
+from bundle.model.reprojection import reprojection_errors, residuals
 from tests.scenes import make_problem, scene
 from tests.scenes import residuals as by_formula
 

@@ -108,8 +108,8 @@ def test_a_function_ends_where_the_built_in_factor_does():
     built_in, own = (two_views(own).solve(**tight) for own in (False, True))
     assert built_in.summary.final_cost < 0.1 * built_in.summary.initial_cost
     assert own.summary.final_cost == pytest.approx(built_in.summary.final_cost, rel=1e-9)
-    for key, value in built_in.values.items():
-        np.testing.assert_allclose(own.values[key], value, atol=1e-9)
+    for key, value in built_in.values.items():  # the cost at a minimum fixes half of its digits
+        np.testing.assert_allclose(own.values[key], value, atol=1e-7)
     assert own.summary.num_threads_used == 1
 
 

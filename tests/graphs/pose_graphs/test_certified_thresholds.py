@@ -7,7 +7,7 @@ import pytest
 
 import bundle
 from bundle.graphs.pose_graphs import certify as certify_module
-from bundle.graphs.pose_graphs.chordal_weights import bound_weights, chordal_weights
+from bundle.graphs.pose_graphs.certify import bound_weights, chordal_weights
 from tests.graphs.pose_graphs.chordal_oracle import chordal_cost, ring
 from tests.graphs.pose_graphs.graphs import error_by_matrices, pose_of
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 import bundle
-from bundle.graphs.pose_graphs.certify import _run
-from bundle.graphs.pose_graphs.chordal_weights import bound_weights, chordal_weights
+from bundle.graphs.pose_graphs.certify import _run, bound_weights, chordal_weights
 from tests.graphs.pose_graphs.chordal_oracle import (
     certificate_eigenvalues,
     chordal_cost,

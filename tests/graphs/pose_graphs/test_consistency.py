@@ -11,7 +11,7 @@ from scipy.stats import chi2 as chi2_distribution
 
 import bundle
 from bundle import _core
-from bundle.graphs.pose_graphs import consistency, largest_set, lie_groups
+from bundle.graphs.pose_graphs import consistency, lie_groups
 from bundle.graphs.pose_graphs.chi2_quantiles import ONE_IN_A_MILLION
 from bundle.graphs.pose_graphs.consistency import odometry_chain
 from tests.graphs.pose_graphs import graphs
@@ -40,25 +40,25 @@ def random_conflicts(rng, n, share):
 def test_the_largest_set_is_that_of_enumeration(monkeypatch):
     rng = np.random.default_rng(0)
     by_integers = []
-    solve = largest_set._by_integers
+    solve = consistency._by_integers
     monkeypatch.setattr(
-        largest_set, "_by_integers", lambda given: by_integers.append(1) or solve(given)
+        consistency, "_by_integers", lambda given: by_integers.append(1) or solve(given)
     )
     for trial in range(60):
         conflicts = random_conflicts(rng, 9, (0.1, 0.3, 0.6)[trial % 3])
-        chosen, proven = largest_set.largest_set(conflicts)
+        chosen, proven = consistency.largest_set(conflicts)
         assert proven and not conflicts[np.ix_(chosen, chosen)].any()
         assert chosen.sum() == largest_by_enumeration(conflicts)
-        greedy = largest_set._greedy(conflicts)
+        greedy = consistency._greedy(conflicts)
         assert not conflicts[np.ix_(greedy, greedy)].any()
         assert (greedy | conflicts[:, greedy].any(axis=1)).all()  # nothing can be added
     assert 0 < len(by_integers) < 60  # both ways were gone
 
 
 def test_without_time_the_set_is_greedy_and_unproven(monkeypatch):
-    monkeypatch.setattr(largest_set, "TIME_LIMIT", 0.0)
+    monkeypatch.setattr(consistency, "TIME_LIMIT", 0.0)
     conflicts = random_conflicts(np.random.default_rng(1), 60, 0.3)
-    chosen, proven = largest_set.largest_set(conflicts)
+    chosen, proven = consistency.largest_set(conflicts)
     assert not proven and chosen.sum() >= 5
     assert not conflicts[np.ix_(chosen, chosen)].any()
 

@@ -7,8 +7,8 @@ import pytest
 
 from bundle.errors import InputError
 from bundle.inertial.tracking.track_recording import track_recording
-from bundle.interface.tracking_options import TrackingOptions
-from bundle.model.sequence.recording import Recording
+from bundle.interface.window_options import TrackingOptions
+from bundle.model.sequence.sequence import Recording
 from tests.inertial.vio.sequences import calibration
 
 

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from bundle.inertial.tracking.feature_tracker import CHECKS, FeatureTracker
 from bundle.inertial.tracking.usable_pixels import BORDER, usable_pixels
-from bundle.interface.tracking_options import TrackingOptions
+from bundle.interface.window_options import TrackingOptions
 from bundle.model.sequence.calibration import Calibration
 from tests.inertial.images.rendered_flight import FISHEYE, PINHOLE
 from tests.inertial.vio.sequences import calibration

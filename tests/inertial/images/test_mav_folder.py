@@ -18,8 +18,8 @@ import bundle
 from bundle.cli.main import main
 from bundle.errors import InputError
 from bundle.io.sequences.grey_images import grey_images
-from bundle.io.sequences.mav_folder import read_mav
-from bundle.model.rotations import rotation_matrices
+from bundle.io.sequences.recordings import read_mav
+from bundle.model.rigid_motions import rotation_matrices
 from tests.inertial.images.rendered_flight import CAMERA_FROM_IMU, NOISE, SMALL, Flight, render
 
 Capture = pytest.CaptureFixture[str]

@@ -13,9 +13,9 @@ from bundle.inertial.tracking.feature_tracker import Turn
 from bundle.inertial.tracking.relative_rotation import refined_rotation
 from bundle.inertial.tracking.rotation_check import check_rotations
 from bundle.inertial.tracking.tracking_findings import tracking_findings
-from bundle.interface.tracking_options import TrackingOptions
-from bundle.io.sequences.mav_folder import read_mav
-from bundle.model.sequence.recording import Recording
+from bundle.interface.window_options import TrackingOptions
+from bundle.io.sequences.recordings import read_mav
+from bundle.model.sequence.sequence import Recording
 from tests.inertial.images.rendered_flight import SMALL, Flight, render
 
 

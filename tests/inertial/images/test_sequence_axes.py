@@ -22,7 +22,7 @@ from bundle.inertial.vio.trajectory_comparison import states_at
 from bundle.interface.finding import Finding
 from bundle.io.sequences.sequence_folder import save_sequence
 from bundle.model.sequence.sequence import Sequence
-from bundle.synthetic.flight.synthetic_flight import SyntheticFlight, synthesize_flight
+from bundle.synthetic.synthetic_flight import SyntheticFlight, synthesize_flight
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,7 @@ from bundle.inertial.tracking import stamp_jitter
 from bundle.inertial.tracking.sequence_axes import axes_findings
 from bundle.inertial.tracking.stamp_jitter import jitter_findings, regular_stamps
 from bundle.model.sequence.sequence import Sequence
-from bundle.synthetic.flight.synthetic_flight import SyntheticFlight, synthesize_flight
+from bundle.synthetic.synthetic_flight import SyntheticFlight, synthesize_flight
 
 Array = np.ndarray[Any, Any]
 

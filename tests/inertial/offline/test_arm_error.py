@@ -10,7 +10,7 @@ from bundle.inertial.offline.image_intervals import ImageIntervals
 from bundle.inertial.offline.inertial_result import ImuSamples
 from bundle.inertial.offline.inertial_start import preintegrated
 from bundle.inertial.vio.trajectory_comparison import states_at
-from bundle.model.sequence.imu_noise import ImuNoise
+from bundle.model.sequence.calibration import ImuNoise
 
 
 @pytest.fixture(scope="module")

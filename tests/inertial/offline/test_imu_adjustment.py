@@ -12,7 +12,7 @@ from bundle.inertial.offline.imu_adjustment import adjust_with_imu
 from bundle.inertial.offline.inertial_result import ImuSamples
 from bundle.inertial.preintegration.imu_factors import ImageImuFactor
 from bundle.inertial.vio.trajectory_comparison import compare_trajectories
-from bundle.io.sequences.track_csv import read_track_csv
+from bundle.io.sequences.sequence_folder import read_track_csv
 from bundle.io.sequences.trajectory_files import Trajectory, load_trajectory
 from tests.inertial.offline.models import model_of, world_from_imu
 

@@ -14,7 +14,7 @@ from bundle.inertial.offline.imu_agreement import (
     noise_ratios,
     quietest_ratio,
 )
-from bundle.model.sequence.imu_noise import ImuNoise
+from bundle.model.sequence.calibration import ImuNoise
 
 
 def costs_of(intervals):

@@ -10,7 +10,7 @@ from bundle.inertial.offline.force_scale import ForceScale
 from bundle.inertial.offline.imu_agreement import Agreement, ClockErrors
 from bundle.inertial.offline.imu_findings import Evidence, imu_findings
 from bundle.inertial.offline.rotation_map import RotationMap
-from bundle.model.sequence.bad_samples import BadStretch
+from bundle.model.sequence.sequence_findings import BadStretch
 
 ARM = np.array([0, 0, 0, 1, 0.1, 0, 0])
 MAP = RotationMap(np.eye(3), np.full(3, 1e-3), 1e-3, 1.0)

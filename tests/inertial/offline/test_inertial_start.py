@@ -22,7 +22,7 @@ from bundle.inertial.offline.inertial_start import (
     solve_inertial_start,
 )
 from bundle.inertial.vio.window_frame import ImuInterval
-from bundle.model.sequence.imu_noise import ImuNoise
+from bundle.model.sequence.calibration import ImuNoise
 from tests.scenes import make_problem
 
 NOISE = ImuNoise(1.7e-4, 2e-3, 2e-5, 3e-3)

@@ -22,7 +22,7 @@ from bundle.inertial.vio.trajectory_comparison import states_at
 from bundle.io.sequences.sequence_folder import save_sequence
 from bundle.io.sequences.trajectory_files import load_tum
 from bundle.model.rigid_motions import inverse_poses, multiply_poses
-from bundle.synthetic.flight.synthetic_flight import synthesize_flight
+from bundle.synthetic.synthetic_flight import synthesize_flight
 
 TWIST = YawMotion(0.08, (0.5, -0.3, 0.2))
 

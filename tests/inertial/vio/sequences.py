@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from bundle.io.sequences.sequence_folder import save_sequence
-from bundle.model.sequence.calibration import Calibration
-from bundle.model.sequence.imu_noise import ImuNoise
+from bundle.model.sequence.calibration import Calibration, ImuNoise
 from bundle.model.sequence.sequence import Sequence
 
 NOISE = ImuNoise(1.7e-4, 2e-3, 1.9e-5, 3e-3)

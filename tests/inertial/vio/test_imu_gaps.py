@@ -15,9 +15,9 @@ from bundle.inertial.vio.odometry import run_odometry
 from bundle.inertial.vio.sequence_images import ImuSlices
 from bundle.inertial.vio.trajectory_comparison import compare_trajectories
 from bundle.io.sequences.sequence_folder import save_sequence
-from bundle.model.sequence.imu_noise import ImuNoise
+from bundle.model.sequence.calibration import ImuNoise
 from bundle.model.sequence.sequence import Sequence
-from bundle.synthetic.flight.synthetic_flight import synthesize_flight
+from bundle.synthetic.synthetic_flight import synthesize_flight
 
 NOISE = ImuNoise(1e-3, 1e-2, 1e-5, 1e-4)
 STAMPS = np.array([0, 5, 10, 15, 90, 95, 100, 105], np.int64) * 1_000_000
@@ -137,7 +137,7 @@ def test_a_gap_below_the_fatal_one_does_no_harm(at: float, milliseconds: float) 
 
 
 def test_a_real_gap_at_take_off(bundle_data: Path) -> None:
-    from bundle.io.sequences.track_csv import read_track_csv
+    from bundle.io.sequences.sequence_folder import read_track_csv
     from bundle.io.sequences.trajectory_files import load_trajectory
 
     real = read_track_csv(bundle_data / "vio" / "euroc_V1_01_tracks_imu_30s.csv")

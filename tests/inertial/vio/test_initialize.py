@@ -12,7 +12,7 @@ import bundle
 from bundle.inertial.vio.initialize import VioStart, initialize_vio
 from bundle.inertial.vio.odometry import run_odometry
 from bundle.inertial.vio.trajectory_comparison import states_at
-from bundle.io.sequences.track_csv import read_track_csv
+from bundle.io.sequences.sequence_folder import read_track_csv
 from bundle.io.sequences.trajectory_files import Trajectory, load_ground_truth
 from bundle.model.sequence.sequence import Sequence
 

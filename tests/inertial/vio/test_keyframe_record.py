@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from bundle.inertial.vio.keyframe_record import alarms_by_kind
 from bundle.inertial.vio.odometry import run_odometry
-from bundle.synthetic.flight.synthetic_flight import synthesize_flight
+from bundle.synthetic.synthetic_flight import synthesize_flight
 
 
 def test_alarms_that_differ_in_their_numbers_are_one_kind() -> None:

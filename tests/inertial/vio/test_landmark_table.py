@@ -12,7 +12,7 @@ from bundle.inertial.vio.landmark_table import FrameTracks, TrackNumbers
 from bundle.inertial.vio.odometry import run_odometry
 from bundle.inertial.vio.sequence_images import SequenceImages
 from bundle.model.sequence.sequence import Sequence
-from bundle.synthetic.flight.synthetic_flight import synthesize_flight
+from bundle.synthetic.synthetic_flight import synthesize_flight
 
 
 def renumbered(sequence: Sequence, seed: int) -> tuple[Sequence, dict[int, int]]:

@@ -20,7 +20,7 @@ from bundle.inertial.vio.marginal_prior import (
 )
 from bundle.inertial.vio.odometry import run_odometry
 from bundle.inertial.vio.trajectory_comparison import compare_trajectories
-from bundle.io.sequences.track_csv import read_track_csv
+from bundle.io.sequences.sequence_folder import read_track_csv
 from bundle.io.sequences.trajectory_files import load_trajectory
 from tests.inertial.vio.test_window_core import SOLVE, make_window
 from tests.inertial.vio.window_scenes import CAMERA, Flight, moved

@@ -18,11 +18,10 @@ from bundle.inertial.vio.odometry import run_odometry
 from bundle.inertial.vio.sequence_images import ImuSlices, SequenceImages
 from bundle.inertial.vio.static_start import find_static_start
 from bundle.inertial.vio.trajectory_comparison import compare_trajectories
-from bundle.io.sequences.sequence_folder import save_sequence
-from bundle.io.sequences.track_csv import read_track_csv
+from bundle.io.sequences.sequence_folder import read_track_csv, save_sequence
 from bundle.io.sequences.trajectory_files import load_tum
 from bundle.model.sequence.sequence import Sequence
-from bundle.synthetic.flight.synthetic_flight import synthesize_flight
+from bundle.synthetic.synthetic_flight import synthesize_flight
 from tests.inertial.vio.sequences import sequence
 
 

@@ -13,11 +13,9 @@ import bundle
 from bundle.cli.main import main
 from bundle.inertial.vio.sequence_statistics import sequence_statistics
 from bundle.inertial.vio.trajectory_comparison import states_at
-from bundle.io.sequences.sequence_folder import load_sequence
-from bundle.io.sequences.track_csv import read_track_csv
+from bundle.io.sequences.sequence_folder import load_sequence, read_track_csv
 from bundle.io.sequences.trajectory_files import load_ground_truth
-from bundle.model.rigid_motions import inverse_poses, multiply_poses
-from bundle.model.rotations import rotation_matrices
+from bundle.model.rigid_motions import inverse_poses, multiply_poses, rotation_matrices
 from bundle.model.sequence.sequence import Sequence
 
 

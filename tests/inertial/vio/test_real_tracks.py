@@ -6,7 +6,7 @@ import pytest
 import bundle
 from bundle import InputError
 from bundle.inertial.vio.trajectory_comparison import states_at
-from bundle.io.sequences.track_csv import read_track_csv
+from bundle.io.sequences.sequence_folder import read_track_csv
 from bundle.io.sequences.trajectory_files import load_ground_truth
 from tests.inertial.vio.test_msckf import moved
 

@@ -10,7 +10,7 @@ import pytest
 from bundle.inertial.vio.sequence_images import ImuSlices, SequenceImages
 from bundle.inertial.vio.sliding_window import SlidingWindow
 from bundle.inertial.vio.trajectory_comparison import states_at
-from bundle.synthetic.flight.synthetic_flight import synthesize_flight
+from bundle.synthetic.synthetic_flight import synthesize_flight
 from tests.inertial.vio.sequences import START, sequence
 
 

@@ -14,7 +14,7 @@ from bundle.inertial.vio.marginal_prior import steady_speed
 from bundle.inertial.vio.odometry import OdometryResult, run_odometry
 from bundle.inertial.vio.trajectory_comparison import states_at
 from bundle.inertial.vio.window_frame import WindowFrame
-from bundle.synthetic.flight.synthetic_flight import synthesize_flight
+from bundle.synthetic.synthetic_flight import synthesize_flight
 from tests.inertial.vio.window_scenes import CAMERA, FOCAL, GRAVITY, NOISE, Flight
 
 SIGMA = 0.05

@@ -20,7 +20,7 @@ from bundle.inertial.vio.window_run import WindowRun, _lost_reason, _out_of_time
 from bundle.interface.window_options import WindowOptions
 from bundle.io.sequences.sequence_folder import save_sequence
 from bundle.io.sequences.trajectory_files import load_tum
-from bundle.synthetic.flight.synthetic_flight import SyntheticFlight, synthesize_flight
+from bundle.synthetic.synthetic_flight import SyntheticFlight, synthesize_flight
 
 SECOND = 10**9
 

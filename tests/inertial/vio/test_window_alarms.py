@@ -11,7 +11,7 @@ import pytest
 from bundle.inertial.vio.odometry import run_odometry
 from bundle.inertial.vio.window_alarms import WindowAlarms, walks_down, yaw_falls
 from bundle.interface.window_options import WindowOptions
-from bundle.synthetic.flight.synthetic_flight import synthesize_flight
+from bundle.synthetic.synthetic_flight import synthesize_flight
 
 HEALTHY = {"prior_asymmetry": 1e-16, "prior_ratio": 1e-3, "prior_definiteness": -1e-15}
 SECOND = 10**9

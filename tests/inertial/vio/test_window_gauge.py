@@ -12,7 +12,7 @@ from bundle import _core
 from bundle.inertial.vio.marginal_prior import MarginalPrior
 from bundle.inertial.vio.odometry import run_odometry
 from bundle.inertial.vio.trajectory_comparison import compare_trajectories
-from bundle.synthetic.flight.synthetic_flight import synthesize_flight
+from bundle.synthetic.synthetic_flight import synthesize_flight
 from tests.inertial.vio.test_window_core import (
     SOLVE,
     make_window,

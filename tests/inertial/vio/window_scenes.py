@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from bundle.inertial.preintegration.preintegration import Preintegration
 from bundle.inertial.vio.landmark_table import FrameTracks
 from bundle.inertial.vio.window_frame import ImuInterval
-from bundle.model.sequence.imu_noise import ImuNoise
+from bundle.model.sequence.calibration import ImuNoise
 
 Array = np.ndarray[Any, Any]
 

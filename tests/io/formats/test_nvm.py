@@ -9,7 +9,7 @@ import pytest
 import bundle
 from bundle.georeference import similarity
 from bundle.io.atomic.replaced_paths import NoteWarning
-from bundle.model.rotations import rotation_matrices
+from bundle.model.rigid_motions import rotation_matrices
 from tests.io.formats import foreign_files as foreign
 from tests.io.formats.foreign_files import small
 

@@ -7,7 +7,8 @@ import pytest
 
 import bundle
 from bundle.cli.main import command_parser
-from bundle.judging.findings.find import IMPORTANCE, find, one_list
+from bundle.interface.finding import one_list
+from bundle.judging.findings.find import IMPORTANCE, find
 from bundle.judging.findings.next_command import NextCommand
 from tests.campaigns.findings import KINDS, judge, make
 

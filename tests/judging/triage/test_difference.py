@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from bundle.interface.triage_options import TriageOptions
+from bundle.interface.judging_options import TriageOptions
 from bundle.judging.triage.difference import Difference
 from bundle.judging.triage.solve_facts import SolveFacts, solve_facts
 

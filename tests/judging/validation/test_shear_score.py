@@ -9,8 +9,7 @@ from bundle.judging.validation.row_test import row_test
 from bundle.judging.validation.shear_score import shear_score
 from bundle.model import point_elimination
 from bundle.model.cameras import param_kinds
-from bundle.model.reprojection import linearize
-from bundle.model.residuals import residuals
+from bundle.model.reprojection import linearize, residuals
 from tests.scenes import make_problem
 
 

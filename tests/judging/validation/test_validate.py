@@ -9,9 +9,9 @@ import pytest
 
 import bundle
 from bundle.judging.validation.decision import decide
-from bundle.model.clipped_errors import summarize_clipped
 from bundle.model.folds import folds_of
-from bundle.solving.held_out.measurement import with_values
+from bundle.model.reprojection import summarize_clipped
+from bundle.solving.hold_out import with_values
 from tests.georeference.flights import flight
 from tests.rig_scenes import rig_problem
 from tests.scenes import make_problem, residuals, scene, with_observations

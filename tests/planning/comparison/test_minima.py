@@ -9,7 +9,7 @@ import pytest
 import bundle
 from bundle.interface.options import SolveOptions
 from bundle.model.reprojection import linearize
-from bundle.model.rotations import quaternion_from_vector, quaternion_multiply
+from bundle.model.rigid_motions import quaternion_from_vector, quaternion_multiply
 from bundle.planning.comparison import hand_over
 from bundle.planning.comparison.compare_methods import compare
 from bundle.planning.comparison.minima import SolutionDistance, find_minima

@@ -7,7 +7,7 @@ import pytest
 
 import bundle
 from bundle.checking.step_curve import StepCurve
-from bundle.figures.jacobian_figures import step_figure
+from bundle.figures.evaluation_figures import step_figure
 from bundle.reports.page.check_page import write_check
 from tests.scenes import make_problem
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import bundle
-from bundle.figures.axes import linear, logarithmic, short
+from bundle.figures.marks import linear, logarithmic, short
 from bundle.reports.page.page import as_json, tag, write_page
 from bundle.reports.page.pictures import png
 from bundle.reports.page.vertex_positions import place

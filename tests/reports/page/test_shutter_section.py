@@ -8,7 +8,7 @@ import pytest
 import bundle
 from bundle.figures.twist_figures import twist_figures
 from bundle.reports.page.report_page import write_report
-from bundle.solving.shutter_gain import shutter_gain
+from bundle.solving.parameter_changes import shutter_gain
 from tests.campaigns.rolling_shutter import make
 from tests.reports.page.reader import Page
 

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from bundle.base.words import amount
-from bundle.figures.axes import linear, logarithmic
 from bundle.figures.drawing import Figure
-from bundle.figures.marks import Bars, StackedBars, Steps
+from bundle.figures.marks import Bars, StackedBars, Steps, linear, logarithmic
 from bundle.reports.page import svg
 
 LEFT, RIGHT = svg.LEFT, svg.WIDTH - svg.RIGHT

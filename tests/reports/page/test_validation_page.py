@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bundle.figures.validation_figures import (
+from bundle.figures.evaluation_figures import (
     difference_figure,
     distribution_figure,
     error_figure,

@@ -10,8 +10,7 @@ import numpy as np
 from bundle.interface.options import SolveOptions
 from bundle.interface.summary import Summary
 from bundle.model.problem import Problem
-from bundle.model.reprojection import ReprojectionError
-from bundle.model.worst_images import worst_images
+from bundle.model.reprojection import ReprojectionError, worst_images
 from bundle.solving.kept_errors import KeptErrors
 from bundle.solving.result import Result
 

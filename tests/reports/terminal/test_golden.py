@@ -20,12 +20,13 @@ from bundle.base.tables import render
 from bundle.cli.synth import _tally
 from bundle.georeference.alignment import align
 from bundle.graphs.factors.checks import check_jacobians
-from bundle.interface.evaluate_options import EvaluateOptions
+from bundle.interface.finding import one_list
+from bundle.interface.judging_options import EvaluateOptions
 from bundle.interface.options import SolveOptions
 from bundle.interface.scene_options import SceneOptions
-from bundle.interface.termination import sentence
+from bundle.interface.summary import sentence
 from bundle.judging.evaluation.evaluate_models import evaluate
-from bundle.judging.findings.find import find, one_list
+from bundle.judging.findings.find import find
 from bundle.planning.inspection.graph_inspection import inspect_graph
 from bundle.planning.inspection.problem_inspection import inspect
 from bundle.planning.inspection.rank_prediction import NETWORK

@@ -10,8 +10,7 @@ import pytest
 
 from bundle.base.tables import render
 from bundle.base.words import number, pixels, plural, seconds
-from bundle.interface.summary import solver_phases
-from bundle.interface.termination import sentence
+from bundle.interface.summary import sentence, solver_phases
 from bundle.model.problem import Problem
 from bundle.reports.sections import dumps, plain
 from bundle.reports.terminal import refine
@@ -20,7 +19,7 @@ from bundle.reports.terminal.refine import refinement
 from bundle.reports.terminal.screen import laid_out
 from bundle.reports.terminal.solve_data import result_data
 from bundle.reports.terminal.timing import WallTime
-from bundle.solving.camera_changes import CameraChange
+from bundle.solving.parameter_changes import CameraChange
 from tests.printed import figures
 from tests.reports.terminal import fakes
 

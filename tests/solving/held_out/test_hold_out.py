@@ -5,7 +5,7 @@ import pytest
 
 import bundle
 from bundle.model.folds import folds_of
-from bundle.solving.held_out.hold_out import FEWEST_OF_IMAGE, choose
+from bundle.solving.hold_out import FEWEST_OF_IMAGE, choose
 from tests.model.test_folds import tracks
 from tests.scenes import make_problem, with_observations
 

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 import bundle
-from bundle.model.clipped_errors import summarize_clipped
-from bundle.solving.held_out.hold_out import choose
-from bundle.solving.held_out.measurement import with_values
+from bundle.model.reprojection import summarize_clipped
+from bundle.solving.hold_out import choose, with_values
 from tests.georeference.flights import flight
 from tests.rig_scenes import rig_problem
 from tests.scenes import make_problem, with_observations

@@ -102,7 +102,7 @@ def test_what_is_held_bounded_or_far(case):
 
 
 def moved(problem, shift):
-    rotations = [bundle.model.rotations.rotation_matrices(problem.cam_from_world[:, :4])]
+    rotations = [bundle.model.rigid_motions.rotation_matrices(problem.cam_from_world[:, :4])]
     poses = np.array(problem.cam_from_world)
     poses[:, 4:] -= np.einsum("nij,j->ni", rotations[0], np.asarray(shift, float))
     return problem.replace(cam_from_world=poses, points=problem.points + shift)

@@ -6,7 +6,7 @@ import sys
 import pytest
 
 from bundle import _core
-from bundle.solving.ranks import end_by_mpirun
+from bundle.solving.ranks import launch
 
 MPIRUN = """
 import signal, subprocess, sys, time
@@ -68,5 +68,5 @@ def test_without_a_folder_of_mpirun(monkeypatch):
     monkeypatch.delenv("PMIX_SERVER_TMPDIR", raising=False)
     for rank, speaks in ((0, True), (1, False)):
         monkeypatch.setenv("PMI_RANK", str(rank))
-        assert end_by_mpirun.take_the_word()
-        assert end_by_mpirun.speaks_for_all() == speaks
+        assert launch.take_the_word()
+        assert launch.speaks_for_all() == speaks

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from bundle import _core
-from bundle.solving.ranks import mpi_ranks
-from bundle.solving.ranks.mpi_ranks import MpiRanks
+from bundle.solving.ranks import mpi_crew
+from bundle.solving.ranks.mpi_crew import MpiRanks
 
 
 class ThreadComm:
@@ -46,7 +46,7 @@ def summed(num_ranks, values, errors):
 @pytest.mark.parametrize("num_ranks", range(1, 9))
 def test_double_doubles_are_those_of_pairs_of_neighbours(num_ranks, monkeypatch):
     """In messages of three numbers; every rank's values arrive, in one order for any timing."""
-    monkeypatch.setattr(mpi_ranks, "MOST_AT_ONCE", 3)
+    monkeypatch.setattr(mpi_crew, "MOST_AT_ONCE", 3)
     rng = np.random.default_rng(num_ranks)
     values = rng.normal(size=(num_ranks, 7)) * 10.0 ** rng.integers(-8, 8, (num_ranks, 7))
     errors = values * 1e-17

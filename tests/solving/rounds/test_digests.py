@@ -1,7 +1,6 @@
 """Digests of factors, bounds and rules; checkpoints of the schema before."""
 
 import dataclasses
-import hashlib
 import io
 import json
 import operator
@@ -11,7 +10,7 @@ import numpy as np
 import pytest
 
 import bundle
-from bundle.solving.rounds.checkpoint import NO_FACTORS, SCHEMA
+from bundle.solving.rounds.checkpoint import SCHEMA
 from bundle.solving.rounds.input_digest import digest_of_fields
 from tests.campaigns import resumes
 
@@ -96,19 +95,6 @@ def test_functions_that_do_not_pickle_are_refused():
         digest_of_fields({1: (factor,)})
 
 
-def as_schema(number, content, bounds_and_factors):
-    """Return a checkpoint as it was written before digests were of fields."""
-    arrays = dict(np.load(io.BytesIO(content)).items())
-    meta = json.loads(arrays.pop("meta").tobytes())
-    assert meta["schema"] == SCHEMA
-    meta["schema"] = f"bundle checkpoint {number}"
-    pickled = pickle.dumps(bounds_and_factors, protocol=5)
-    meta["fingerprint"]["factors and bounds"] = hashlib.sha256(pickled).hexdigest()
-    file = io.BytesIO()
-    np.savez(file, meta=np.frombuffer(json.dumps(meta).encode(), np.uint8), **arrays)
-    return file.getvalue()
-
-
 class StopError(Exception):
     """Stands for a kill."""
 
@@ -128,31 +114,16 @@ def stopped(scene, path, **more):
     return path
 
 
-def test_runs_without_factors_go_on_from_the_schema_of_before(scene, tmp_path):
+@pytest.mark.parametrize("number", [1, 2, 4])
+def test_another_schema_is_refused_by_name(scene, tmp_path, number):
     path = stopped(scene, tmp_path / "run")
-    path.write_bytes(as_schema(2, path.read_bytes(), ((), None)))
-    expected = bundle.solve_rounds(scene, OPTIONS, checkpoint=tmp_path / "whole", **RUN)
-    result = bundle.solve_rounds(scene, OPTIONS, resume=path, **RUN)
-    np.testing.assert_array_equal(result.problem.points, expected.problem.points)
-    np.testing.assert_array_equal(result.iterations["cost"], expected.iterations["cost"])
-    assert SCHEMA in path.read_bytes().decode("latin-1")
-
-
-def test_runs_with_factors_do_not_and_the_version_is_named(scene, tmp_path):
-    factors = (bundle.PositionFactor(("image", 1), scene.projection_centers[0], 1e4),)
-    path = stopped(scene, tmp_path / "run", factors=factors)
-    path.write_bytes(as_schema(2, path.read_bytes(), (factors, None)))
-    match = r"run: expected 'bundle checkpoint 3', found 'bundle checkpoint 2'.*\bfactors\b"
-    with pytest.raises(bundle.InputError, match=match):
-        bundle.solve_rounds(scene, OPTIONS, resume=path, factors=factors, **RUN)
-
-
-def test_the_schema_before_that_is_refused_by_name(scene, tmp_path):
-    path = stopped(scene, tmp_path / "run")
-    path.write_bytes(as_schema(1, path.read_bytes(), ((), None)))
-    with pytest.raises(bundle.InputError, match=r"run: expected a checkpoint .*checkpoint 1'"):
+    arrays = dict(np.load(io.BytesIO(path.read_bytes())).items())
+    meta = json.loads(arrays.pop("meta").tobytes())
+    assert meta["schema"] == SCHEMA
+    meta["schema"] = f"bundle checkpoint {number}"
+    with path.open("wb") as file:
+        np.savez(file, meta=np.frombuffer(json.dumps(meta).encode(), np.uint8), **arrays)
+    with pytest.raises(
+        bundle.InputError, match=rf"run: expected a checkpoint .*checkpoint {number}'"
+    ):
         bundle.solve_rounds(scene, OPTIONS, resume=path, **RUN)
-
-
-def test_no_factors_had_this_pickle():
-    assert hashlib.sha256(pickle.dumps(((), None), protocol=5)).hexdigest() == NO_FACTORS

@@ -12,7 +12,7 @@ import pytest
 
 import bundle
 from bundle.georeference.similarity import Similarity, moved
-from bundle.model.rotations import rotation_matrices
+from bundle.model.rigid_motions import rotation_matrices
 from bundle.solving.rounds.local_part import LocalPart
 from bundle.solving.rounds.rest_prior import marginalize_rest
 from tests.analysis.uncertainty.dense import Dense

@@ -3,7 +3,7 @@
 import numpy as np
 
 from bundle.solving.ranks.partition import divide, part_of
-from bundle.solving.slices.gauge_problem import _of_slice
+from bundle.solving.slices.slice_process import _of_slice
 from bundle.solving.slices.slice_reading import Slice
 from tests.scenes import make_problem, with_observations
 

@@ -18,7 +18,7 @@ import bundle._core as _core
 from bundle.errors import InputError
 from bundle.solving import kept_errors
 from bundle.solving.kept_errors import PixelErrors
-from bundle.solving.slices import block_errors, out_of_core, slice_reading
+from bundle.solving.slices import out_of_core, slice_errors, slice_reading
 from bundle.solving.slices.out_of_core import scratch_folder
 from bundle.solving.slices.scratch_size import scratch_bytes
 from tests.cli.conftest import command, environment, run  # noqa: F401
@@ -185,7 +185,7 @@ def test_statistics_by_blocks_are_those_of_all(monkeypatch, limit, spoilt, cheir
 
     before, after = errors(1), errors(2)
     expected = kept_errors.measure(copied(before), copied(after), None, limit)
-    found = block_errors.measure_on_disk(copied(before), copied(after), limit)
+    found = slice_errors.measure_on_disk(copied(before), copied(after), limit)
     assert expected is not None
     for one, other in zip(numbers(found), numbers(expected), strict=True):
         assert one == pytest.approx(other, rel=1e-12, nan_ok=True)

@@ -8,8 +8,7 @@ from scipy.spatial.transform import Rotation
 import bundle
 from bundle.interface.scene_options import SceneOptions
 from bundle.model.shutter_motion import moved, twists_between
-from bundle.synthetic.video.film_motions import DroneGrid
-from bundle.synthetic.video.video_scene import film
+from bundle.synthetic.video_scene import DroneGrid, film
 
 SCENES = ["orbit", "drone_grid", "street"]
 

@@ -15,7 +15,7 @@ is too large scales the median as it scales the mean, wrong edges raise the mean
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,11 +26,11 @@ from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
 from bundle.base.words import number
 from bundle.errors import InputError, brief
-from bundle.graphs.factors.factor_graph import FactorGraph
-from bundle.graphs.factors.null_space import find_null_space
-from bundle.graphs.factors.same_problem import pose_graph_of
 from bundle.graphs.pose_graphs.chi2_quantiles import chi2_interval, chi2_median
 from bundle.graphs.pose_graphs.edge_weights import WeightedGraph, is_graph, weighted_graph
+
+if TYPE_CHECKING:
+    from bundle.graphs.factors.factor_graph import FactorGraph
 
 Floats = NDArray[np.float64]
 
@@ -103,20 +103,24 @@ def chi2_kinds(source: Any, options: Any = None, **changes: Any) -> tuple[Chi2Ki
         >>> for kind in bundle.chi2_kinds(bundle.solve(graph)):
         ...     print(kind.kind, kind.chi2, kind.degrees, kind.scale)
     """
-    if isinstance(source, FactorGraph):
-        if options is not None or changes:
-            found = brief(changes or options)
-            raise InputError(f"options: expected only with a pose graph, found {found}")
-        source.check_free()
-        poses = pose_graph_of(source)
-        if poses is None:
-            return _kinds_of_factors(source)
-        return _kinds_of_edges(weighted_graph(poses.graph, None, {}, "chi2_kinds"), source)
-    if not is_graph(source):
+    if is_graph(source):
+        return _kinds_of_edges(weighted_graph(source, options, changes, "chi2_kinds"))
+    # Factor graphs and their checks double the imports of a refined pose graph.
+    from bundle.graphs.factors.factor_graph import FactorGraph
+    from bundle.graphs.factors.same_problem import pose_graph_of
+
+    if not isinstance(source, FactorGraph):
         raise InputError(
             f"source: expected a graph or the result of its solve, found {brief(source)}"
         )
-    return _kinds_of_edges(weighted_graph(source, options, changes, "chi2_kinds"))
+    if options is not None or changes:
+        found = brief(changes or options)
+        raise InputError(f"options: expected only with a pose graph, found {found}")
+    source.check_free()
+    poses = pose_graph_of(source)
+    if poses is None:
+        return _kinds_of_factors(source)
+    return _kinds_of_edges(weighted_graph(poses.graph, None, {}, "chi2_kinds"), source)
 
 
 def _kinds_of_edges(
@@ -148,6 +152,8 @@ def _kinds_of_edges(
 
 
 def _kinds_of_factors(graph: FactorGraph) -> tuple[Chi2Kind, ...]:
+    from bundle.graphs.factors.null_space import find_null_space
+
     space = find_null_space(graph)
     if not space.is_exact or space.others.shape[1]:
         return ()

@@ -22,7 +22,7 @@ from bundle.base.records import dataclass
 from bundle.base.words import named, noun, plural
 from bundle.interface.finding import Finding
 from bundle.model.problem import Problem
-from bundle.model.rotations import quaternion_inverse, quaternion_rotate
+from bundle.model.rigid_motions import quaternion_inverse, quaternion_rotate
 from bundle.solving.result import Result
 
 MOST_COMPONENTS = 5

@@ -47,10 +47,9 @@ from bundle.analysis.diagnosis.track_table import plane
 from bundle.base.records import dataclass
 from bundle.base.words import named, plural, sorted_ids
 from bundle.model.cameras import camera_models, project
-from bundle.model.observation_part import part_of_observations
-from bundle.model.point_elimination import eliminate_points
+from bundle.model.point_elimination import eliminate_points, part_of_observations
 from bundle.model.problem import Problem
-from bundle.model.rotations import (
+from bundle.model.rigid_motions import (
     cross_matrices,
     quaternion_inverse,
     quaternion_rotate,

@@ -36,7 +36,7 @@ from bundle.base.records import dataclass
 from bundle.base.words import named, plural
 from bundle.interface.finding import Finding
 from bundle.model.problem import Problem
-from bundle.model.rotations import quaternion_inverse, quaternion_rotate
+from bundle.model.rigid_motions import quaternion_inverse, quaternion_rotate
 
 FEW_SHARED = 5
 """Number of common points below which two images leave their relative pose undetermined."""

@@ -19,12 +19,13 @@ from bundle.io.files import Source, as_problem
 from bundle.model.cameras import camera_models, param_kinds
 from bundle.model.problem import Problem
 from bundle.model.reprojection import (
+    ImageError,
     ReprojectionError,
     reprojection_errors,
     resolve_cheirality,
     summarize_errors,
+    worst_of_errors,
 )
-from bundle.model.worst_images import ImageError, worst_of_errors
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -121,16 +121,6 @@ class _Recipe:
     robust: str
     long_sums: bool = True
 
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        if "request" not in state:  # a pickle of an older version, without requests
-            align = False if state["priors"] else None
-            names = ("options", "factors", "priors", "bounds", "constraints")
-            known = {name: state[name] for name in names}
-            state = {name: state[name] for name in ("of", "gauge", "scale", "robust")} | {
-                "request": SolveRequest(problem=state["given"], align=align, **known)
-            }
-        vars(self).update(state)
-
     def compute(self, pairs: list[tuple[int, int]]) -> Covariance:
         """Return the covariance, with the relative poses of these pairs of image ids."""
         given = self.request.problem

@@ -18,12 +18,6 @@ from bundle.figures.matplotlib.charts import (
 )
 from bundle.figures.matplotlib.draw import figure
 from bundle.figures.matplotlib.matrix_pattern import MatrixPattern
-from bundle.figures.matplotlib.problem_patterns import (
-    ORDERINGS,
-    information_pattern,
-    order_blocks,
-    reduced_pattern,
-)
 from bundle.figures.matplotlib.report_pictures import (
     draw_correlations,
     draw_covisibility,
@@ -45,7 +39,15 @@ from bundle.figures.matplotlib.report_pictures import (
     draw_triangulation_angles,
     draw_uncertainty_against_distance,
 )
-from bundle.figures.matplotlib.spy import draw_orderings, spy, spy_factor
+from bundle.figures.matplotlib.spy import (
+    ORDERINGS,
+    draw_orderings,
+    information_pattern,
+    order_blocks,
+    reduced_pattern,
+    spy,
+    spy_factor,
+)
 
 __all__ = [
     "ORDERINGS",

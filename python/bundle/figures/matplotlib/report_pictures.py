@@ -11,18 +11,21 @@ from bundle.base.arguments import check_type
 from bundle.errors import InputError
 from bundle.figures import lens_figures, placement_figures, residual_figures
 from bundle.figures.certainty import Certainty, correlation_figure
-from bundle.figures.covisibility_graph import covisibility_figure, covisibility_graph
 from bundle.figures.drawing import LineFigure
-from bundle.figures.image_residuals import ImageResiduals
-from bundle.figures.lens_curves import LensCurve
+from bundle.figures.lens_figures import LensCurve
 from bundle.figures.matplotlib.draw import COLOURS, draw
-from bundle.figures.placement_errors import Placement
+from bundle.figures.placement_figures import Placement
 from bundle.figures.projection_uncertainty import ProjectionUncertainty
-from bundle.figures.residual_field import ResidualField
-from bundle.figures.residual_histogram import ResidualHistogram
-from bundle.figures.row_residuals import RowResiduals, row_figure
+from bundle.figures.residual_field import ResidualField, RowResiduals, row_figure
+from bundle.figures.residual_figures import ImageResiduals, ResidualHistogram
 from bundle.figures.scene_view import SceneView
-from bundle.figures.track_statistics import TrackStatistics, angle_figure, length_figure
+from bundle.figures.structure_figures import (
+    TrackStatistics,
+    angle_figure,
+    covisibility_figure,
+    covisibility_graph,
+    length_figure,
+)
 from bundle.interface.option_fields import choice, number
 from bundle.model.problem import Problem
 
@@ -91,7 +94,7 @@ def draw_row_residuals(ax: Axes, *sets: RowResiduals) -> None:
 
     Args:
         ax: axis to draw on.
-        *sets: one set, or the sets before and after a solve, from ``bundle.figures.row_residuals``.
+        *sets: one set, or those before and after a solve, from ``bundle.figures.row_residuals``.
     """
     for one in sets:
         check_type("sets", one, RowResiduals)

@@ -16,10 +16,9 @@ import bundle._core as _core
 from bundle.base.arguments import check_function
 from bundle.checking.function import ResidualFunction
 from bundle.checking.gradient_report import GradientReport
-from bundle.checking.gradients import check_function_at
 from bundle.checking.jacobians import check_problem
-from bundle.checking.manifolds import ManifoldLike
-from bundle.checking.residual_blocks import Name
+from bundle.checking.residual_blocks import ManifoldLike, Name
+from bundle.checking.sample_check import check_function_at
 from bundle.errors import InputError, brief
 from bundle.graphs.factors.factor_check import CheckedFactor, check_each, choose
 from bundle.graphs.factors.factor_graph import FactorGraph

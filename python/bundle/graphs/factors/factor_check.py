@@ -23,13 +23,10 @@ import numpy as np
 import bundle._core as _core
 from bundle.base.arguments import as_flag
 from bundle.base.records import dataclass
-from bundle.checking.columns import Block
-from bundle.checking.function import UserFunction
+from bundle.checking.function import SamplePoint, UserFunction
 from bundle.checking.gradient_report import GradientReport
-from bundle.checking.manifolds import Manifold
-from bundle.checking.residual_blocks import Layout, sample
+from bundle.checking.residual_blocks import Block, Layout, Manifold, sample
 from bundle.checking.sample_check import check_samples
-from bundle.checking.sample_points import SamplePoint
 from bundle.errors import InputError, brief, check_keywords
 from bundle.graphs.factors.contents import GraphContents, factor_name
 from bundle.graphs.factors.factor_report import FactorCheck, Member

@@ -15,9 +15,8 @@ from numpy.typing import ArrayLike
 
 import bundle._core as _core
 from bundle.base.display import Display, Displayed
-from bundle.base.memory_sizes import format_size
 from bundle.base.records import dataclass
-from bundle.base.words import plural
+from bundle.base.words import format_size, plural
 from bundle.errors import InputError, brief
 from bundle.graphs.factors.factors import Factor
 from bundle.graphs.factors.variables import MANIFOLDS, Array, Key, as_keys, as_row, variable_name

@@ -30,7 +30,7 @@ from bundle.base.records import dataclass
 from bundle.graphs.factors.contents import GraphContents
 from bundle.graphs.factors.variables import Variable
 from bundle.graphs.pose_graphs.lie_groups import adjoint_between
-from bundle.model.rotations import rotation_matrices
+from bundle.model.rigid_motions import rotation_matrices
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]

@@ -38,7 +38,7 @@ import numpy as np
 
 from bundle.base.records import dataclass
 from bundle.graphs.factors.variables import Array
-from bundle.model.rotations import rotation_matrices
+from bundle.model.rigid_motions import rotation_matrices
 
 Conventions = dict[tuple[str, str], Array]
 

@@ -41,7 +41,7 @@ from bundle.model.cameras import camera_models, param_kinds
 from bundle.model.problem import Problem
 from bundle.model.pycolmap.lens import pixel_directions
 from bundle.model.reprojection import reprojection_errors
-from bundle.model.rotations import cross_matrices, dot, quaternion_inverse, quaternion_rotate
+from bundle.model.rigid_motions import cross_matrices, dot, quaternion_inverse, quaternion_rotate
 
 Array = NDArray[np.float64]
 

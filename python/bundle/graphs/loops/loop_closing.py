@@ -15,7 +15,7 @@ from bundle.base.records import dataclass
 from bundle.base.words import change, plural
 from bundle.errors import InputError
 from bundle.graphs.factors.factors import RelativePoseFactor
-from bundle.graphs.pose_graphs.information import checked_information
+from bundle.graphs.pose_graphs.edge_weights import checked_information
 from bundle.interface.tabular import Tabular
 from bundle.io.g2o_files import load_g2o
 from bundle.model.pose_graph_arrays import PoseGraph

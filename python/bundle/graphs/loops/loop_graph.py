@@ -53,17 +53,23 @@ from bundle.graphs.loops.loop_closing import (
 )
 from bundle.graphs.loops.similarity_graph import Nodes, SimilarityGraph
 from bundle.graphs.pose_graphs.chi2_quantiles import ONE_IN_2000
-from bundle.interface.loop_options import LOOP_LOSSES
 from bundle.interface.option_fields import choice, number
+from bundle.interface.pose_graph_options import LOOP_LOSSES
 from bundle.io.files import Source, as_problem
 from bundle.model.losses import evaluate_loss
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.model.problem import Problem
 from bundle.model.reprojection import reprojection_errors
 from bundle.model.rig_arrays import placed
-from bundle.model.rigid_motions import inverse_poses, multiply_poses, unit_poses
-from bundle.model.rotations import cross_matrices, quaternion_rotate, rotation_matrices
-from bundle.model.shutter_changes import scaled
+from bundle.model.rigid_motions import (
+    cross_matrices,
+    inverse_poses,
+    multiply_poses,
+    quaternion_rotate,
+    rotation_matrices,
+    unit_poses,
+)
+from bundle.model.shutter_motion import scaled
 
 Array = NDArray[np.float64]
 

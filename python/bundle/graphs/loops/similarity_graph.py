@@ -40,10 +40,10 @@ from numpy.typing import NDArray
 
 import bundle._core as _core
 from bundle.base.records import dataclass
-from bundle.model.rigid_motions import multiply_poses
-from bundle.model.rotations import (
+from bundle.model.rigid_motions import (
     cross_matrices,
     inverse_jacobian_coefficient,
+    multiply_poses,
     quaternion_from_vector,
     quaternion_inverse,
     quaternion_multiply,

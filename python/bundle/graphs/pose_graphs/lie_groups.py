@@ -8,11 +8,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.model.rigid_motions import inverse_poses, log_of_poses, multiply_poses, unit_poses
-from bundle.model.rotations import (
+from bundle.model.rigid_motions import (
     cross_matrices,
     inverse_jacobian_coefficient,
+    inverse_poses,
+    log_of_poses,
+    multiply_poses,
     rotation_matrices,
+    unit_poses,
 )
 
 Floats = NDArray[np.float64]

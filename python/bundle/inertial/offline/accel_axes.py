@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from bundle.inertial.offline.inertial_start import InertialStart, gyro_bias, solve_inertial_start
 from bundle.inertial.vio.window_frame import ImuInterval
-from bundle.model.sequence.imu_noise import ImuNoise
+from bundle.model.sequence.calibration import ImuNoise
 
 Array = NDArray[np.float64]
 

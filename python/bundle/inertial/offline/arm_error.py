@@ -28,7 +28,7 @@ from bundle.graphs.pose_graphs.chi2_quantiles import chi2_bound
 from bundle.inertial.offline.inertial_start import segment_rows, segments
 from bundle.inertial.offline.motion_solve import ACCEL_BIAS_SIGMA
 from bundle.inertial.preintegration.preintegration import Preintegration
-from bundle.model.sequence.imu_noise import ImuNoise
+from bundle.model.sequence.calibration import ImuNoise
 
 Array = NDArray[np.float64]
 

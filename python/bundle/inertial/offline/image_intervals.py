@@ -17,10 +17,9 @@ from bundle.inertial.offline.inertial_start import gyro_bias, preintegrated
 from bundle.inertial.preintegration.preintegration import Preintegration
 from bundle.inertial.vio.sequence_images import ImuSlices
 from bundle.inertial.vio.window_frame import ImuInterval
-from bundle.model.rotations import quaternion_from_matrix, vector_from_quaternion
-from bundle.model.sequence.imu_noise import ImuNoise
-from bundle.model.sequence.sequence import check_imu
-from bundle.model.sequence.stamp_units import other_unit
+from bundle.model.rigid_motions import quaternion_from_matrix, vector_from_quaternion
+from bundle.model.sequence.calibration import ImuNoise
+from bundle.model.sequence.sequence import check_imu, other_unit
 
 Array = NDArray[np.float64]
 

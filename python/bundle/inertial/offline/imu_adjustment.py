@@ -32,8 +32,8 @@ from numpy.typing import NDArray
 from bundle.errors import InputError
 from bundle.georeference.pose_alignment import align_centers
 from bundle.georeference.similarity import Similarity, moved
-from bundle.graphs.factors.attitude_factors import DOWN, DirectionFactor
 from bundle.graphs.factors.factors import Factor, RelativePoseFactor
+from bundle.graphs.factors.image_factors import DOWN, DirectionFactor
 from bundle.inertial.offline.accel_axes import accel_axes
 from bundle.inertial.offline.arm_error import ArmError, arm_error
 from bundle.inertial.offline.clock_offset import ClockOffset
@@ -54,10 +54,9 @@ from bundle.interface.options import SolveOptions
 from bundle.interface.round_options import RoundOptions
 from bundle.interface.solve_record import Progress
 from bundle.model.problem import Problem
-from bundle.model.rigid_motions import inverse_poses, multiply_poses
-from bundle.model.rotations import rotation_matrices
-from bundle.model.sequence.bad_samples import bad_stretches
-from bundle.model.sequence.imu_noise import ImuNoise
+from bundle.model.rigid_motions import inverse_poses, multiply_poses, rotation_matrices
+from bundle.model.sequence.calibration import ImuNoise
+from bundle.model.sequence.sequence_findings import bad_stretches
 from bundle.solving.gauge_freedom import gauge_freedom
 from bundle.solving.kept_errors import Edit
 from bundle.solving.result import Result

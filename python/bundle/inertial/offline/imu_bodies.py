@@ -11,7 +11,7 @@ from bundle.base.records import dataclass
 from bundle.base.words import plural
 from bundle.errors import InputError
 from bundle.model.problem import Problem
-from bundle.model.rotations import rotation_matrices
+from bundle.model.rigid_motions import rotation_matrices
 
 Array = NDArray[np.float64]
 

@@ -22,12 +22,11 @@ from bundle.inertial.offline.imu_agreement import (
     ClockErrors,
 )
 from bundle.inertial.offline.rotation_map import RotationMap
-from bundle.model.rotations import (
+from bundle.model.rigid_motions import (
     quaternion_from_matrix,
     rotation_matrices,
 )
-from bundle.model.sequence.bad_samples import LONGEST_BRIDGE, BadStretch
-from bundle.model.sequence.sequence_findings import UNDERSTATED
+from bundle.model.sequence.sequence_findings import LONGEST_BRIDGE, UNDERSTATED, BadStretch
 
 Array = NDArray[np.float64]
 

@@ -29,11 +29,11 @@ from numpy.typing import NDArray
 
 from bundle.inertial.preintegration.preintegration import Preintegration
 from bundle.inertial.vio.window_frame import ImuInterval
-from bundle.model.rotations import (
+from bundle.model.rigid_motions import (
     quaternion_from_matrix,
     vector_from_quaternion,
 )
-from bundle.model.sequence.imu_noise import ImuNoise
+from bundle.model.sequence.calibration import ImuNoise
 
 Array = NDArray[np.float64]
 

@@ -22,7 +22,7 @@ from bundle.interface.options import SolveOptions
 from bundle.interface.round_options import RoundOptions
 from bundle.interface.solve_record import Progress
 from bundle.model.problem import Problem
-from bundle.model.sequence.imu_noise import ImuNoise
+from bundle.model.sequence.calibration import ImuNoise
 from bundle.solving.result import Result
 from bundle.solving.rounds.solve_rounds import solve_rounds
 

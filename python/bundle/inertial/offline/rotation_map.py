@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.inertial.preintegration.preintegration import Preintegration
-from bundle.model.rotations import (
+from bundle.model.rigid_motions import (
     quaternion_from_matrix,
     rotation_matrices,
     vector_from_quaternion,

@@ -15,18 +15,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.errors import InputError
-from bundle.georeference.correspondences import Correspondences
 from bundle.georeference.pose_alignment import align_centers
 from bundle.georeference.prior_alignment import ProblemPriors
 from bundle.georeference.problem_attitudes import ProblemAttitudes
 from bundle.georeference.similarity import Similarity
+from bundle.georeference.similarity_fit import Correspondences
 from bundle.georeference.target_priors import TargetPriors
 from bundle.inertial.offline.imu_bodies import ImuBodies
 from bundle.inertial.offline.inertial_start import InertialStart, solve_inertial_start
 from bundle.inertial.offline.motion_solve import GRAVITY
 from bundle.inertial.vio.window_frame import ImuInterval
 from bundle.model.problem import Problem
-from bundle.model.sequence.imu_noise import ImuNoise
+from bundle.model.sequence.calibration import ImuNoise
 from bundle.solving.placed_problem import sorted_priors
 
 if TYPE_CHECKING:

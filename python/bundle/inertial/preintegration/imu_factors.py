@@ -18,7 +18,7 @@ from bundle.graphs.factors.factors import Factor
 from bundle.graphs.factors.variables import Key
 from bundle.inertial.preintegration.preintegration import Preintegration, as_vector
 from bundle.interface.option_fields import number
-from bundle.model.sequence.imu_noise import ImuNoise
+from bundle.model.sequence.calibration import ImuNoise
 
 
 class _MotionFactor(Factor):

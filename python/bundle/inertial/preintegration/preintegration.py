@@ -13,7 +13,7 @@ from bundle.base.display import Display, Displayed
 from bundle.errors import InputError
 from bundle.inertial.preintegration.repropagation import Repropagation
 from bundle.interface.option_fields import choice, number
-from bundle.model.sequence.imu_noise import ImuNoise
+from bundle.model.sequence.calibration import ImuNoise
 
 Array = NDArray[np.float64]
 

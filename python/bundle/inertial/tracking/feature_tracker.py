@@ -22,7 +22,7 @@ import numpy as np
 from bundle.base.records import dataclass
 from bundle.inertial.tracking.relative_rotation import refined_rotation
 from bundle.inertial.tracking.usable_pixels import usable_pixels
-from bundle.interface.tracking_options import TrackingOptions
+from bundle.interface.window_options import TrackingOptions
 from bundle.model.cameras import project
 from bundle.model.pycolmap.lens import normalized
 from bundle.model.sequence.calibration import Calibration

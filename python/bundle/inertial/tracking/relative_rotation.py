@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from bundle.model.rotations import cross_matrices, quaternion_from_vector, rotation_matrices
+from bundle.model.rigid_motions import cross_matrices, quaternion_from_vector, rotation_matrices
 
 Array = np.ndarray[Any, Any]
 

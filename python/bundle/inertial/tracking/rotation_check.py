@@ -31,12 +31,12 @@ from bundle.base.records import dataclass
 from bundle.inertial.preintegration.preintegration import Preintegration
 from bundle.inertial.tracking.feature_tracker import Turn
 from bundle.inertial.vio.sequence_images import ImuSlices
-from bundle.model.rotations import (
+from bundle.model.rigid_motions import (
     quaternion_from_matrix,
     rotation_matrices,
     vector_from_quaternion,
 )
-from bundle.model.sequence.recording import Recording
+from bundle.model.sequence.sequence import Recording
 
 Array = np.ndarray[Any, Any]
 

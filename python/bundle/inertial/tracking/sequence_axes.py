@@ -17,10 +17,8 @@ from bundle.inertial.tracking.track_turns import turns_of_tracks
 from bundle.inertial.tracking.tracking_findings import tracking_findings
 from bundle.inertial.vio.sequence_images import SequenceImages
 from bundle.interface.finding import Finding
-from bundle.model.sequence.bad_samples import bad_stretches, is_bridged
-from bundle.model.sequence.recording import Recording
-from bundle.model.sequence.sequence import Sequence
-from bundle.model.sequence.sequence_findings import sequence_findings
+from bundle.model.sequence.sequence import Recording, Sequence
+from bundle.model.sequence.sequence_findings import bad_stretches, is_bridged, sequence_findings
 
 FEW, MANY = 40, 200  # pairs of images
 SUSPICIOUS = 0.3  # share of the rotation that the gyroscope does not explain; 0.2 if clean

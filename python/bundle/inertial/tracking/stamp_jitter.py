@@ -23,8 +23,8 @@ from bundle.inertial.tracking.rotation_check import RotationPairs
 from bundle.inertial.tracking.track_turns import turns_of_tracks
 from bundle.inertial.vio.sequence_images import SequenceImages
 from bundle.interface.finding import Finding
-from bundle.model.rotations import rotation_matrices
-from bundle.model.sequence.recording import Recording
+from bundle.model.rigid_motions import rotation_matrices
+from bundle.model.sequence.sequence import Recording
 
 Array = np.ndarray[Any, Any]
 

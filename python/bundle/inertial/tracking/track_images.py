@@ -11,7 +11,7 @@ from bundle.inertial.tracking.track_recording import Tracking, track_recording
 from bundle.inertial.tracking.tracking_findings import tracking_findings
 from bundle.inertial.vio.sequence_images import SequenceImages
 from bundle.interface.finding import Finding
-from bundle.interface.tracking_options import TrackingOptions
+from bundle.interface.window_options import TrackingOptions
 from bundle.io.sequences.recordings import RecordingSource, read_recording
 from bundle.model.sequence.sequence import Sequence as Tracks
 from bundle.model.sequence.sequence_findings import SequenceFinding, sequence_findings

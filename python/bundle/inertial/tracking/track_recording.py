@@ -14,10 +14,9 @@ from bundle.inertial.preintegration.preintegration import Preintegration
 from bundle.inertial.tracking.feature_tracker import FeatureTracker
 from bundle.inertial.tracking.rotation_check import RotationCheck, check_rotations
 from bundle.inertial.vio.sequence_images import ImuSlices
-from bundle.interface.tracking_options import TrackingOptions
-from bundle.model.rotations import rotation_matrices
-from bundle.model.sequence.recording import Recording, check_recording
-from bundle.model.sequence.sequence import Sequence
+from bundle.interface.window_options import TrackingOptions
+from bundle.model.rigid_motions import rotation_matrices
+from bundle.model.sequence.sequence import Recording, Sequence, check_recording
 
 Array = np.ndarray[Any, Any]
 

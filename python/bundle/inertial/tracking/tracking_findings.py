@@ -6,7 +6,7 @@ import math
 
 from bundle.inertial.tracking.rotation_check import RotationCheck
 from bundle.interface.finding import Finding
-from bundle.model.sequence.recording import Recording
+from bundle.model.sequence.sequence import Recording
 
 SIGMAS = 4.0
 LEAST_SHIFT = 3e-3  # s

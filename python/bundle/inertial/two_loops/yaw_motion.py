@@ -17,7 +17,7 @@ from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
 from bundle.errors import InputError
 from bundle.interface.option_fields import number
-from bundle.model.rotations import quaternion_multiply
+from bundle.model.rigid_motions import quaternion_multiply
 
 Array = NDArray[np.float64]
 

@@ -28,7 +28,7 @@ from bundle.inertial.vio.linear_start import LinearStart, Observations, solve_li
 from bundle.inertial.vio.sequence_images import SequenceImages
 from bundle.inertial.vio.static_start import find_static_start, level_quaternion
 from bundle.interface.option_fields import number
-from bundle.model.rotations import (
+from bundle.model.rigid_motions import (
     quaternion_from_matrix,
     quaternion_multiply,
     quaternion_rotate,

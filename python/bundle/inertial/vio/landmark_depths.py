@@ -21,7 +21,7 @@ import numpy as np
 
 from bundle.inertial.vio.landmark_table import LandmarkTable
 from bundle.inertial.vio.window_frame import WindowFrame
-from bundle.model.rotations import rotation_matrices
+from bundle.model.rigid_motions import rotation_matrices
 
 Array = np.ndarray[Any, Any]
 

@@ -29,8 +29,8 @@ import numpy as np
 
 from bundle.inertial.preintegration.preintegration import Preintegration
 from bundle.inertial.vio.window_frame import ImuInterval
-from bundle.model.rotations import rotation_matrices
-from bundle.model.sequence.imu_noise import ImuNoise
+from bundle.model.rigid_motions import rotation_matrices
+from bundle.model.sequence.calibration import ImuNoise
 
 Array = np.ndarray[Any, Any]
 

@@ -31,7 +31,7 @@ import numpy as np
 import bundle._core as _core
 from bundle.base.records import dataclass
 from bundle.inertial.vio.window_frame import WindowFrame
-from bundle.model.rotations import rotation_matrices
+from bundle.model.rigid_motions import rotation_matrices
 
 Array = np.ndarray[Any, Any]
 

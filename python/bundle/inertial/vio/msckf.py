@@ -39,7 +39,7 @@ from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
 from bundle.errors import InputError
 from bundle.interface.option_fields import number
-from bundle.model.rotations import cross_matrices, rotation_matrices
+from bundle.model.rigid_motions import cross_matrices, rotation_matrices
 
 Array = NDArray[np.float64]
 

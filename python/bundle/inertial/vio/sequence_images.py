@@ -7,9 +7,9 @@ over it, and their deviation is an additional uncertainty. Let s be the larger o
 of their standard deviation around the gap (twice its length on each side). A gap of T then adds an
 uncertainty of s T to a rotation and of s T to a velocity.
 
-Without its bad samples (:mod:`bundle.model.sequence.bad_samples`) a sensor has a gap, too. For a
-spike, s is at least its size, in case it was a real impact. Stretches longer than two seconds stay
-as they are.
+Without its bad samples (:mod:`bundle.model.sequence.sequence_findings`) a sensor has a gap, too.
+For a spike, s is at least its size, in case it was a real impact. Stretches longer than two seconds
+stay as they are.
 """
 
 from __future__ import annotations
@@ -22,9 +22,8 @@ import numpy as np
 from bundle.errors import InputError
 from bundle.inertial.vio.landmark_table import FrameTracks, sight_numbers
 from bundle.inertial.vio.window_frame import ImuInterval
-from bundle.model.sequence.bad_samples import bad_stretches, is_bridged
 from bundle.model.sequence.sequence import Sequence
-from bundle.model.sequence.sequence_findings import GAP
+from bundle.model.sequence.sequence_findings import GAP, bad_stretches, is_bridged
 
 Array = np.ndarray[Any, Any]
 

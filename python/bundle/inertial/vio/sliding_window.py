@@ -34,7 +34,7 @@ from bundle.inertial.vio.window_telemetry import WindowTelemetry
 from bundle.interface.option_class import takes_options
 from bundle.interface.option_keywords import WindowKeywords
 from bundle.interface.window_options import WindowOptions
-from bundle.model.sequence.imu_noise import ImuNoise
+from bundle.model.sequence.calibration import ImuNoise
 
 Array = np.ndarray[Any, Any]
 

@@ -19,14 +19,14 @@ from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
 from bundle.errors import InputError
 from bundle.io.sequences.trajectory_files import Trajectory
-from bundle.model.pose_errors import ErrorStatistics, absolute_errors
-from bundle.model.rotations import (
+from bundle.model.pose_table import ErrorStatistics, absolute_errors
+from bundle.model.rigid_motions import (
     quaternion_from_vector,
     quaternion_inverse,
     quaternion_multiply,
     vector_from_quaternion,
 )
-from bundle.model.sequence.stamp_units import other_unit
+from bundle.model.sequence.sequence import other_unit
 
 Array = NDArray[np.float64]
 

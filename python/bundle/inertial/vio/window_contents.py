@@ -10,7 +10,7 @@ from bundle.inertial.vio.landmark_table import LandmarkTable
 from bundle.inertial.vio.marginal_prior import MarginalPrior
 from bundle.inertial.vio.window_frame import WindowFrame
 from bundle.interface.window_options import WindowOptions
-from bundle.model.sequence.imu_noise import ImuNoise
+from bundle.model.sequence.calibration import ImuNoise
 
 Array = np.ndarray[Any, Any]
 

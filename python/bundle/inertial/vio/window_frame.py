@@ -12,7 +12,7 @@ import numpy as np
 from bundle.base.records import dataclass
 from bundle.inertial.preintegration.preintegration import Preintegration
 from bundle.inertial.vio.landmark_table import FrameTracks
-from bundle.model.sequence.imu_noise import ImuNoise
+from bundle.model.sequence.calibration import ImuNoise
 
 Array = np.ndarray[Any, Any]
 

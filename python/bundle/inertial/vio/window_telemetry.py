@@ -14,7 +14,7 @@ from bundle.inertial.vio.window_alarms import WindowAlarms
 from bundle.inertial.vio.window_contents import WindowContents
 from bundle.inertial.vio.window_frame import WindowFrame
 from bundle.inertial.vio.window_sizes import window_sizes
-from bundle.model.rotations import (
+from bundle.model.rigid_motions import (
     quaternion_inverse,
     quaternion_multiply,
     rotation_matrices,

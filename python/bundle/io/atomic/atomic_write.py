@@ -7,10 +7,10 @@ failure leaves either the old or the new content, never a mixture:
 
 * A file, or a folder that did not exist, appears by one rename.
 * An existing folder is exchanged with the new one in one step. Before that, all files of the old
-  folder except the model are linked into the new one (``bundle.io.atomic.exchange``).
+  folder except the model are linked into the new one (``bundle.io.atomic.replacement``).
 * If the system cannot exchange folders, the model files are replaced one by one. After an error the
   replacement is rolled back. A killed process leaves a record; the next command that reads or
-  writes there completes the replacement from it (``bundle.io.atomic.in_place``).
+  writes there completes the replacement from it (``bundle.io.atomic.replacement``).
 
 A killed process may leave a temporary file; the next process that writes there removes it
 (``bundle.io.atomic.temporary``). If two processes write to the same path, the last one wins.
@@ -30,14 +30,15 @@ from pathlib import Path
 
 from bundle.base.interrupts import interrupts_deferred
 from bundle.errors import InputError, shown
-from bundle.io.atomic import exchange, in_place
-from bundle.io.atomic.flush import flush, flush_folder, flush_with_files
+from bundle.io.atomic import replacement
 from bundle.io.atomic.model_files import MODEL_FILES, missing_model_files
-from bundle.io.atomic.replaced_paths import note_replaced
-from bundle.io.atomic.special_paths import append, is_stream, mount_points
+from bundle.io.atomic.replaced_paths import append, is_stream, mount_points, note_replaced
 from bundle.io.atomic.temporary import (
     NEW,
     Temporary,
+    flush,
+    flush_folder,
+    flush_with_files,
     holds_only_copies,
     is_same,
     is_temporary,
@@ -55,7 +56,7 @@ def recover(path: Path) -> tuple[str, ...]:
         InputError: a replacement cannot be completed.
     """
     target = Path(os.path.realpath(path))
-    return in_place.recover(target) if target.is_dir() else ()
+    return replacement.recover(target) if target.is_dir() else ()
 
 
 def check_file(path: Path) -> None:
@@ -155,7 +156,7 @@ def replace_folder(path: Path) -> Iterator[Path]:
     exists = target.exists()
     for folder in (target.parent, target):
         remove_leftovers(folder)
-    beside = not exists or exchange.can_exchange(target)
+    beside = not exists or replacement.can_exchange(target)
     with (
         _blaming(path),
         made_folder(target.parent),
@@ -164,13 +165,13 @@ def replace_folder(path: Path) -> Iterator[Path]:
         new = temporary.path / NEW
         new.mkdir()
         if exists:
-            beside = exchange.take_over_folder(target, new) and beside
+            beside = replacement.take_over_folder(target, new) and beside
         yield new
         for file in new.iterdir():
             _take_over_file(target / file.name, file)
         flush_with_files(new)
         with interrupts_deferred():
-            if exists or not exchange.move_new_folder(new, target):
+            if exists or not replacement.move_new_folder(new, target):
                 _replace_existing(target, temporary, beside)
             note_replaced(path)
             temporary.remove()
@@ -218,10 +219,10 @@ def write_text(path: Path, text: str) -> None:
 def _replace_existing(target: Path, temporary: Temporary, beside: bool) -> None:
     new = temporary.path / NEW
     with _locked(target):
-        if beside and exchange.exchange_folder(target, new):
+        if beside and replacement.exchange_folder(target, new):
             temporary.keep = holds_only_copies(temporary.path)
         else:
-            in_place.replace_in_place(target, temporary)
+            replacement.replace_in_place(target, temporary)
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""Temporary files and folders that are removed even after a crash.
+"""Temporary files and folders that are removed even after a crash, and their flushing to disk.
 
 Each has the name ``.bundle-XXXXXXXXXXXX.tmp`` and is in the same folder as its destination. Its
 process holds a lock on it (flock). The kernel releases the lock when the process ends, also after a
@@ -14,6 +14,7 @@ import fcntl
 import os
 import re
 import stat
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -145,8 +146,8 @@ def holds_only_copies(path: Path) -> bool:
     Model files in ``new`` do not count, because they are either unfinished or replaced. Other files
     in ``new`` do not count if they are hard links to files that also exist elsewhere. All other
     content must be kept: files in ``old``, the folders of an unfinished replacement (see
-    ``bundle.io.atomic.in_place``), and files that another program wrote into a folder while it was
-    exchanged.
+    ``bundle.io.atomic.replacement``), and files that another program wrote into a folder while it
+    was exchanged.
     """
     if not stat.S_ISDIR(path.lstat().st_mode):
         return False
@@ -175,3 +176,54 @@ def _remove(path: Path) -> None:
 
         shutil.rmtree(path / OLD, ignore_errors=True)  # first: alone it would look like data
         shutil.rmtree(path, ignore_errors=True)
+
+
+def flush(path: Path) -> None:
+    """Wait until a file is on the disk; the error of a full disk may appear only here."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def flush_folder(folder: Path) -> None:
+    """Wait until the entries of a folder are on the disk, if the file system supports it."""
+    with contextlib.suppress(OSError):
+        flush(folder)
+
+
+def flush_with_files(folder: Path) -> None:
+    """Wait until a folder and the few files in it are on the disk.
+
+    The files are flushed in parallel, because each commit of a journaling file system waits for the
+    disk. With parallel calls it commits once or twice instead of once per file.
+
+    Raises:
+        OSError: a file could not be flushed. All files are tried; the error of the first by name
+            is raised.
+    """
+    files = sorted(folder.iterdir())
+    failures: dict[Path, OSError] = {}
+
+    def attempt(file: Path) -> None:
+        try:
+            flush(file)
+        except OSError as error:
+            failures[file] = error
+
+    threads: list[threading.Thread] = []
+    for file in files:
+        thread = threading.Thread(target=attempt, args=(file,))
+        try:
+            thread.start()
+        except RuntimeError:  # the system has no more threads
+            attempt(file)
+        else:
+            threads.append(thread)
+    flush_folder(folder)
+    for thread in threads:
+        thread.join()
+    for file in files:
+        if file in failures:
+            raise failures[file]

@@ -24,7 +24,9 @@ from numpy.typing import NDArray
 import bundle._core as _core
 from bundle.base.words import plural
 from bundle.errors import InputError, brief, shown
-from bundle.io.formats.image_sizes import UNKNOWN_SIZES, image_sizes
+from bundle.io import bal
+from bundle.io.atomic import atomic_write as atomic
+from bundle.io.formats.file_values import Head
 from bundle.io.formats.imported_model import (
     Imported,
     checked_rotations,
@@ -32,9 +34,17 @@ from bundle.io.formats.imported_model import (
     poses_of,
     unique_keys,
 )
-from bundle.io.formats.read_options import ReadOptions
-from bundle.io.formats.text_numbers import Head
+from bundle.io.formats.read_options import UNKNOWN_SIZES, ReadOptions, image_sizes
+from bundle.io.formats.written_tracks import (
+    check_names,
+    colors_of,
+    common_losses,
+    keys_of,
+    write_tracks,
+)
 from bundle.model.problem import Problem
+from bundle.model.pycolmap.problem_source import imported_source
+from bundle.model.rigid_motions import rotation_matrices
 
 LIST = "list.txt"
 FLIP = np.array([1.0, -1.0, -1.0])
@@ -206,3 +216,84 @@ def _registered(
     return image, [
         f"{plural(missing, 'image')} of {count} {'is' if missing == 1 else 'are'} not registered."
     ]
+
+
+def check(problem: Problem, path: Path) -> None:
+    """Raise the error that :func:`write` would raise, or that list.txt would replace another's.
+
+    Raises:
+        InputError: a camera, a name or the folder cannot be written.
+    """
+    bal.radial_params(problem, "a Bundler file")
+    check_names(problem, "list.txt")
+    listed = path.parent / LIST
+    if any(problem.image_names) and listed.exists() and not path.exists():
+        raise InputError(
+            f"{shown(path)}: expected a folder without {LIST}, which has the names of the images, "
+            f"found {shown(listed)}"
+        )
+
+
+def write(problem: Problem, path: Path) -> tuple[str, ...]:
+    """Write a Bundler file; return sentences on information that is lost."""
+    params = bal.radial_params(problem, "a Bundler file")
+    place, names = _places(problem)
+    rows = np.zeros((len(names), 15))
+    pose = problem.cam_from_world
+    unit = pose[:, :4] / np.linalg.norm(pose[:, :4], axis=1)[:, None]
+    rotations = FLIP[:, None] * rotation_matrices(unit)
+    rows[place] = np.column_stack(
+        [params[:, [0, 3, 4]], rotations.reshape(-1, 9), FLIP * pose[:, 4:]]
+    )
+    image = problem.observation_image
+    xy = (problem.observation_xy - params[image, 1:3]) * np.array([1.0, -1.0])
+    with path.open("w", encoding="utf-8") as file:
+        file.write(f"# Bundle file v0.3\n{len(names)} {problem.num_points}\n")
+        for row in rows.tolist():
+            file.write("%r %r %r\n" * 5 % tuple(row))
+        write_tracks(
+            file,
+            ("%r %r %r\n%d %d %d\n%d", " %d %d %r %r", "\n"),
+            np.column_stack([problem.points, colors_of(problem)]),
+            np.column_stack([place[image], keys_of(problem), xy]),
+            problem.observation_point,
+        )
+    return (
+        *common_losses(problem, keeps=("names", "colors")),
+        *moved_centers(problem),
+    )
+
+
+def write_beside(problem: Problem, path: Path) -> None:
+    """Write list.txt into the folder of a Bundler file, if images have names."""
+    _, names = _places(problem)
+    if any(names):
+        lines = "".join(f"{name or 'unnamed'}\n" for name in names)
+        with atomic.replace_file(path.parent / LIST) as temporary:
+            temporary.write_text(lines, "utf-8", errors="surrogateescape")
+
+
+def moved_centers(problem: Problem) -> tuple[str, ...]:
+    """Return a sentence if principal points are not the centres of the images."""
+    params = bal.radial_params(problem)
+    sizes = problem.camera_sizes[problem.image_camera]
+    off = np.abs(params[:, 1:3] - sizes / 2).max(initial=0.0)
+    if not off or not sizes.any():
+        return ()
+    return (
+        f"Principal points, up to {off:.4g} px off the centre of the image, become the centre: "
+        "positions are relative to them.",
+    )
+
+
+def _places(problem: Problem) -> tuple[np.ndarray, list[str]]:
+    """Return the position of each image in the file, and the names of all images of the file.
+
+    Images of a Bundler file keep their positions, with those that are not registered between them.
+    """
+    source, ids = imported_source(problem), problem.image_ids
+    if problem.format == "bundler" and source is not None:
+        names = list(source.data["names"])
+        if len(ids) and ids.min() >= 0 and ids.max() < len(names):
+            return ids, names
+    return np.arange(problem.num_images), list(problem.image_names)

@@ -25,8 +25,8 @@ from bundle.base.arrays import freeze
 from bundle.base.records import dataclass
 from bundle.errors import InputError, shown
 from bundle.model.problem import Problem
-from bundle.model.pycolmap.imported_source import ImportedSource
-from bundle.model.rotations import quaternion_from_matrix
+from bundle.model.pycolmap.problem_source import ImportedSource
+from bundle.model.rigid_motions import quaternion_from_matrix
 
 Array = NDArray[np.float64]
 

@@ -9,13 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.io.formats.openmvg import FIRST
-from bundle.io.formats.openmvg_cameras import KINDS
+from bundle.io.formats.openmvg import FIRST, KINDS
 from bundle.io.formats.written_tracks import camera_error, common_losses, keys_of, names_of
 from bundle.model.lenses.exact_image import exact_params
 from bundle.model.problem import Problem
-from bundle.model.pycolmap.imported_source import imported_source
-from bundle.model.rotations import rotation_matrices
+from bundle.model.pycolmap.problem_source import imported_source
+from bundle.model.rigid_motions import rotation_matrices
 
 _BLOCK = 1 << 14
 _TARGETS = {

@@ -11,7 +11,10 @@ Source: https://opensfm.org/docs/dataset.html and opensfm/io.py.
 
 from __future__ import annotations
 
+import json
 from collections import Counter
+from collections.abc import Mapping
+from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -22,6 +25,8 @@ from numpy.typing import NDArray
 import bundle._core as _core
 from bundle.base.words import plural
 from bundle.errors import InputError, brief, shown
+from bundle.io.atomic import atomic_write as atomic
+from bundle.io.formats.file_values import Node, parsed
 from bundle.io.formats.imported_model import (
     Imported,
     all_differ,
@@ -29,12 +34,34 @@ from bundle.io.formats.imported_model import (
     pixels,
     unique_keys,
 )
-from bundle.io.formats.json_fields import Node, parsed
-from bundle.io.formats.opensfm_cameras import SfmCamera, as_model, project, read_camera
-from bundle.io.formats.opensfm_rigs import rig_fields
+from bundle.io.formats.opensfm_cameras import (
+    PRISM,
+    RADIAL,
+    SfmCamera,
+    as_model,
+    project,
+    read_camera,
+    rig_fields,
+)
 from bundle.io.formats.read_options import ReadOptions
+from bundle.io.formats.written_tracks import (
+    camera_error,
+    check_names,
+    colors_of,
+    common_losses,
+    keys_of,
+    names_of,
+    write_rows,
+)
+from bundle.model.cameras import camera_models
+from bundle.model.lenses.exact_image import exact_params
 from bundle.model.problem import Problem
-from bundle.model.rotations import quaternion_from_vector, quaternion_rotate
+from bundle.model.pycolmap.problem_source import imported_source
+from bundle.model.rigid_motions import (
+    quaternion_from_vector,
+    quaternion_rotate,
+    vector_from_quaternion,
+)
 
 TRACKS = "tracks.csv"
 Array = NDArray[np.float64]
@@ -239,3 +266,235 @@ def _check_names(node: Node, table: dict[str, Any]) -> None:
 def _point_ids(ids: NDArray[np.int64]) -> dict[str, NDArray[np.int64]]:
     """Return the names as ids if they are different whole numbers, otherwise nothing."""
     return {"point_ids": ids} if len(ids) and all_differ(ids) else {}
+
+
+_SCALE = 0.004
+"""Scale of a feature, relative to the image, where it is unknown."""
+
+
+def check(problem: Problem, path: Path) -> None:  # noqa: ARG001
+    """Raise the error that :func:`write` would raise.
+
+    Raises:
+        InputError: OpenSfM has no such camera, a size is unknown, or a name cannot be written.
+    """
+    for camera in range(problem.num_cameras):
+        _camera(problem, camera)
+    check_names(problem, TRACKS)
+
+
+def write(problem: Problem, path: Path) -> tuple[str, ...]:
+    """Write the files of an OpenSfM project into a folder; return sentences on what is lost."""
+    content = _reconstruction(problem)
+    with ExitStack() as stack:  # both files are complete before either replaces an old one
+        stack.enter_context(atomic.made_folder(path))
+        tracks = stack.enter_context(atomic.replace_file(path / TRACKS))
+        model = stack.enter_context(atomic.replace_file(path / "reconstruction.json"))
+        _write_tracks(problem, tracks)
+        text = json.dumps([content], indent=1, ensure_ascii=False)
+        model.write_text(text + "\n", "utf-8", errors="surrogateescape")
+    keeps = ("rigs", "colors", "sharing", "names", "sizes", "point ids")
+    lost = common_losses(problem, keeps=(*keeps, "ids"))
+    source = imported_source(problem)
+    if source is not None and _has_left(source.data):
+        moved = "reference_lla and gps_position of the shots: the model was moved to another frame."
+        lost = (*lost, moved)
+    return lost
+
+
+def _reconstruction(problem: Problem) -> dict[str, Any]:
+    source = imported_source(problem)
+    data = source.data if source is not None and "shots" in source.data else {}
+    known = data.get("camera_names", [])
+    cameras = [_camera_name(problem, camera, known) for camera in range(problem.num_cameras)]
+    names = names_of(problem)
+    shots = {
+        name: {
+            **_written_pose(problem.cam_from_world[image]),
+            "camera": cameras[problem.image_camera[image]],
+            **_metadata(data, name),
+        }
+        for image, name in enumerate(names)
+    }
+    colors = colors_of(problem).astype(float).tolist()
+    points = {
+        str(number): {"color": color, "coordinates": coordinates}
+        for number, color, coordinates in zip(
+            problem.point_ids.tolist(), colors, problem.points.tolist(), strict=True
+        )
+    }
+    lla = data.get("reference_lla")
+    return {
+        "cameras": {name: _camera(problem, camera) for camera, name in enumerate(cameras)},
+        "shots": shots,
+        "points": points,
+        "biases": {},
+        **_rigs(problem, names),
+        **({"reference_lla": lla} if lla else {}),
+    }
+
+
+def _metadata(data: Mapping[str, Any], name: str) -> dict[str, Any]:
+    """Return the data of a shot that was read, without a position in a frame that was left."""
+    known = data.get("shots", {}).get(name, {})
+    return {key: known[key] for key in known if key != "gps_position" or not _has_left(data)}
+
+
+def _has_left(data: Mapping[str, Any]) -> bool:
+    """Return True if the model was moved from the frame of its file to one without an origin."""
+    return "moved_from" in data
+
+
+def _camera_name(problem: Problem, camera: int, known: list[str]) -> str:
+    """Return the name of the file for a camera that was read from it, otherwise one by its id."""
+    camera_id = int(problem.camera_ids[camera])
+    name = known[camera_id] if 0 <= camera_id < len(known) else f"camera {camera_id}"
+    is_copy = known.count(name) > 1 and known.index(name) != camera_id
+    return f"{name} {camera_id}" if is_copy else name
+
+
+def _written_pose(pose: NDArray[np.float64]) -> dict[str, list[float]]:
+    unit = pose[:4] / np.linalg.norm(pose[:4])
+    rotation = vector_from_quaternion(unit[None])[0]
+    return {"rotation": rotation.tolist(), "translation": pose[4:].tolist()}
+
+
+def _rigs(problem: Problem, names: list[str]) -> dict[str, Any]:
+    identity = {"rotation": [0.0, 0.0, 0.0], "translation": [0.0, 0.0, 0.0]}
+    rig_cameras: dict[str, Any] = {}
+    instances: dict[str, Any] = {}
+    for image, name in enumerate(names):
+        frame = int(problem.image_frame[image]) if problem.num_frames else -1
+        if frame < 0:
+            rig_cameras["rig_camera"] = identity
+            pose = _written_pose(problem.cam_from_world[image])
+            instances[name] = pose | {"rig_camera_ids": {name: "rig_camera"}}
+            continue
+        sensor = int(problem.image_sensor[image])
+        rig = int(problem.frame_rig_ids[frame])
+        own = f"rig {rig} camera {problem.camera_ids[problem.image_camera[image]]}"
+        rig_cameras[own] = (
+            identity if sensor < 0 else _written_pose(problem.sensor_from_rig[sensor])
+        )
+        key = f"frame {problem.frame_ids[frame]}"
+        if key not in instances:
+            instances[key] = _written_pose(problem.rig_from_world[frame]) | {"rig_camera_ids": {}}
+        instances[key]["rig_camera_ids"][name] = own
+    return {"rig_cameras": rig_cameras, "rig_instances": instances}
+
+
+def _camera(problem: Problem, camera: int) -> dict[str, Any]:
+    """Return a camera in OpenSfM's JSON.
+
+    Raises:
+        InputError: OpenSfM has no such camera, or its size is unknown.
+    """
+    model = problem.camera_models[camera]
+    width, height = problem.camera_sizes[camera].tolist()
+    if not width or not height:
+        expected = "a known image size (--image-size W,H)"
+        raise camera_error(problem, camera, "an OpenSfM project", expected)
+    size = max(width, height)
+    found = {"projection_type": "spherical", "width": width, "height": height}
+    if model == "EQUIRECTANGULAR":
+        return found
+    params = problem.camera_params[camera, : len(camera_models()[model])]
+    for target, kind in (("RADIAL", "perspective"), ("RADIAL_FISHEYE", "fisheye")):
+        values = exact_params(model, params, target)
+        if values is None or values[1] != width / 2 or values[2] != height / 2:
+            continue
+        k1, k2 = values[3:].tolist()
+        return found | {"projection_type": kind, "focal": values[0] / size, "k1": k1, "k2": k2}
+    for target, kind in (
+        ("OPENCV", "brown"),
+        ("FULL_OPENCV", "brown"),
+        ("OPENCV_FISHEYE", "fisheye_opencv"),
+    ):
+        values = exact_params(model, params, target)
+        if values is None or (target == "FULL_OPENCV" and values[9:].any()):
+            continue
+        fx, fy, cx, cy, *k = values.tolist()
+        two = _focal_and_center([fx, fy, cx, cy], width, height)
+        names = ("k1", "k2", "k3", "k4") if kind != "brown" else ("k1", "k2", "p1", "p2", "k3")
+        terms = dict.fromkeys(names, 0.0) | dict(zip(names, k, strict=False))
+        return found | {"projection_type": kind} | two | terms
+    fisheye = _fisheye624(model, params, width, height)
+    if fisheye is not None:
+        return found | fisheye
+    expected = (
+        "a lens of OpenSfM (perspective, brown, fisheye, fisheye_opencv, fisheye62, fisheye624 or "
+        "spherical)"
+    )
+    raise camera_error(problem, camera, "an OpenSfM project", expected)
+
+
+def _focal_and_center(values: list[float], width: int, height: int) -> dict[str, float]:
+    """Return the parameters of a lens with two focal lengths in units of the image."""
+    fx, fy, cx, cy = values
+    size = max(width, height)
+    return {
+        "focal_x": fx / size,
+        "focal_y": fy / size,
+        "c_x": (cx - width / 2) / size,
+        "c_y": (cy - height / 2) / size,
+    }
+
+
+def _fisheye624(
+    model: str, params: NDArray[np.float64], width: int, height: int
+) -> dict[str, Any] | None:
+    """Return fisheye62 or fisheye624 if one is the same lens; see ``opensfm_cameras``."""
+    base, rest = params[:4].tolist(), params[4:].tolist()
+    if model == "THIN_PRISM_FISHEYE":
+        k1, k2, p1, p2, k3, k4, s0, s2 = rest
+        radial, others = [k1, k2, k3, k4, 0.0, 0.0], [p1, p2, s0, 0.0, s2, 0.0]
+    elif model == "RAD_TAN_THIN_PRISM_FISHEYE" and not (any(rest[:6]) and any(rest[6:])):
+        radial, others = rest[:6], [rest[7], rest[6], *rest[8:]]
+    else:
+        return None
+    is_62 = not any(others[2:])
+    names = [*RADIAL, "p1", "p2", *(() if is_62 else PRISM)]
+    terms = dict(zip(names, [*radial, *others], strict=False))
+    kind = "fisheye62" if is_62 else "fisheye624"
+    return {"projection_type": kind} | _focal_and_center(base, width, height) | terms
+
+
+def _write_tracks(problem: Problem, path: Path) -> None:
+    """Write tracks.csv, version 2, image by image."""
+    names = names_of(problem)
+    image = problem.observation_image
+    order = np.argsort(image, kind="stable")
+    ends = np.searchsorted(image[order], np.arange(problem.num_images + 1))
+    sizes = problem.camera_sizes[problem.image_camera]
+    colors, keys, scales = colors_of(problem), keys_of(problem), _scales(problem)
+    with path.open("w", encoding="utf-8", errors="surrogateescape") as file:
+        file.write("OPENSFM_TRACKS_VERSION_v2\n")
+        for row, name in enumerate(names):
+            mine = order[ends[row] : ends[row + 1]]
+            point = problem.observation_point[mine]
+            xy = (problem.observation_xy[mine] - sizes[row] / 2) / sizes[row].max(initial=1)
+            columns = np.column_stack(
+                [problem.point_ids[point], keys[mine], xy, scales[mine], colors[point]]
+            )
+            literal = name.replace("%", "%%")
+            template = f"{literal}\t%d\t%d\t%r\t%r\t%r\t%d\t%d\t%d\t-1\t-1\n"
+            write_rows(file, template, columns)
+
+
+def _scales(problem: Problem) -> NDArray[np.float64]:
+    """Return the scale of each feature as it was read, if it was."""
+    scales = np.full(problem.num_observations, _SCALE)
+    source = imported_source(problem)
+    if source is None or "scale" not in source.data:
+        return scales
+    image, key, known = source.data["scale"]
+    if not len(known) or not (problem.observation_keypoint >= 0).all():
+        return scales
+    table = image.astype(np.int64) << 32 | key
+    order = np.argsort(table)
+    ids = problem.image_ids[problem.observation_image]
+    wanted = ids << 32 | problem.observation_keypoint
+    place = np.minimum(np.searchsorted(table[order], wanted), len(order) - 1)
+    found = table[order[place]] == wanted
+    scales[found] = known[order[place[found]]]
+    return scales

@@ -16,7 +16,7 @@ import bundle._core as _core
 from bundle.io.colmap import point_errors
 from bundle.io.formats.written_tracks import colors_of
 from bundle.model.problem import Problem
-from bundle.model.rotations import rotate, rotation_matrices
+from bundle.model.rigid_motions import rotate, rotation_matrices
 
 DEPTH = 0.05
 """Length of a frustum, relative to the median distance of points from the images."""

@@ -20,7 +20,7 @@ from bundle.io.formats.written_tracks import camera_error, names_of
 from bundle.model.cameras import camera_models
 from bundle.model.lenses.exact_image import exact_params
 from bundle.model.problem import Problem
-from bundle.model.rotations import rotation_matrices
+from bundle.model.rigid_motions import rotation_matrices
 
 _OPENGL = np.array([1.0, -1.0, -1.0])
 _TARGETS = ("OPENCV", "FULL_OPENCV", "OPENCV_FISHEYE")

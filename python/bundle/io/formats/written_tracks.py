@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.errors import InputError, shown
-from bundle.model.colmap.keypoint_numbers import number_keypoints
+from bundle.model.colmap.source_records import number_keypoints
 from bundle.model.problem import Problem
 from bundle.model.pycolmap.problem_source import (
     LOST_SIGMAS,

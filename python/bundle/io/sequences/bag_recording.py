@@ -18,10 +18,9 @@ from bundle.base.optional_packages import require_package
 from bundle.base.words import plural
 from bundle.errors import InputError, first_line, shown
 from bundle.io.sequences.grey_images import GreyScale, check_size, decoded
-from bundle.io.sequences.recording_calibration import FoundCalibration, find_calibration
-from bundle.io.sequences.sensor_yaml import rostopic
-from bundle.model.sequence.recording import Recording
-from bundle.model.sequence.yaml_files import read_yaml
+from bundle.io.sequences.recording_calibration import FoundCalibration, find_calibration, rostopic
+from bundle.model.sequence.calibration import read_yaml
+from bundle.model.sequence.sequence import Recording
 
 IMU = "sensor_msgs/msg/Imu"
 IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")

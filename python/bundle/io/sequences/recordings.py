@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
 
-from bundle.base.paths import as_path
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.base.paths import as_path, numbered_lines
 from bundle.base.records import dataclass
-from bundle.errors import InputError, shown
-from bundle.io.recognition import RECORDINGS, sequence_at
+from bundle.errors import InputError, brief, shown
+from bundle.io.recognition import RECORDINGS, mav_root, sequence_at
 from bundle.io.sequences.bag_recording import read_bag
-from bundle.io.sequences.grey_images import require_opencv
-from bundle.io.sequences.mav_folder import read_mav
-from bundle.io.sequences.video_recording import read_video
-from bundle.model.sequence.recording import Recording
+from bundle.io.sequences.csv_tables import CsvTable, read_csv
+from bundle.io.sequences.grey_images import GreyScale, check_size, grey_images, require_opencv
+from bundle.io.sequences.recording_calibration import find_calibration
+from bundle.model.sequence.sequence import Recording
 
 
 @dataclass(frozen=True)
@@ -70,3 +76,254 @@ def read_recording(path: str | os.PathLike[str], source: RecordingSource) -> Rec
         )
         return read_video(as_path(path), imu, times, files, source.camera)
     return read_mav(path, files, source.camera)
+
+
+# Folders of EuRoC and TUM-VI: images of a camera and samples of an IMU.
+#
+# The path is ``mav0`` or its parent::
+#
+#     mav0/cam0/data.csv       stamp [ns], file name (with or without its extension)
+#     mav0/cam0/data/*.png
+#     mav0/cam0/sensor.yaml    lens, T_BS, rate (TUM-VI: dso/camchain.yaml beside mav0)
+#     mav0/imu0/data.csv       stamp [ns], angular rate [rad/s], specific force [m/s^2]
+#     mav0/imu0/sensor.yaml    noise densities, T_BS, rate (TUM-VI: dso/imu_config.yaml)
+
+SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".pgm", ".tif", ".tiff")
+
+
+def read_mav(
+    path: str | os.PathLike[str],
+    calibration: Sequence[str | os.PathLike[str]] = (),
+    camera: str = "cam0",
+) -> Recording:
+    """Read samples, calibration and list of images; images are read when they are needed.
+
+    Args:
+        path: ``mav0`` or its parent.
+        calibration: files that replace those of the folder.
+        camera: folder of the camera, and its name in a camchain.
+
+    Raises:
+        InputError: a file violates its format, or an image is missing.
+        OSError: a file cannot be read.
+    """
+    given = as_path(path)
+    root = mav_root(given) or given
+    for name in (camera, "imu0"):
+        if not (root / name / "data.csv").is_file():
+            raise InputError(f"{shown(root)}: expected {name}/data.csv; it is missing")
+    stamps, files, lines = _image_list(root / camera)
+    imu = read_imu_csv(root / "imu0" / "data.csv")
+    beside = root.parent / "dso"
+    found = find_calibration(
+        [as_path(each) for each in calibration],
+        [root / camera / "sensor.yaml", beside / "camchain.yaml"],
+        [root / "imu0" / "sensor.yaml", beside / "imu_config.yaml"],
+        camera,
+        (stamps, imu.whole[:, 0]),
+    )
+    table = shown(root / camera / "data.csv")
+
+    def images(first: int, last: int) -> Iterator[NDArray[np.uint8]]:
+        return grey_images(files[first:last], found.size)
+
+    return Recording(
+        name=shown(given),
+        imu_timestamps_ns=imu.whole[:, 0],
+        gyro=imu.numbers[:, :3],
+        accel=imu.numbers[:, 3:],
+        image_timestamps_ns=stamps,
+        images=images,
+        calibration=found.calibration,
+        notes=found.notes,
+        imu_place=imu.place,
+        image_place=lambda row: f"{table}: line {lines[row]}" if row < len(lines) else table,
+    )
+
+
+def read_imu_csv(path: Path) -> Any:
+    """Read EuRoC's table of an IMU.
+
+    Raises:
+        InputError: a line has other columns, or stamps are not integers of nanoseconds.
+        OSError: the file cannot be read.
+    """
+    return read_csv(path, ["timestamp"], ["wx", "wy", "wz", "ax", "ay", "az"])
+
+
+def _image_list(folder: Path) -> tuple[NDArray[np.int64], list[Path], list[int]]:
+    """Return the stamps, the files and their lines in the table."""
+    table, data = folder / "data.csv", folder / "data"
+    if not data.is_dir() and (folder / "images").is_dir():
+        data = folder / "images"
+    known = {entry.name for entry in os.scandir(data)} if data.is_dir() else set()
+    stamps: list[int] = []
+    files: list[Path] = []
+    lines: list[int] = []
+    missing, first = 0, ""
+    for number, line in numbered_lines(table):
+        words = [word.strip() for word in line.split(",")]
+        if not words[0] or words[0].startswith("#") or (not lines and words[0][0].isalpha()):
+            continue
+        place = f"{shown(table)}: line {number}"
+        if len(words) > 2 or not _is_stamp(words[0]):
+            raise InputError(
+                f"{place}: expected a stamp in nanoseconds and a file name, found {brief(line)}"
+                + ("; a stamp in seconds?" if _is_decimal(words[0]) else "")
+            )
+        name = (words[1:] or [""])[0] or words[0]
+        name = next((name + end for end in ("", *SUFFIXES) if name + end in known), name)
+        if name not in known:
+            missing += 1
+            first = first or f"{place}: expected the image {shown(data / name)}; it is missing"
+        stamps.append(int(words[0]))
+        files.append(data / name)
+        lines.append(number)
+    if missing:
+        raise InputError(f"{first} ({missing} of {len(files)} are)")
+    return np.array(stamps, np.int64), files, lines
+
+
+def _is_stamp(word: str) -> bool:
+    return word.isdecimal() and int(word) < 2**63
+
+
+def _is_decimal(word: str) -> bool:
+    try:
+        return float(word) < 1e11
+    except ValueError:
+        return False
+
+
+# A video with the samples of an IMU in a table, as action cameras and telephones record them.
+#
+# Frames have the times of ``--frame-times``, one a line, or a constant rate from 0. The first
+# column of the IMU's table is on the same clock. Both are integers of nanoseconds, or seconds if a
+# number has a decimal point. The other columns are EuRoC's: rad/s, m/s^2.
+
+COLUMNS = ["wx", "wy", "wz", "ax", "ay", "az"]
+SLACK = 2  # frames that a container may count and not hold
+
+
+def read_video(
+    path: Path,
+    imu: Path | None,
+    frame_times: Path | None = None,
+    calibration: Sequence[Path] = (),
+    camera: str = "cam0",
+) -> Recording:
+    """Read samples and times of frames; frames are decoded when they are needed.
+
+    Args:
+        path: the video.
+        imu: table of the samples.
+        frame_times: times of the frames; None: a constant rate from 0.
+        calibration: files of the calibration.
+        camera: name of the camera in a camchain.
+
+    Raises:
+        InputError: a file violates its format, or numbers of frames and times differ.
+        OSError: a file cannot be read.
+    """
+    if imu is None:
+        raise InputError(f"{shown(path)}: a video: expected --imu FILE with the IMU's samples")
+    count, rate = _frames(path)
+    if frame_times is None:
+        stamps: NDArray[np.int64] = np.rint(1e9 / rate * np.arange(count)).astype(np.int64)
+        note = f"Frames: {count} at {rate:.6g} per second from 0, the rate of the container."
+    else:
+        table = _table(frame_times, [])
+        stamps = table.whole[:, 0]
+        note = f"Frames: times of {shown(frame_times)}."
+        if abs(len(stamps) - count) > SLACK:
+            raise InputError(
+                f"{shown(frame_times)}: expected the times of {count} frames of {shown(path)}, "
+                f"found {len(stamps)}"
+            )
+    samples = _table(imu, COLUMNS)
+    found = find_calibration(calibration, [], [], camera, (stamps, samples.whole[:, 0]))
+
+    def images(first: int, last: int) -> Iterator[NDArray[np.uint8]]:
+        return _images(path, found.size, first, last, count)
+
+    def place(row: int) -> str:
+        return f"{shown(path)}: frame {row + 1}" if frame_times is None else table.place(row)
+
+    return Recording(
+        name=shown(path),
+        imu_timestamps_ns=samples.whole[:, 0],
+        gyro=samples.numbers[:, :3],
+        accel=samples.numbers[:, 3:],
+        image_timestamps_ns=stamps,
+        images=images,
+        calibration=found.calibration,
+        notes=(note, *found.notes),
+        imu_place=samples.place,
+        image_place=place,
+    )
+
+
+def _table(path: Path, columns: list[str]) -> CsvTable:
+    """Read a table whose first column is a time; return it in nanoseconds."""
+    lines = (text.split(",")[0].strip() for _, text in numbered_lines(path))
+    if not any("." in word for word in lines if word[:1].isdigit() or word[:1] == "-"):
+        return read_csv(path, ["timestamp"], columns)
+    table = read_csv(path, [], ["timestamp", *columns])
+    times = 1e9 * table.numbers[:, :1]
+    wrong = np.flatnonzero(~(np.abs(times[:, 0]) < 2**63))
+    if len(wrong):
+        raise InputError(f"{table.place(int(wrong[0]))}: timestamp: expected seconds")
+    whole = np.rint(times).astype(np.int64)
+    return CsvTable(whole, table.numbers[:, 1:], table.lines, table.name)
+
+
+def _opened(path: Path) -> Any:
+    import cv2
+
+    video = cv2.VideoCapture(str(path))
+    if not video.isOpened():
+        with path.open("rb"):  # raises the error of the system
+            pass
+        raise InputError(f"{shown(path)}: expected a video that OpenCV can decode")
+    return video
+
+
+def _frames(path: Path) -> tuple[int, float]:
+    """Return the number of frames and the rate that the container states."""
+    import cv2
+
+    video = _opened(path)
+    count, rate = round(video.get(cv2.CAP_PROP_FRAME_COUNT)), video.get(cv2.CAP_PROP_FPS)
+    video.release()
+    if count < 1 or not 0.1 < rate < 2000:
+        raise InputError(
+            f"{shown(path)}: expected a number of frames and their rate in the container, found "
+            f"{count} and {rate:g}"
+        )
+    return count, float(rate)
+
+
+def _images(
+    path: Path, size: tuple[int, int] | None, first: int, last: int, count: int
+) -> Iterator[NDArray[np.uint8]]:
+    import cv2
+
+    scale, video = GreyScale(), _opened(path)
+    try:
+        for number in range(last):
+            if not video.grab():
+                if number < count - SLACK:
+                    raise InputError(
+                        f"{shown(path)}: expected {count} frames, found {number}: a truncated video"
+                    )
+                return
+            if number < first:
+                continue
+            decoded, frame = video.retrieve()
+            if not decoded:
+                raise InputError(f"{shown(path)}: frame {number + 1}: expected an image")
+            image: Any = cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY) if frame.ndim == 3 else frame
+            size = check_size(image, size, f"{shown(path)}: frame {number + 1}")
+            yield scale.grey(image)
+    finally:
+        video.release()

@@ -19,7 +19,7 @@ from bundle.base.records import dataclass
 from bundle.errors import InputError, shown
 from bundle.io.atomic import atomic_write as atomic
 from bundle.io.sequences.csv_tables import csv_lines, read_csv
-from bundle.model.sequence.stamp_units import stamp_of_seconds
+from bundle.model.sequence.sequence import stamp_of_seconds
 
 _POSITION, _QUATERNION = ["px", "py", "pz"], ["qw", "qx", "qy", "qz"]
 _MOTION = ["vx", "vy", "vz", "bwx", "bwy", "bwz", "bax", "bay", "baz"]

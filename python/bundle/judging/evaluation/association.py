@@ -29,7 +29,7 @@ from bundle.base.words import noun, number
 from bundle.errors import InputError, brief
 from bundle.georeference.image_index import last_part
 from bundle.model.pose_table import PoseTable
-from bundle.model.sequence.stamp_units import other_unit
+from bundle.model.sequence.sequence import other_unit
 
 FEWEST = 3
 """Number of shared poses that an alignment needs."""

@@ -29,7 +29,7 @@ from bundle.georeference.gcp_list import read_gcp_list
 from bundle.interface.finding import Finding
 from bundle.interface.tabular import Tabular
 from bundle.io.pose_files import first_line
-from bundle.model.pose_errors import ErrorStatistics
+from bundle.model.pose_table import ErrorStatistics
 from bundle.model.problem import Problem
 
 KINDS = {

@@ -13,14 +13,14 @@ from bundle.base.words import plural
 from bundle.errors import InputError, shown
 from bundle.georeference.control_point import GroundControlPoint
 from bundle.georeference.pose_alignment import align_centers, moved_poses
-from bundle.interface.evaluate_options import (
+from bundle.interface.finding import Finding
+from bundle.interface.judging_options import (
     DIRECTIONS,
     INPUT_FORMATS,
     POSE_FORMATS,
     REFERENCE_FORMATS,
     EvaluateOptions,
 )
-from bundle.interface.finding import Finding
 from bundle.interface.option_class import takes_options
 from bundle.interface.option_fields import choice
 from bundle.io.files import Source, as_problem
@@ -36,12 +36,12 @@ from bundle.judging.evaluation.pair_errors import pair_errors
 from bundle.judging.evaluation.sentences import headline_of
 from bundle.judging.evaluation.shared_points import point_difference, shared_points
 from bundle.judging.evaluation.verdict_word import Compared, findings_of, word_of
-from bundle.model.pose_errors import (
+from bundle.model.pose_table import (
     ErrorStatistics,
+    PoseTable,
     absolute_errors,
     relative_errors,
 )
-from bundle.model.pose_table import PoseTable
 from bundle.model.problem import Problem
 
 MOST_IMAGES = 300

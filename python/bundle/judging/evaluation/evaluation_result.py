@@ -13,15 +13,15 @@ from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
 from bundle.base.words import number
 from bundle.georeference.similarity import Similarity
-from bundle.interface.evaluate_options import AUC_DEFINITIONS
 from bundle.interface.finding import Finding
+from bundle.interface.judging_options import AUC_DEFINITIONS
 from bundle.interface.tabular import Tabular, columns_of
 from bundle.judging.evaluation.association import Association
 from bundle.judging.evaluation.lens_difference import LensDifference
 from bundle.judging.evaluation.movement_in_sigmas import SigmaMovement
 from bundle.judging.evaluation.pair_errors import PairErrors
 from bundle.judging.evaluation.shared_points import PointDifference
-from bundle.model.pose_errors import ErrorStatistics
+from bundle.model.pose_table import ErrorStatistics
 
 Array = NDArray[np.float64]
 

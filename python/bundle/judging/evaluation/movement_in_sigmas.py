@@ -43,10 +43,12 @@ from bundle.errors import InputError
 from bundle.georeference.pose_alignment import align_centers
 from bundle.interface.options import SolveOptions
 from bundle.model.problem import Problem
-from bundle.model.rigid_motions import inverse_poses, multiply_poses, unit_poses
-from bundle.model.rotations import (
+from bundle.model.rigid_motions import (
+    inverse_poses,
+    multiply_poses,
     quaternion_inverse,
     quaternion_multiply,
+    unit_poses,
     vector_from_quaternion,
 )
 from bundle.solving.executors import solve_prepared

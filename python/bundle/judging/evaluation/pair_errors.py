@@ -42,7 +42,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.base.records import dataclass
-from bundle.model.rotations import quaternion_inverse, quaternion_multiply, rotation_matrices
+from bundle.model.rigid_motions import quaternion_inverse, quaternion_multiply, rotation_matrices
 
 Array = NDArray[np.float64]
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from bundle.base.records import dataclass
 from bundle.georeference.similarity import Similarity
-from bundle.model.pose_errors import ErrorStatistics
+from bundle.model.pose_table import ErrorStatistics
 from bundle.model.problem import Problem
 
 SAME_KEYPOINT = 0.01

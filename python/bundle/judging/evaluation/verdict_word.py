@@ -40,9 +40,8 @@ from bundle.georeference.pose_alignment import align_centers, angle_about_line, 
 from bundle.georeference.similarity import Similarity
 from bundle.interface.finding import Finding
 from bundle.judging.evaluation.association import Association
-from bundle.model.pose_errors import ErrorStatistics, absolute_errors, angles_of
-from bundle.model.rigid_motions import inverse_poses
-from bundle.model.rotations import quaternion_inverse, quaternion_multiply
+from bundle.model.pose_table import ErrorStatistics, absolute_errors, angles_of
+from bundle.model.rigid_motions import inverse_poses, quaternion_inverse, quaternion_multiply
 
 IDENTICAL = (1e-9, 1e-12, 1e-6)
 AGREES, CLOSE, CONTRADICTS = (0.01, 1.0), (0.05, 5.0), (0.5, 45.0)

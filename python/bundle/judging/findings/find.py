@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -48,28 +48,6 @@ IMPORTANCE = (
     *("image_residuals", "duplicate_points"),
 )
 """Kinds of findings, the most important first."""
-
-
-SUPERSEDED = {
-    "gross_errors": "outliers",
-    "images_without_observations": "unobserved_pose",
-    "not_converged": "outliers",  # more steps of least squares would follow them
-}
-"""Kinds that another kind, if it was found, states better."""
-
-
-def one_list(*groups: Iterable[Finding]) -> tuple[Finding, ...]:
-    """Return the findings of several sources as one list, problems first.
-
-    A kind that an earlier source found, or that is superseded by another, is left out.
-    """
-    listed: list[Finding] = []
-    for group in groups:
-        known = {finding.kind for finding in listed}
-        listed += [finding for finding in group if finding.kind not in known]
-    kinds = {finding.kind for finding in listed}
-    kept = [finding for finding in listed if SUPERSEDED.get(finding.kind) not in kinds]
-    return tuple(sorted(kept, key=lambda finding: not finding.is_problem))
 
 
 # Numbers of a valid problem may be as large as a double: an overflow becomes infinite.

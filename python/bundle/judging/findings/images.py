@@ -57,7 +57,7 @@ from bundle.judging.findings.lens_terms import LensField
 from bundle.judging.findings.measured import Measured, median_by_group
 from bundle.judging.findings.systematic import SystematicResiduals
 from bundle.model.problem import Problem
-from bundle.model.shutter_changes import can_roll
+from bundle.model.shutter_motion import can_roll
 
 RATIO, SIZE, LENS_SIZES = 4.0, 0.45, 8.0
 ROWS_AGAINST_COLUMNS = 1.5
@@ -292,7 +292,7 @@ def shutter_gain(measured: Measured, order: str) -> float:
     if not is_cheap(problem) or "poses" not in options.refine:
         return np.inf
     from bundle.editing.rolling_shutters import with_shutters  # few models move
-    from bundle.interface.rolling_shutter_options import ShutterOptions
+    from bundle.interface.camera_edit_options import ShutterOptions
 
     try:
         rolling = Step(*with_shutters(problem, ShutterOptions(rolling_shutter=order), options))

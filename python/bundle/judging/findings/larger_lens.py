@@ -44,7 +44,7 @@ from bundle.judging.findings.measured import SMALLEST_SCALE, Measured
 from bundle.model.cameras import camera_models
 from bundle.model.lenses.exact_image import exact_params
 from bundle.model.problem import Problem
-from bundle.model.rotations import cross_matrices, rotation_matrices
+from bundle.model.rigid_motions import cross_matrices, rotation_matrices
 
 SIGNIFICANT = 1e-4
 """Probability of so large a T if the lens model is right."""

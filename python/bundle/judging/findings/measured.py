@@ -23,8 +23,8 @@ from bundle.base.records import dataclass
 from bundle.interface.options import SolveOptions
 from bundle.judging.findings.next_command import NextCommand
 from bundle.model.problem import Problem
-from bundle.model.residuals import Residuals, residuals
-from bundle.model.rotations import quaternion_rotate
+from bundle.model.reprojection import Residuals, residuals
+from bundle.model.rigid_motions import quaternion_rotate
 
 if TYPE_CHECKING:
     from bundle.analysis.uncertainty.covariance_result import Covariance

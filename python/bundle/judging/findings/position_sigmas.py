@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from bundle.errors import InputError
 from bundle.judging.findings.measured import Measured
 from bundle.model.problem import Problem
-from bundle.model.rotations import cross_matrices, rotation_matrices
+from bundle.model.rigid_motions import cross_matrices, rotation_matrices
 
 FEWEST_REDUNDANT = 10.0
 MOST_ROUNDS = 8

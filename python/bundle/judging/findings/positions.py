@@ -38,7 +38,7 @@ from bundle.judging.findings.measured import Measured
 from bundle.judging.findings.position_sigmas import sigma_factors
 from bundle.judging.findings.repaired import is_affordable
 from bundle.model.problem import Problem
-from bundle.model.rotations import quaternion_inverse, quaternion_rotate
+from bundle.model.rigid_motions import quaternion_inverse, quaternion_rotate
 
 GROUPS = ((slice(0, 2), 1.3863, 0.72), (slice(2, 3), 0.4549, 1.17))
 """Axes of a group, the median of their chi^2, and the relative standard error of the median length

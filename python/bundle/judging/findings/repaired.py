@@ -72,12 +72,12 @@ def repaired(
     priors = measured.priors if with_priors else ()
     try:
         if lens_model:
-            from bundle.editing.cameras.model_change import change_camera_model
+            from bundle.editing.model_change import change_camera_model
 
             problem = change_camera_model(problem, lens_model).problem
         if shutter:
             from bundle.editing.rolling_shutters import with_shutters
-            from bundle.interface.rolling_shutter_options import ShutterOptions
+            from bundle.interface.camera_edit_options import ShutterOptions
 
             rolling = ShutterOptions(rolling_shutter=shutter)
             problem, options = with_shutters(problem, rolling, options)

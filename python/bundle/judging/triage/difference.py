@@ -16,7 +16,7 @@ from functools import cached_property
 from typing import Any
 
 from bundle.base.records import dataclass
-from bundle.interface.triage_options import TriageOptions
+from bundle.interface.judging_options import TriageOptions
 from bundle.judging.triage.solve_facts import SolveFacts
 
 Entry = Mapping[str, Any]

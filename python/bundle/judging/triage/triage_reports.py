@@ -13,8 +13,8 @@ from typing import Any
 
 from bundle.base.words import number
 from bundle.errors import InputError, shown
+from bundle.interface.judging_options import TriageOptions
 from bundle.interface.option_class import takes_options
-from bundle.interface.triage_options import TriageOptions
 from bundle.judging.triage.cause_words import TriageCause
 from bundle.judging.triage.causes import CAUSES, causes_of
 from bundle.judging.triage.difference import THREADS, Difference

@@ -26,14 +26,13 @@ from numpy.typing import NDArray
 
 from bundle.base.records import dataclass
 from bundle.errors import InputError
-from bundle.georeference.velocity_prior import VelocityPrior
+from bundle.georeference.vector_priors import VelocityPrior
 from bundle.interface.options import SolveOptions
 from bundle.judging.validation.candidates import Candidate, is_shared, with_cameras
-from bundle.model.clipped_errors import errors_or_nan, summarize_clipped
 from bundle.model.problem import Problem
-from bundle.model.residuals import residuals
+from bundle.model.reprojection import errors_or_nan, residuals, summarize_clipped
 from bundle.solving.executors import ThisProcess, solve_prepared
-from bundle.solving.held_out.measurement import with_values
+from bundle.solving.hold_out import with_values
 from bundle.solving.prepare import Prepared, prepare
 from bundle.solving.request import SolveRequest
 from bundle.solving.result import Result

@@ -35,9 +35,9 @@ from bundle.judging.validation.row_test import RowTest, row_test
 from bundle.judging.validation.validation_result import ValidatedCandidate, Validation
 from bundle.judging.validation.verdict import verdict_of
 from bundle.model.cameras import param_kinds
-from bundle.model.clipped_errors import summarize_clipped
 from bundle.model.folds import are_repeated
 from bundle.model.problem import Problem
+from bundle.model.reprojection import summarize_clipped
 
 MOST_REPEATED = 0.5
 """Share of repeated measurements from which they take part in the decision."""

@@ -35,8 +35,8 @@ def known_errors(prepared: Prepared, full: Result, priors: Sequence[Prior]) -> K
     nan = float("nan")
     if not priors:
         return KnownErrors(nan, nan)
-    from bundle.georeference.position_prior import PositionPrior
     from bundle.georeference.prior_alignment import ProblemPriors
+    from bundle.georeference.vector_priors import PositionPrior
 
     finished = prepared.finished(full)
     points = [one.residual for one in finished.control_points if one.role == "check"]

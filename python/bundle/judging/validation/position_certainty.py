@@ -24,8 +24,8 @@ from bundle.errors import InputError
 from bundle.judging.findings.larger_lens import Step
 from bundle.model.problem import Problem
 from bundle.model.problem_keys import touched_ids
-from bundle.model.residuals import residuals
-from bundle.model.rotations import cross_matrices, rotation_matrices
+from bundle.model.reprojection import residuals
+from bundle.model.rigid_motions import cross_matrices, rotation_matrices
 from bundle.solving.prepare import Prepared
 from bundle.solving.result import Result
 from bundle.solving.rounds.filtering import filter_observations

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 
-from bundle.editing.cameras.camera_sharing import split_cameras
+from bundle.editing.camera_sharing import split_cameras
 from bundle.interface.options import SolveOptions
 from bundle.judging.validation.candidates import Candidate, groups_of, tying_rules
 from bundle.model.problem import Problem

@@ -37,7 +37,7 @@ from numpy.typing import NDArray
 
 from bundle.editing.rolling_shutters import with_shutters
 from bundle.errors import InputError
-from bundle.interface.rolling_shutter_options import ShutterOptions
+from bundle.interface.camera_edit_options import ShutterOptions
 from bundle.judging.findings.images import direction, named_order
 from bundle.judging.findings.measured import Measured
 from bundle.judging.findings.next_command import NextCommand
@@ -45,7 +45,7 @@ from bundle.judging.findings.systematic import SystematicResiduals
 from bundle.judging.validation.candidate_fits import CandidateFit, Fitting, fit_candidates
 from bundle.judging.validation.candidates import is_shared
 from bundle.judging.validation.decision import Decision, DecisionRule, decide
-from bundle.model.shutter_changes import can_roll
+from bundle.model.shutter_motion import can_roll
 
 _CLEAR = 3.2905  # quantile 0.9995 of the normal distribution
 

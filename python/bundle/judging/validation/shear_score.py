@@ -37,8 +37,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.model.cameras import param_kinds
-from bundle.model.observation_part import part_of_observations
-from bundle.model.point_elimination import SINGULAR, eliminate_points
+from bundle.model.point_elimination import SINGULAR, eliminate_points, part_of_observations
 from bundle.model.problem import Problem
 from bundle.model.reprojection import linearize
 

@@ -25,9 +25,9 @@ from bundle.judging.validation.decision import DecisionRule
 from bundle.judging.validation.judgement import judged
 from bundle.judging.validation.validation_result import Validation
 from bundle.model.cameras import camera_models as all_models
-from bundle.model.clipped_errors import CLIP
 from bundle.model.folds import folds_of
 from bundle.model.problem import Problem
+from bundle.model.reprojection import CLIP
 
 if TYPE_CHECKING:
     from bundle.solving.constraints.rules import Rule

@@ -15,9 +15,15 @@ from numpy.typing import NDArray
 
 from bundle.base.records import dataclass
 from bundle.errors import InputError
-from bundle.model.colmap.keypoint_numbers import KeypointNumbers, number_keypoints
 from bundle.model.colmap.rig_records import MAX_ID, check_rigs, edited_rigs
-from bundle.model.colmap.source_records import Contents, Frame, Sensor, SourceRecords
+from bundle.model.colmap.source_records import (
+    Contents,
+    Frame,
+    KeypointNumbers,
+    Sensor,
+    SourceRecords,
+    number_keypoints,
+)
 from bundle.model.problem_arrays import ProblemArrays
 from bundle.model.pycolmap.problem_source import is_colmap, source_records
 from bundle.model.rigid_motions import multiply_as_colmap

@@ -1,4 +1,4 @@
-"""Calibration of the sensors of a visual-inertial sequence, and its file.
+"""Calibration of the sensors of a visual-inertial sequence, and its file in YAML.
 
 ``calibration.yaml`` is flat; every key is a field of :class:`Calibration` or of its noise::
 
@@ -21,19 +21,19 @@ YAML reads ``1e-4``, without a decimal point, as a string, which is converted to
 from __future__ import annotations
 
 import math
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
-from bundle.errors import InputError, brief, nearest, shown
+from bundle.errors import InputError, brief, first_line, nearest, shown
+from bundle.interface.option_fields import number
 from bundle.model.cameras import camera_models, param_kinds
-from bundle.model.rotations import quaternion_from_matrix
-from bundle.model.sequence.imu_noise import ImuNoise
-from bundle.model.sequence.yaml_files import finite_numbers, one_number, read_yaml
+from bundle.model.rigid_motions import quaternion_from_matrix
 
 Array = NDArray[np.float64]
 
@@ -174,3 +174,137 @@ def pose_numbers(name: str, value: Any) -> tuple[float, ...]:
     if abs(norm - 1) > 1e-15:  # otherwise keep the quaternion's digits
         found[:4] /= norm
     return tuple(found.tolist())
+
+
+@dataclass(frozen=True, repr=False)
+class ImuNoise(Displayed):
+    """Noise densities of an IMU in continuous time, as in data sheets and Allan deviation plots.
+
+    Attributes:
+        gyro_noise_density: rad/s/sqrt(Hz), above 0.
+        accel_noise_density: m/s^2/sqrt(Hz), above 0.
+        gyro_bias_random_walk: rad/s^2/sqrt(Hz).
+        accel_bias_random_walk: m/s^3/sqrt(Hz).
+        integration_covariance: m^2/s per axis, for the error of integrating velocity to position.
+
+    Raises:
+        InputError: a value is not a finite number, or is out of its range.
+    """
+
+    gyro_noise_density: float
+    accel_noise_density: float
+    gyro_bias_random_walk: float
+    accel_bias_random_walk: float
+    integration_covariance: float = 1e-8
+
+    def __post_init__(self) -> None:
+        for entry in fields(self):
+            name, value = f"ImuNoise: {entry.name}", getattr(self, entry.name)
+            if entry.name.endswith("noise_density"):
+                value = number(name, value, above=0)
+            else:
+                value = number(name, value, minimum=0)
+            object.__setattr__(self, entry.name, value)
+
+    def scaled(self, scale: float, *, walks: bool = True) -> ImuNoise:
+        """Return a copy with its four densities multiplied by ``scale``.
+
+        Data sheets are optimistic: estimators use 3 to 10 times their values.
+
+        Args:
+            scale: factor, above 0.
+            walks: also scale the random walks. Use False for vibration, which increases only the
+                white noises.
+
+        Raises:
+            InputError: the scale is not a number above 0.
+        """
+        scale = number("ImuNoise.scaled: scale", scale, above=0)
+        walk = scale if walks else 1.0
+        return replace(
+            self,
+            gyro_noise_density=scale * self.gyro_noise_density,
+            accel_noise_density=scale * self.accel_noise_density,
+            gyro_bias_random_walk=walk * self.gyro_bias_random_walk,
+            accel_bias_random_walk=walk * self.accel_bias_random_walk,
+        )
+
+    def astuple(self) -> tuple[float, float, float, float, float]:
+        """Return the five numbers in the order of the attributes."""
+        return (
+            self.gyro_noise_density,
+            self.accel_noise_density,
+            self.gyro_bias_random_walk,
+            self.accel_bias_random_walk,
+            self.integration_covariance,
+        )
+
+    def _display(self) -> Display:
+        return Display(
+            title="ImuNoise",
+            facts=(
+                ("gyroscope", f"{self.gyro_noise_density:g} rad/s/sqrt(Hz)"),
+                ("accelerometer", f"{self.accel_noise_density:g} m/s^2/sqrt(Hz)"),
+                ("gyroscope's bias", f"{self.gyro_bias_random_walk:g} rad/s^2/sqrt(Hz)"),
+                ("accelerometer's bias", f"{self.accel_bias_random_walk:g} m/s^3/sqrt(Hz)"),
+                ("integration", f"{self.integration_covariance:g} m^2/s"),
+            ),
+        )
+
+
+# Reading of YAML files as tables of keys: calibrations of this package, of EuRoC and of Kalibr.
+#
+# OpenCV writes a first line ``%YAML:1.0`` and tags ``!!opencv-matrix``, which YAML does not allow;
+# both are ignored.
+
+
+def read_yaml(path: Path) -> dict[Any, Any]:
+    """Read a file of keys with values.
+
+    Raises:
+        InputError: the file is not YAML, or its content is not keys with values.
+        OSError: the file cannot be read.
+    """
+    import yaml
+
+    content = path.read_bytes()
+    if content.startswith(b"%YAML:"):
+        content = content[content.find(b"\n") + 1 :] if b"\n" in content else b""
+    content = content.replace(b"!!opencv-matrix", b"")
+    try:
+        found = yaml.safe_load(content)
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        mark = getattr(error, "problem_mark", None)
+        place = f": line {mark.line + 1}" if mark is not None else ""
+        problem = getattr(error, "problem", None) or first_line(error)
+        raise InputError(f"{shown(path)}{place}: expected YAML, found {problem}") from None
+    if not isinstance(found, dict):
+        raise InputError(f"{shown(path)}: expected keys with values, found {brief(found)}")
+    return found
+
+
+def finite_numbers(name: str, value: Any) -> NDArray[np.float64]:
+    """Convert a value to an array of finite numbers; strings such as "1e-4" are numbers.
+
+    Raises:
+        InputError: it is something else; the message begins with ``name``.
+    """
+    try:
+        found = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError(f"{name}: expected numbers, found {brief(value)}") from None
+    if not np.isfinite(found).all():
+        raise InputError(f"{name}: expected finite numbers, found {brief(value)}")
+    return found
+
+
+def one_number(name: str, value: Any) -> float:
+    """Convert a value to a finite number.
+
+    Raises:
+        InputError: it is something else; the message begins with ``name``.
+    """
+    found = finite_numbers(name, value)
+    if found.ndim or isinstance(value, bool):
+        raise InputError(f"{name}: expected a number, found {brief(value)}")
+    return float(found)

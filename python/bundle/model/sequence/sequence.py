@@ -1,22 +1,22 @@
-"""A visual-inertial sequence: samples of an IMU, tracks of image features, and a calibration."""
+"""Visual-inertial sequences and recordings: samples of an IMU, images or tracks, a calibration."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Iterator
 from dataclasses import fields
+from decimal import Decimal
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from bundle.base.arguments import check_type
+from bundle.base.arguments import as_array, check_type
 from bundle.base.arrays import immutable
 from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
-from bundle.errors import InputError
+from bundle.errors import InputError, brief
 from bundle.model.sequence.calibration import Calibration
-from bundle.model.sequence.imu_samples import suspected_units
-from bundle.model.sequence.stamp_units import check_stamp_unit
 
 Place = Callable[[int], str]
 
@@ -126,7 +126,7 @@ def check_stamp_units(
     """Check that stamps are nanoseconds; ``imu_place`` and ``place`` convert a row to text.
 
     Raises:
-        InputError: as for :func:`bundle.model.sequence.stamp_units.check_stamp_unit`.
+        InputError: as for :func:`bundle.model.sequence.sequence.check_stamp_unit`.
     """
     check_stamp_unit(imu_stamps, calibration.imu_rate, "imu_rate", imu_place)
     check_stamp_unit(track_stamps, calibration.camera_rate, "camera_rate", place)
@@ -221,3 +221,216 @@ def _check_ascending(stamps: Any, place: Place) -> None:
 
 def _list(values: Any) -> str:
     return ", ".join(f"{value:g}" for value in values)
+
+
+STANDARD_GRAVITY = 9.80665  # m/s^2
+# The average over a second is about |g| for a device that is not in free fall.
+LEAST_MEAN, MOST_MEAN = 0.7, 1.3
+DEGREES_SUSPECTED = 2 * np.pi * 5  # rad/s, limit of the median: five turns per second
+
+
+def check_imu_samples(
+    gyro: ArrayLike,
+    accel: ArrayLike,
+    *,
+    gyro_range: float | None = None,
+    accel_range: float | None = None,
+) -> None:
+    """Raise an error for samples with wrong units, saturated or invalid values.
+
+    Args:
+        gyro: (n, 3) angular rates in rad/s.
+        accel: (n, 3) specific forces in m/s^2.
+        gyro_range: largest rate that the gyroscope measures, in rad/s; None: unknown.
+        accel_range: largest acceleration that the accelerometer measures, in m/s^2; None: unknown.
+
+    Raises:
+        InputError: an array has another shape, a number is not finite, or a sample is saturated (at
+            the end of the sensor's range). Also if accelerations seem to be in g instead of m/s^2,
+            or rates in degrees.
+    """
+    samples = {name: _rows(name, given) for name, given in (("gyro", gyro), ("accel", accel))}
+    if len(samples["gyro"]) != len(samples["accel"]):
+        raise InputError(
+            f"gyro, accel: expected the same number of rows, found {len(samples['gyro'])} and "
+            f"{len(samples['accel'])}"
+        )
+    for name, limit, unit in (("gyro", gyro_range, "rad/s"), ("accel", accel_range, "m/s^2")):
+        if limit is None:
+            continue
+        clipped = np.argwhere(np.abs(samples[name]) >= 0.999 * limit)
+        if len(clipped):
+            row, axis = clipped[0]
+            raise InputError(
+                f"{name}[{row}, {axis}]: expected less than the range of {limit:g} {unit}, found "
+                f"{samples[name][row, axis]:g}: {len(clipped)} saturated values"
+            )
+    suspected = suspected_units(samples["gyro"], samples["accel"])
+    if suspected:
+        raise InputError(suspected)
+
+
+def suspected_units(gyro: NDArray[np.float64], accel: NDArray[np.float64]) -> str:
+    """Return a sentence if samples (n, 3) seem to be in g or degrees, otherwise ""."""
+    if not len(gyro):
+        return ""
+    mean = float(np.linalg.norm(accel, axis=1).mean())
+    if LEAST_MEAN < mean < MOST_MEAN:
+        return (
+            f"accel: expected m/s^2, found a mean of {mean:.3g}: probably g "
+            f"(1 g = {STANDARD_GRAVITY} m/s^2)"
+        )
+    median = float(np.median(np.linalg.norm(gyro, axis=1)))
+    if median > DEGREES_SUSPECTED:
+        return f"gyro: expected rad/s, found a median rate of {median:.3g}: probably degrees"
+    return ""
+
+
+def _rows(name: str, given: ArrayLike) -> NDArray[np.float64]:
+    rows = as_array(name, given)
+    if rows.ndim != 2 or rows.shape[1] != 3:
+        raise InputError(f"{name}: expected shape (n, 3), found {rows.shape}")
+    wrong = np.argwhere(~np.isfinite(rows))
+    if len(wrong):
+        row, axis = wrong[0]
+        raise InputError(
+            f"{name}[{row}, {axis}]: expected a finite number, found {rows[row, axis]}"
+        )
+    return rows
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """Measurements of one camera and one IMU.
+
+    Attributes:
+        name: path, for messages.
+        imu_timestamps_ns: (n,) int64.
+        gyro: (n, 3) angular rate in the IMU's frame [rad/s].
+        accel: (n, 3) specific force in the IMU's frame [m/s^2].
+        image_timestamps_ns: (m,) int64 stamps of the images, on the camera's clock.
+        images: function that yields the images (height, width) as uint8 in the order of the
+            stamps, from the first index (inclusive) to the second (exclusive).
+        calibration: calibration of both sensors, with a camera model.
+        notes: sentences about sources of the calibration and conversions, for the report.
+        imu_place, image_place: functions that convert a row to text for messages.
+    """
+
+    name: str
+    imu_timestamps_ns: NDArray[np.int64]
+    gyro: NDArray[np.float64]
+    accel: NDArray[np.float64]
+    image_timestamps_ns: NDArray[np.int64]
+    images: Callable[[int, int], Iterator[NDArray[np.uint8]]]
+    calibration: Calibration
+    notes: tuple[str, ...]
+    imu_place: Place
+    image_place: Place
+
+    @property
+    def image_times_ns(self) -> NDArray[np.int64]:
+        """(m,) stamps of the images on the IMU's clock (time offset added)."""
+        return self.image_timestamps_ns + round(1e9 * self.calibration.time_offset)
+
+    def covered(self) -> tuple[int, int]:
+        """Return the range of the images between the first and the last IMU sample."""
+        times: Any = self.image_times_ns
+        first = int(np.searchsorted(times, self.imu_timestamps_ns[0], "left"))
+        return first, int(np.searchsorted(times, self.imu_timestamps_ns[-1], "right"))
+
+
+def check_recording(recording: Recording) -> None:
+    """Check units, order and overlap of the stamps, and units of the samples.
+
+    Raises:
+        InputError: a check fails; one line with place, expected and found.
+    """
+    stamps, place = recording.image_timestamps_ns, recording.image_place
+    if len(stamps) < 2:
+        raise InputError(f"{place(0)}: expected at least two images, found {len(stamps)}")
+    back = np.flatnonzero(np.diff(stamps) <= 0)
+    if len(back):
+        row = int(back[0]) + 1
+        raise InputError(
+            f"{place(row)}: expected an image after {stamps[row - 1]} ns, found {stamps[row]}"
+        )
+    check_stamp_units(
+        recording.imu_timestamps_ns,
+        stamps,
+        recording.calibration,
+        recording.imu_place,
+        place,
+    )
+    check_imu(recording.imu_timestamps_ns, recording.gyro, recording.accel, recording.imu_place)
+    check_overlap(recording.imu_timestamps_ns, recording.image_times_ns, recording.name)
+
+
+# Detection of the unit of time stamps from the calibrated rates and the range of 64 bits.
+#
+# All stamps must be nanoseconds. A sensor with rate f then has a stamp every 1e9 / f. If stamps are
+# a thousand or a million times closer, they are microseconds or milliseconds. Deviations from the
+# rate by less than half a unit, a factor of 316, are not evidence of another unit.
+
+_UNITS = {3: "microseconds", 6: "milliseconds", 9: "seconds"}
+"""Units by the power of ten that converts them to nanoseconds."""
+
+LATEST = 2**63 / 1e9  # s
+_EARLIEST_NOW, _LATEST_NOW = 1e8, 5e9  # s since 1970 of plausible clocks
+
+
+def check_stamp_unit(
+    stamps: NDArray[np.int64], rate: float, name: str, place: Callable[[int], str]
+) -> None:
+    """Raise an error for stamps that are not nanoseconds.
+
+    Args:
+        stamps: (n,) stamps, not necessarily sorted; repeated stamps count once.
+        rate: rate of the sensor [Hz].
+        name: name of the rate in the calibration.
+        place: function that converts a row to text for messages.
+
+    Raises:
+        InputError: the stamps are far too close to each other for the rate.
+    """
+    times = np.unique(stamps)
+    if len(times) < 2:
+        return
+    period = float(np.median(np.diff(times)))
+    power = math.log10(1e9 / (rate * period))
+    if power > 2.5:
+        unit = _UNITS[min(max(3 * round(power / 3), 3), 9)]
+        raise InputError(
+            f"{place(0)}: expected stamps in nanoseconds, {1e9 / rate:.3g} apart for the {name} of "
+            f"{rate:g} Hz, found {period:.3g} apart; are they in {unit}?"
+        )
+
+
+def stamp_of_seconds(word: str, place: str) -> int:
+    """Convert a stamp in seconds to nanoseconds without rounding.
+
+    Raises:
+        InputError: the stamp is not finite, or its nanoseconds exceed 64 bits.
+    """
+    seconds = Decimal(word)
+    if seconds.is_finite() and abs(seconds) <= LATEST:
+        stamp = int(seconds.scaleb(9))
+        if abs(stamp) < 2**63:
+            return stamp
+    hint = ""
+    if seconds.is_finite():
+        for power, unit in ((3, "milliseconds"), (6, "microseconds"), (9, "nanoseconds")):
+            if _EARLIEST_NOW < abs(seconds).scaleb(-power) < _LATEST_NOW:
+                hint = f": {unit}?"
+    raise InputError(f"{place}: timestamp: expected seconds, found {brief(word)[1:-1]}{hint}")
+
+
+def other_unit(stamps: NDArray[np.int64], others: NDArray[np.int64]) -> str:
+    """Return a hint if stamps, times a power of 1000, fall into the range of others; else ""."""
+    first, last = float(others.min()), float(others.max())
+    for power in (-9, -6, -3, 3, 6, 9):
+        scaled = stamps * 10.0**power
+        if ((scaled >= first) & (scaled <= last)).sum() > 1:
+            return (
+                f": stamps in another unit? {10.0**power:g} times as large they would be among them"
+            )
+    return ""

@@ -15,7 +15,12 @@ from bundle.graphs.factors.factor_graph import FactorGraph
 from bundle.graphs.factors.same_problem import options_of_graph, pose_graph_of, problem_of
 from bundle.graphs.pose_graphs.edge_weights import is_graph, refuse_for_graphs
 from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
-from bundle.interface.compare_options import (
+from bundle.interface.environment import Environment
+from bundle.interface.option_class import spellings, takes_options
+from bundle.interface.option_fields import number
+from bundle.interface.option_keywords import PoseGraphKeywords, SolveKeywords
+from bundle.interface.options import SolveOptions
+from bundle.interface.planning_options import (
     BACKENDS,
     COMPARED,
     LARGEST_PERTURBATION,
@@ -28,11 +33,6 @@ from bundle.interface.compare_options import (
     TIMEOUT,
     TRUST_REGIONS,
 )
-from bundle.interface.environment import Environment
-from bundle.interface.option_class import spellings, takes_options
-from bundle.interface.option_fields import number
-from bundle.interface.option_keywords import PoseGraphKeywords, SolveKeywords
-from bundle.interface.options import SolveOptions
 from bundle.interface.pose_graph_options import PoseGraphOptions
 from bundle.io.files import Source
 from bundle.model.pose_graph_arrays import PoseGraph

@@ -26,10 +26,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.base.display import Display, Displayed
-from bundle.base.memory_sizes import format_size
 from bundle.base.paths import as_path
 from bundle.base.records import dataclass
-from bundle.base.words import contents, plural, seconds
+from bundle.base.words import contents, format_size, plural, seconds
 from bundle.errors import InputError, brief, shown
 from bundle.interface.environment import Environment
 from bundle.interface.options import SolveOptions

@@ -13,8 +13,8 @@ from typing import Any
 
 import bundle._core as _core
 from bundle.graphs.factors.factor_graph import FactorGraph, GraphResult
-from bundle.interface.compare_options import REPEAT, TIMEOUT
 from bundle.interface.options import GraphOptions, SolveOptions
+from bundle.interface.planning_options import REPEAT, TIMEOUT
 from bundle.planning.comparison.graph_comparison import (
     GraphComparison,
     Runner,

@@ -28,16 +28,19 @@ from bundle.base.records import dataclass
 from bundle.base.words import number, plural, seconds
 from bundle.errors import InputError
 from bundle.graphs.factors.factor_graph import FactorGraph
-from bundle.graphs.pose_graphs.edge_weights import check_free_pose, check_information_exists
-from bundle.graphs.pose_graphs.information import checked_information
+from bundle.graphs.pose_graphs.edge_weights import (
+    check_free_pose,
+    check_information_exists,
+    checked_information,
+)
 from bundle.graphs.pose_graphs.lie_groups import compose, inverse
 from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
 from bundle.graphs.pose_graphs.solve_pose_graph import solve_pose_graph
-from bundle.interface.compare_options import BACKENDS, REPEAT, SECONDS_NOT_REPEATED, TIMEOUT
 from bundle.interface.environment import Environment
 from bundle.interface.option_fields import choice
 from bundle.interface.option_fields import number as checked_number
 from bundle.interface.options import SolveOptions
+from bundle.interface.planning_options import BACKENDS, REPEAT, SECONDS_NOT_REPEATED, TIMEOUT
 from bundle.interface.pose_graph_options import PoseGraphOptions
 from bundle.interface.tabular import Tabular
 from bundle.io.g2o_files import load_g2o

@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.base.display import Display, Displayed
-from bundle.base.memory_sizes import format_size
 from bundle.base.records import dataclass
-from bundle.base.words import change, number, seconds
+from bundle.base.words import change, format_size, number, seconds
 from bundle.interface.summary import Summary
 from bundle.planning.comparison.method import Method
 

@@ -10,7 +10,9 @@ import bundle._core as _core
 from bundle.base.records import dataclass
 from bundle.base.words import plural
 from bundle.errors import InputError, brief
-from bundle.interface.compare_options import (
+from bundle.interface.option_fields import number
+from bundle.interface.options import SolveOptions
+from bundle.interface.planning_options import (
     BACKENDS,
     ORDERINGS,
     PRECONDITIONERS,
@@ -18,8 +20,6 @@ from bundle.interface.compare_options import (
     THREADS,
     TRUST_REGIONS,
 )
-from bundle.interface.option_fields import number
-from bundle.interface.options import SolveOptions
 
 _USUAL = "levenberg_marquardt"
 ITERATIVE = ("iterative_schur", "cgnr")

@@ -43,7 +43,7 @@ from numpy.typing import NDArray
 from bundle.interface.options import SolveOptions
 from bundle.model.losses import evaluate_loss
 from bundle.model.problem import Problem
-from bundle.model.residuals import residuals
+from bundle.model.reprojection import residuals
 from bundle.planning.comparison.hand_over import restore_solution
 from bundle.planning.comparison.measured_run import Run
 from bundle.planning.comparison.method import Method

@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import IO, Any
 
 from bundle.base.interrupts import interrupts_deferred
-from bundle.base.memory_sizes import format_size
 from bundle.base.records import dataclass
+from bundle.base.words import format_size
 from bundle.planning.comparison import process_memory
 
 SECONDS_BETWEEN_LOOKS = 0.05

@@ -13,8 +13,8 @@ import numpy as np
 
 import bundle._core as _core
 from bundle.base.words import duration, plural
-from bundle.interface.compare_options import COMPARED, CompareOptions
 from bundle.interface.options import SolveOptions
+from bundle.interface.planning_options import COMPARED, CompareOptions
 from bundle.interface.pose_graph_options import PoseGraphOptions
 from bundle.planning.comparison.comparison_result import Comparison, Recommendation
 from bundle.planning.comparison.measured_run import Prediction, Run

@@ -25,17 +25,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.base.memory_sizes import format_size
 from bundle.base.paths import is_path
 from bundle.base.records import dataclass
+from bundle.base.words import format_size
 from bundle.errors import InputError, shown
-from bundle.interface.compare_options import SECONDS_NOT_REPEATED
 from bundle.interface.options import AUTO_PRECONDITIONER, SolveOptions
+from bundle.interface.planning_options import SECONDS_NOT_REPEATED
 from bundle.interface.summary import Summary
 from bundle.io.files import Source, as_problem
 from bundle.model.cameras import camera_models
 from bundle.model.problem import Problem
-from bundle.model.rotations import (
+from bundle.model.rigid_motions import (
     quaternion_from_vector,
     quaternion_inverse,
     quaternion_multiply,

@@ -32,8 +32,8 @@ from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
 from bundle.base.words import plural
 from bundle.errors import InputError, brief, shown
-from bundle.interface.inspect_options import GRAPH_ORDERINGS
 from bundle.interface.option_fields import choice
+from bundle.interface.planning_options import GRAPH_ORDERINGS
 from bundle.interface.tabular import Tabular
 
 # Largest number of neighbour pairs for which steps are recorded by default. This takes about a

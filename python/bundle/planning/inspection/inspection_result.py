@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from bundle.base.display import Display, Displayed
-from bundle.base.memory_sizes import format_size
 from bundle.base.records import dataclass
-from bundle.base.words import number, plural
+from bundle.base.words import format_size, number, plural
 from bundle.interface.tabular import Tabular
 from bundle.planning.inspection.peak_memory import Terms
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import bundle._core as _core
-from bundle.base.memory_sizes import format_size
 from bundle.base.records import dataclass
+from bundle.base.words import format_size
 from bundle.interface.options import PRECONDITIONER_TYPES
 from bundle.planning.inspection.inspection_result import MethodInspection
 

@@ -9,7 +9,7 @@ from typing import Any, Unpack, overload
 
 import bundle._core as _core
 from bundle.base.arguments import as_flag
-from bundle.base.memory_sizes import SHARE_OF_FREE_MEMORY
+from bundle.base.words import SHARE_OF_FREE_MEMORY
 from bundle.errors import InputError
 from bundle.graphs.factors.factor_graph import FactorGraph
 from bundle.graphs.factors.same_problem import options_of_graph, pose_graph_of, problem_of

@@ -32,8 +32,8 @@ from __future__ import annotations
 
 import math
 
-from bundle.base.memory_sizes import SHARE_OF_FREE_MEMORY
 from bundle.base.records import dataclass
+from bundle.base.words import SHARE_OF_FREE_MEMORY
 from bundle.solving.slices.scratch_size import RESIDENT_BYTES, scratch_bytes
 
 MOST_OBSERVATIONS = (2**31 - 1) // 2

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.base.words import number, plural
-from bundle.figures.axes import round_down
 from bundle.figures.certainty import Certainty, correlation_figure, largest_eigenvalues
+from bundle.figures.marks import round_down
 from bundle.figures.projection_uncertainty import ProjectionUncertainty
 from bundle.figures.scene_view import SceneView
 from bundle.model.problem import Problem

@@ -11,8 +11,12 @@ from bundle.base.words import number
 from bundle.figures.cost_figures import bar_figure
 from bundle.figures.drawing import Figure
 from bundle.figures.graph_figures import DrawnGraph, plan_figures
-from bundle.graphs.pose_graphs.certificate import ESCAPES, STAIRCASE, Certificate
-from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
+from bundle.graphs.pose_graphs.pose_graph_result import (
+    ESCAPES,
+    STAIRCASE,
+    Certificate,
+    PoseGraphResult,
+)
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.reports.sections import Section
 from bundle.reports.terminal.certificate_facts import certificate_section, certificate_sentences

@@ -10,10 +10,10 @@ import numpy as np
 
 from bundle.base.paths import as_path
 from bundle.checking import gradient_report
-from bundle.checking.check_details import CheckDetails
 from bundle.checking.gradient_report import GradientReport, Offender
+from bundle.checking.step_curve import CheckDetails
 from bundle.errors import InputError, brief
-from bundle.figures.jacobian_figures import step_figure
+from bundle.figures.evaluation_figures import step_figure
 from bundle.graphs.factors import factor_report
 from bundle.graphs.factors.factor_report import FactorCheck
 from bundle.reports.page.page import heading, tag, write_page

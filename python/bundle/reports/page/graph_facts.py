@@ -24,7 +24,7 @@ from bundle.graphs.factors.factors import PositionFactor, RelativePoseFactor, Re
 from bundle.graphs.pose_graphs.edge_weights import pose_graph_chi2
 from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
 from bundle.model.pose_graph_arrays import PoseGraph
-from bundle.model.rotations import rotation_matrices
+from bundle.model.rigid_motions import rotation_matrices
 from bundle.planning.inspection.factor_graph_inspection import FactorGraphInspection
 from bundle.planning.inspection.pose_graph_inspection import PoseGraphInspection
 from bundle.planning.inspection.problem_inspection import inspect

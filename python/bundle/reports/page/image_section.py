@@ -10,8 +10,7 @@ import numpy as np
 
 from bundle.base.words import pixels
 from bundle.errors import shown
-from bundle.figures.image_residuals import ImageResiduals
-from bundle.figures.residual_figures import image_figure, image_frame, image_name
+from bundle.figures.residual_figures import ImageResiduals, image_figure, image_frame, image_name
 from bundle.reports.page.pictures import Photograph, photograph
 from bundle.reports.page.table import rounded
 from bundle.reports.sections import Section, Table

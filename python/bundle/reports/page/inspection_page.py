@@ -9,19 +9,18 @@ from html import escape
 from pathlib import Path
 
 from bundle.base.arguments import check_type
-from bundle.base.memory_sizes import format_size
 from bundle.base.paths import as_path
-from bundle.base.words import amount, plural, span
+from bundle.base.words import amount, format_size, plural, span
 from bundle.errors import InputError
 from bundle.figures.cost_figures import bar_figure, column_figure
-from bundle.figures.covisibility_graph import covisibility_figure, covisibility_graph
 from bundle.figures.drawing import Figure
-from bundle.figures.matplotlib.problem_patterns import (
+from bundle.figures.matplotlib.spy import (
     ORDERINGS,
     information_pattern,
     order_blocks,
     reduced_pattern,
 )
+from bundle.figures.structure_figures import covisibility_figure, covisibility_graph
 from bundle.interface.options import SolveOptions
 from bundle.model.problem import Problem
 from bundle.planning.comparison.recommendation import recommended_command

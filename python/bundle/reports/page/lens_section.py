@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from bundle.base.words import number, plural
 from bundle.figures.drawing import Figure
-from bundle.figures.lens_curves import LensCurve, most_observed_cameras
-from bundle.figures.lens_figures import focal_figure, lens_figure
+from bundle.figures.lens_figures import LensCurve, focal_figure, lens_figure, most_observed_cameras
 from bundle.model.cameras import camera_models, param_kinds
 from bundle.model.problem import Problem
 from bundle.reports.sections import Section, Table

@@ -7,8 +7,12 @@ from html import escape
 
 from numpy.typing import ArrayLike
 
-from bundle.figures.matplotlib.density import Density, factor_density, matrix_density
-from bundle.figures.matplotlib.matrix_pattern import MatrixPattern
+from bundle.figures.matplotlib.matrix_pattern import (
+    Density,
+    MatrixPattern,
+    factor_density,
+    matrix_density,
+)
 from bundle.reports.page.page import tag
 from bundle.reports.page.pictures import data_uri
 

@@ -11,11 +11,15 @@ from bundle.analysis.statistics.description import Description
 from bundle.base.words import contents, pixels, plural, seconds
 from bundle.figures.cost_figures import iteration_figure
 from bundle.figures.drawing import Figure
-from bundle.figures.residual_figures import coordinate_figure, image_error_figure, length_figure
-from bundle.figures.residual_histogram import ResidualHistogram
+from bundle.figures.residual_figures import (
+    ResidualHistogram,
+    coordinate_figure,
+    image_error_figure,
+    length_figure,
+)
 from bundle.interface.options import SolveOptions
 from bundle.model.problem import Problem
-from bundle.model.residuals import Residuals
+from bundle.model.reprojection import Residuals
 from bundle.reports.sections import Section, Table
 from bundle.reports.terminal.refine import before_and_after
 from bundle.reports.terminal.solve_data import ERRORS, ROUNDS

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from bundle.io.atomic import atomic_write as atomic
-from bundle.io.atomic.special_paths import is_stream
-from bundle.io.file_names import PAGE, check_name
+from bundle.io.atomic.replaced_paths import is_stream
+from bundle.io.recognition import PAGE, check_name
 
 # The browser may load only content of the page itself; it enforces this for any data.
 POLICY = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data:"

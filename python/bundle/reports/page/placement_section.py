@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.base.words import number, pixels, plural
-from bundle.figures.placement_errors import Placement
-from bundle.figures.placement_figures import plan_figure, position_figure, target_figure
+from bundle.figures.placement_figures import Placement, plan_figure, position_figure, target_figure
 from bundle.reports.sections import Section, Table
 
 ROWS = 12

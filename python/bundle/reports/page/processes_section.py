@@ -7,9 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from bundle.figures.axes import logarithmic
 from bundle.figures.drawing import Figure
-from bundle.figures.marks import Line
+from bundle.figures.marks import Line, logarithmic
 from bundle.planning.inspection.rank_prediction import RankPrediction
 from bundle.reports.sections import Section
 from bundle.reports.terminal.inspect import rank_sections

@@ -6,8 +6,8 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 from bundle.analysis.uncertainty.covariance_result import Covariance
-from bundle.interface.finding import Finding
-from bundle.judging.findings.find import find, one_list
+from bundle.interface.finding import Finding, one_list
+from bundle.judging.findings.find import find
 from bundle.judging.findings.next_command import NextCommand
 from bundle.model.problem import Problem
 from bundle.solving.result import Result

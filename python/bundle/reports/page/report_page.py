@@ -16,16 +16,13 @@ from bundle.base.arguments import check_type
 from bundle.base.paths import as_path
 from bundle.errors import InputError, shown
 from bundle.figures.certainty import Certainty, certainty, largest_eigenvalues
-from bundle.figures.covisibility_graph import covisibility_graph
-from bundle.figures.image_residuals import worst_residuals
-from bundle.figures.lens_curves import LensCurve, lens_curves, most_observed_cameras
-from bundle.figures.placement_errors import Placement, placement
+from bundle.figures.lens_figures import LensCurve, lens_curves, most_observed_cameras
+from bundle.figures.placement_figures import Placement, placement
 from bundle.figures.projection_uncertainty import ProjectionUncertainty, projection_uncertainty
-from bundle.figures.residual_field import residual_fields
-from bundle.figures.residual_histogram import residual_histogram
-from bundle.figures.row_residuals import rows_of_sets
+from bundle.figures.residual_field import residual_fields, rows_of_sets
+from bundle.figures.residual_figures import residual_histogram, worst_residuals
 from bundle.figures.scene_view import MOST_POINTS, scene_before, scene_view
-from bundle.figures.track_statistics import track_statistics
+from bundle.figures.structure_figures import covisibility_graph, track_statistics
 from bundle.georeference.similarity import moved
 from bundle.interface.finding import Finding
 from bundle.interface.options import SolveOptions
@@ -33,7 +30,7 @@ from bundle.io.files import Source, as_problem
 from bundle.judging.findings.measured import Measured
 from bundle.judging.findings.next_command import NextCommand
 from bundle.model.problem import Problem
-from bundle.model.residuals import Residuals, residuals
+from bundle.model.reprojection import Residuals, residuals
 from bundle.reports.page.certainty_section import certainty_sections, scene_ellipsoids
 from bundle.reports.page.image_section import (
     MOST_CLICKED,

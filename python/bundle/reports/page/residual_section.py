@@ -6,9 +6,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from bundle.base.words import plural
-from bundle.figures.residual_field import SIGNIFICANT, ResidualField
+from bundle.figures.residual_field import SIGNIFICANT, ResidualField, RowResiduals, row_figure
 from bundle.figures.residual_figures import field_figures
-from bundle.figures.row_residuals import RowResiduals, row_figure
 from bundle.reports.page.table import rounded
 from bundle.reports.sections import Section
 

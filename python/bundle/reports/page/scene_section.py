@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from bundle.base.records import dataclass
 from bundle.base.words import plural
-from bundle.figures.axes import short
+from bundle.figures.marks import short
 from bundle.figures.scene_view import SceneView
 from bundle.reports.page.page import asset, tag
 

@@ -4,8 +4,13 @@ from __future__ import annotations
 
 from bundle.analysis.statistics.description import Description
 from bundle.base.words import number, plural
-from bundle.figures.covisibility_graph import CovisibilityGraph, covisibility_figure
-from bundle.figures.track_statistics import TrackStatistics, angle_figure, length_figure
+from bundle.figures.structure_figures import (
+    CovisibilityGraph,
+    TrackStatistics,
+    angle_figure,
+    covisibility_figure,
+    length_figure,
+)
 from bundle.reports.sections import Section, Table
 
 

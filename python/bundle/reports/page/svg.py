@@ -9,10 +9,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from bundle.figures.axes import Axis, short
 from bundle.figures.drawing import Figure
 from bundle.figures.marks import (
     Array,
+    Axis,
     Bars,
     Dots,
     Ellipses,
@@ -22,6 +22,7 @@ from bundle.figures.marks import (
     StackedBars,
     Steps,
     Vectors,
+    short,
 )
 from bundle.reports.page.bars import COLOURS, bars, matrix, stacked_bars
 from bundle.reports.page.page import tag

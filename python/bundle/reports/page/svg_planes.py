@@ -8,9 +8,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from bundle.figures.axes import short
 from bundle.figures.drawing import Figure
-from bundle.figures.marks import Array, Cells, Dots, Photo, Vectors, direction_colours
+from bundle.figures.marks import Array, Cells, Dots, Photo, Vectors, direction_colours, short
 from bundle.reports.page.contours import contours
 from bundle.reports.page.page import tag
 from bundle.reports.page.pictures import data_uri

@@ -28,13 +28,12 @@ from bundle.analysis.statistics.description import Description
 from bundle.base.records import dataclass
 from bundle.base.words import plural
 from bundle.errors import shown
-from bundle.figures.axes import short
 from bundle.figures.certainty import Certainty
-from bundle.figures.covisibility_graph import CovisibilityGraph
-from bundle.figures.image_residuals import ImageResiduals
-from bundle.figures.placement_errors import Placement
+from bundle.figures.marks import short
+from bundle.figures.placement_figures import Placement
 from bundle.figures.residual_field import ResidualField
-from bundle.figures.track_statistics import TrackStatistics
+from bundle.figures.residual_figures import ImageResiduals
+from bundle.figures.structure_figures import CovisibilityGraph, TrackStatistics
 from bundle.interface.finding import Finding
 from bundle.judging.findings.measured import Measured
 from bundle.model.cameras import param_kinds

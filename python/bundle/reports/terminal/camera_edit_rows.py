@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from bundle.base.words import pixels, plural
 
 if TYPE_CHECKING:
-    from bundle.editing.cameras.edit_record import CameraEdits
+    from bundle.editing.edit_record import CameraEdits
 
 MOST_IDS = 8
 

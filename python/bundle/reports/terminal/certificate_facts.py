@@ -10,15 +10,15 @@ import math
 from typing import Any
 
 from bundle.base.words import number, plural
-from bundle.graphs.pose_graphs.certificate import (
+from bundle.graphs.pose_graphs.pose_graph_result import (
     CERTIFIED,
     CHORDAL_MINIMUM,
     NOT_CERTIFIED,
     STAIRCASE,
     Certificate,
+    PoseGraphResult,
     Staircase,
 )
-from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
 from bundle.reports.sections import Section, fields
 
 

@@ -6,8 +6,7 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from bundle.base.memory_sizes import format_size
-from bundle.base.words import contents, format_name, number, plural, seconds
+from bundle.base.words import contents, format_name, format_size, number, plural, seconds
 from bundle.errors import shown
 from bundle.interface.summary import share
 from bundle.planning.comparison.comparison_result import GAPS, ComparedProblem, Comparison

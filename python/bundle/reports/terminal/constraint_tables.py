@@ -10,7 +10,7 @@ from typing import Any
 from bundle.base.words import plural
 from bundle.errors import shown
 from bundle.reports.sections import Column, Section, Table
-from bundle.solving.constraints.constraint_record import PriorEnd, RuleEnd, TieEnd
+from bundle.solving.constraints.ends import PriorEnd, RuleEnd, TieEnd
 
 MOST_ROWS = 8
 """Number of listed priors, bounds and ties."""

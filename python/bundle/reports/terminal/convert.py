@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence as Sentences
+from typing import TYPE_CHECKING
 
 from bundle.base.words import contents
-from bundle.editing.cameras.edit_record import CameraEdits
-from bundle.editing.global_shutter import GlobalShutterModel
 from bundle.errors import shown
-from bundle.inertial.tracking.track_recording import Tracking
 from bundle.interface.finding import Finding
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.model.problem import Problem
 from bundle.model.sequence.sequence import Sequence
-from bundle.model.sequence.sequence_findings import SequenceFinding
 from bundle.model.unobserved import unobserved
 from bundle.reports.sections import Report, Section
 from bundle.reports.terminal.camera_edit_rows import edit_data, edit_rows
@@ -30,6 +27,12 @@ from bundle.reports.terminal.inputs import (
 )
 from bundle.reports.terminal.shutter_tables import shutter_data, shutter_moves
 from bundle.reports.terminal.tracking import tracking_headline, tracking_section
+
+if TYPE_CHECKING:
+    from bundle.editing.edit_record import CameraEdits
+    from bundle.editing.rolling_shutters import GlobalShutterModel
+    from bundle.inertial.tracking.track_recording import Tracking
+    from bundle.model.sequence.sequence_findings import SequenceFinding
 
 
 def converted(

@@ -9,8 +9,7 @@ import numpy as np
 
 from bundle.analysis.diagnosis.diagnosis_result import Diagnosis, GraphDiagnosis
 from bundle.base.words import number, plural
-from bundle.interface.finding import Finding
-from bundle.judging.findings.find import one_list
+from bundle.interface.finding import Finding, one_list
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.model.problem import Problem
 from bundle.reports.sections import Column, Report, Section, Table, fields

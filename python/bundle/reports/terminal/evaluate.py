@@ -9,10 +9,10 @@ import numpy as np
 
 from bundle.base.words import format_name, number, plural
 from bundle.errors import shown
-from bundle.interface.evaluate_options import AUC_DEFINITIONS, EvaluateOptions
+from bundle.interface.judging_options import AUC_DEFINITIONS, EvaluateOptions
 from bundle.judging.evaluation.check_points import CheckPointEvaluation
 from bundle.judging.evaluation.evaluation_result import Evaluation, SharedImage
-from bundle.model.pose_errors import ErrorStatistics
+from bundle.model.pose_table import ErrorStatistics
 from bundle.reports.sections import Column, Report, Section, Table
 
 if TYPE_CHECKING:

@@ -6,8 +6,7 @@ import dataclasses
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
-from bundle.base.memory_sizes import format_size
-from bundle.base.words import amount, number, plural, seconds, span
+from bundle.base.words import amount, format_size, number, plural, seconds, span
 from bundle.graphs.pose_graphs.edge_weights import densest_set
 from bundle.model.content_digests import content_digests
 from bundle.model.pose_graph_arrays import PoseGraph
@@ -145,7 +144,7 @@ def compared_runs(found: GraphComparison, name: str, orders_only: bool = False) 
     )
 
     def figures() -> list[Figure]:
-        from bundle.figures import graph_cost_figures as of  # for pages only
+        from bundle.figures import cost_figures as of
 
         usable = [run for run in found.runs if not run.failure]
         return [of.graph_time_figure(found), of.graph_breakdown_figure(found)] if usable else []

@@ -10,9 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from bundle.base.words import number, plural, rounded
-from bundle.graphs.pose_graphs.certificate import ESCAPES
-from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
-from bundle.interface.termination import short_outcome
+from bundle.graphs.pose_graphs.pose_graph_result import ESCAPES, PoseGraphResult
+from bundle.interface.summary import short_outcome
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.reports.terminal.certificate_facts import certificate_sentences
 

@@ -15,7 +15,7 @@ from bundle.base.words import contents, format_name, number, pixels, plural
 from bundle.errors import shown
 from bundle.interface.finding import DETAILS, Finding
 from bundle.model.problem import Problem
-from bundle.model.pycolmap.imported_source import imported_source
+from bundle.model.pycolmap.problem_source import imported_source
 from bundle.reports.sections import Column, Report, Section, Table, fields
 from bundle.reports.terminal.inputs import about_problem, problem_facts
 from bundle.reports.terminal.refine import worst_sections

@@ -6,8 +6,7 @@ import math
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from bundle.base.memory_sizes import format_size
-from bundle.base.words import amount, duration, number, plural
+from bundle.base.words import amount, duration, format_size, number, plural
 from bundle.errors import shown
 from bundle.interface.options import SolveOptions
 from bundle.model.problem import Problem

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from bundle.base.memory_sizes import format_size
-from bundle.base.words import number, plural
+from bundle.base.words import format_size, number, plural
 from bundle.planning.inspection.problem_needs import ProblemNeeds, SchurCounts
 from bundle.reports.sections import Report, Section, Table, fields
 

@@ -6,7 +6,7 @@ import shlex
 from collections.abc import Sequence
 
 from bundle.base.words import contents, number, pixels, plural
-from bundle.editing.merging.merge_result import Merge
+from bundle.editing.merge_result import Merge
 from bundle.errors import shown
 from bundle.interface.finding import Finding
 from bundle.model.problem import Problem

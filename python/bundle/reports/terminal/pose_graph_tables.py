@@ -11,8 +11,12 @@ from bundle.analysis.diagnosis.chi2_kinds import kinds_data
 from bundle.base.waiting_time import Waiting
 from bundle.base.words import number, plural
 from bundle.errors import InputError
-from bundle.graphs.pose_graphs.edge_weights import densest_set, pose_graph_chi2
-from bundle.graphs.pose_graphs.information import bad_information, describe_information
+from bundle.graphs.pose_graphs.edge_weights import (
+    bad_information,
+    densest_set,
+    describe_information,
+    pose_graph_chi2,
+)
 from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
 from bundle.interface.pose_graph_options import POSE_ERRORS, PoseGraphOptions
 from bundle.model.content_digests import content_digests

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from bundle.base.memory_sizes import format_size
-from bundle.base.words import seconds
-from bundle.interface.process_record import ProcessPart, ProcessRecord
+from bundle.base.words import format_size, seconds
+from bundle.interface.summary import ProcessPart, ProcessRecord
 from bundle.reports.sections import Column, Section, Table
 
 _PHASES = (

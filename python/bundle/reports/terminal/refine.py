@@ -6,14 +6,13 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from bundle.base.memory_sizes import format_size
 from bundle.base.waiting_time import Waiting
-from bundle.base.words import change, pixels, plural
+from bundle.base.words import change, format_size, pixels, plural
 from bundle.errors import shown
 from bundle.interface.summary import Summary, sizes
 from bundle.model.content_digests import content_digests
 from bundle.model.problem import Problem
-from bundle.model.worst_images import ImageError
+from bundle.model.reprojection import ImageError
 from bundle.reports.sections import Column, Report, Section, Table
 from bundle.reports.terminal.camera_edit_rows import edit_data, edit_rows
 from bundle.reports.terminal.inputs import about_problem, problem_facts, rig_fact, written
@@ -21,21 +20,20 @@ from bundle.reports.terminal.rig_tables import sensor_sections
 from bundle.reports.terminal.shutter_tables import solved_data, solved_sentences
 from bundle.reports.terminal.solve_data import ERRORS, ROUNDS, factor_fact, result_data
 from bundle.reports.terminal.timing import WallTime, environment_data, wall_section
-from bundle.solving.camera_changes import CameraChange, camera_changes
 from bundle.solving.headline import edit_facts, headline
+from bundle.solving.parameter_changes import CameraChange, camera_changes, sensor_changes
 from bundle.solving.result import Result
-from bundle.solving.sensor_changes import sensor_changes
 
 if TYPE_CHECKING:
-    from bundle.editing.cameras.edit_record import CameraEdits
+    from bundle.editing.edit_record import CameraEdits
     from bundle.georeference.attitudes import AttitudeErrors
     from bundle.georeference.georeferenced import Georeference
-    from bundle.georeference.problem_velocities import VelocityErrors
+    from bundle.georeference.velocities import VelocityErrors
     from bundle.graphs.loops.loop_closing import LoopClosing
     from bundle.inertial.offline.inertial_result import InertialAdjustment
     from bundle.interface.finding import Finding
-    from bundle.interface.process_record import ProcessRecord
-    from bundle.solving.round_record import RestRecord
+    from bundle.interface.summary import ProcessRecord
+    from bundle.solving.measured_result import RestRecord
 
 ATTITUDE_KEYS = {"gravity": "gravity", "orientation": "orientations", "heading": "headings"}
 """Keys of the JSON report, by the noun of the measurements."""

@@ -6,8 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from bundle.base.memory_sizes import format_size
-from bundle.base.words import contents
+from bundle.base.words import contents, format_size
 from bundle.errors import shown
 from bundle.interface.finding import Finding
 from bundle.model.pose_graph_arrays import PoseGraph

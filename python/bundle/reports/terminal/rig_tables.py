@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from bundle.base.words import number, plural
 from bundle.reports.sections import Column, Section, Table
-from bundle.solving.sensor_changes import SensorChange
+from bundle.solving.parameter_changes import SensorChange
 
 if TYPE_CHECKING:
     from bundle.analysis.statistics.rig_summary import RigSummary

@@ -8,10 +8,10 @@ import numpy as np
 
 from bundle.base.words import number, pixels, plural
 from bundle.model.problem import Problem
-from bundle.solving.shutter_gain import shutter_gain
+from bundle.solving.parameter_changes import shutter_gain
 
 if TYPE_CHECKING:
-    from bundle.editing.global_shutter import GlobalShutterModel
+    from bundle.editing.rolling_shutters import GlobalShutterModel
     from bundle.solving.result import Result
 
 

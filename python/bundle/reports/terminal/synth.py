@@ -7,8 +7,7 @@ from collections.abc import Sequence as Sentences
 
 from bundle.base.words import format_name, number, pixels, plural
 from bundle.errors import shown
-from bundle.interface.flight_options import FlightOptions
-from bundle.interface.scene_options import SceneOptions
+from bundle.interface.scene_options import FlightOptions, SceneOptions
 from bundle.model.sequence.sequence import Sequence
 from bundle.reports.sections import Column, Report, Section, Table
 from bundle.reports.terminal.inputs import about_sequence, contents_of_sequence, written

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 from bundle.base.words import number, plural
-from bundle.inertial.tracking.track_recording import Tracking
 from bundle.model.sequence.sequence import Sequence
 from bundle.reports.sections import Section
+
+if TYPE_CHECKING:
+    from bundle.inertial.tracking.track_recording import Tracking
 
 
 def tracking_headline(tracking: Tracking) -> str:

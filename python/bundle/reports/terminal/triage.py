@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bundle.base.words import number
 from bundle.errors import shown
-from bundle.interface.triage_options import TriageOptions
+from bundle.interface.judging_options import TriageOptions
 from bundle.judging.triage.triage_result import Quantity, Triage
 from bundle.reports.sections import Column, Report, Section, Table
 

@@ -72,7 +72,7 @@ def validated(path: str, problem: Problem, found: Validation, options: Mapping[s
 
 
 def _figures(found: Validation) -> list[Figure]:
-    from bundle.figures import validation_figures as figures  # for pages only
+    from bundle.figures import evaluation_figures as figures
 
     drawn = (figures.error_figure, figures.difference_figure)
     return [draw(found) for draw in (*drawn, figures.distribution_figure, figures.image_figure)]

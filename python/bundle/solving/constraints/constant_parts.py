@@ -1,16 +1,16 @@
-"""Constant parameters and pose parts of a problem under rules, with the reason for each."""
+"""Constant and tied parameters of a problem under rules."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Set
+from collections.abc import Callable, Iterable, Mapping, Set
 
+from bundle.base.records import dataclass
 from bundle.errors import InputError
 from bundle.interface.options import SolveOptions
 from bundle.model.cameras import camera_models, param_kinds
 from bundle.model.problem import Problem
 from bundle.solving.constraints.rules import Rule
-from bundle.solving.constraints.ties import Member
 
 
 class ConstantParts:
@@ -94,3 +94,157 @@ class ConstantParts:
         camera, j = member
         name = camera_models()[self._problem.camera_models[camera]][j]
         return f"{name} of camera {self._problem.camera_ids[camera]}"
+
+
+# Tied parameters: each is a multiple of one shared number.
+#
+# ``share`` makes parameters of several cameras equal. A ratio makes one parameter of a camera a
+# multiple of another. Together they make groups. The members of a group are x_i = s_i u with one
+# number u, so that the ratios x_i / x_j = s_i / s_j hold by construction. The solver has one
+# unknown per group: Jacobian columns are eliminated, no penalty is added.
+#
+# At the start, u is the unweighted mean of x_i / s_i. If a member is constant, u is the value of
+# that member, and the entire group is constant. If the members already agree except for rounding, u
+# is the value of the first member.
+
+Member = tuple[int, int]
+"""Index of a camera and column of a parameter."""
+
+ROUNDING = 1e-12
+MOST_SHARED = 16
+"""Largest number of shared values of cameras that are tied, directly or through others."""
+
+
+@dataclass(frozen=True)
+class Group:
+    """Tied parameters with their multiples, and the rules that tie them, in order."""
+
+    members: tuple[tuple[Member, float], ...]
+    rules: tuple[int, ...]
+
+    def start(
+        self,
+        value: Callable[[Member], float],
+        held: Callable[[Member], bool],
+        describe: Callable[[Member], str],
+    ) -> tuple[float, bool]:
+        """Return u, and True if a constant member makes u constant.
+
+        Args:
+            value: function that returns the start value of a member.
+            held: function that returns True if a member is constant.
+            describe: function that returns the description of a member for messages.
+
+        Raises:
+            InputError: two members are constant at values that do not agree.
+        """
+        said = [(member, value(member) / times) for member, times in self.members]
+        fixed = [(member, u) for member, u in said if held(member)]
+        if fixed:
+            (first, u), *others = fixed
+            for other, found in others:
+                if not _agree(u, found):
+                    raise InputError(
+                        "expected equal values of tied constant parameters, found "
+                        f"{describe(first)} at {value(first):.10g} and {describe(other)} at "
+                        f"{value(other):.10g}"
+                    )
+            return u, True
+        u = said[0][1]
+        if all(_agree(u, found) for _, found in said):
+            return u, False
+        return sum(found for _, found in said) / len(said), False
+
+
+def check_components(groups: Iterable[Group]) -> Group | None:
+    """Return a group of a connected component with more than MOST_SHARED shared numbers, or None.
+
+    The core has one block for all shared numbers of connected cameras.
+    """
+    parent: dict[int, int] = {}
+
+    def root(camera: int) -> int:
+        while parent.setdefault(camera, camera) != camera:
+            camera = parent[camera]
+        return camera
+
+    of_several = [group for group in groups if group.members[0][0][0] != group.members[-1][0][0]]
+    for group in of_several:
+        for (camera, _), _ in group.members:
+            parent[root(camera)] = root(group.members[0][0][0])
+    sizes: dict[int, int] = {}
+    for group in of_several:
+        at = root(group.members[0][0][0])
+        sizes[at] = sizes.get(at, 0) + 1
+        if sizes[at] > MOST_SHARED:
+            return group
+    return None
+
+
+def _agree(a: float, b: float) -> bool:
+    return abs(a - b) <= ROUNDING * max(abs(a), abs(b))
+
+
+def divided_bounds(bounds: tuple[float, float], times: float) -> tuple[float, float]:
+    """Return bounds of u for x = times u that keep x within its bounds despite rounding."""
+    low, high = sorted(bound / times for bound in bounds)
+    for _ in range(2):  # a quotient and a product, half a unit in the last place each
+        if not bounds[0] <= times * low <= bounds[1]:
+            low = math.nextafter(low, math.inf)
+        if not bounds[0] <= times * high <= bounds[1]:
+            high = math.nextafter(high, -math.inf)
+    return low, high
+
+
+class Groups:
+    """Groups as they grow (union-find with multiples)."""
+
+    def __init__(self) -> None:
+        # Parent of each member, and the ratio of the member's value to the parent's value.
+        self._parent: dict[Member, tuple[Member, float]] = {}
+        self._rules: dict[Member, set[int]] = {}
+
+    def tie(self, a: Member, b: Member, times: float, rule: int) -> bool:
+        """Tie a = times b; return False if a is already a different multiple of b."""
+        (root_a, of_a), (root_b, of_b) = self._find(a), self._find(b)
+        if root_a == root_b:
+            self._rules[root_a].add(rule)
+            return _agree(of_a, times * of_b)
+        # x_a = of_a u_a = times of_b u_b; the earlier root stays.
+        if root_a <= root_b:
+            self._parent[root_b] = root_a, of_a / (times * of_b)
+            self._rules[root_a] |= self._rules.pop(root_b) | {rule}
+        else:
+            self._parent[root_a] = root_b, times * of_b / of_a
+            self._rules[root_b] |= self._rules.pop(root_a) | {rule}
+        return True
+
+    def all(self) -> list[Group]:
+        """Return the groups of more than one member, members ascending."""
+        members: dict[Member, list[tuple[Member, float]]] = {}
+        for member in sorted(self._parent):
+            root, times = self._find(member)
+            members.setdefault(root, []).append((member, times))
+        return [
+            Group(tuple(found), tuple(sorted(self._rules[root])))
+            for root, found in members.items()
+            if len(found) > 1
+        ]
+
+    def of(self) -> Mapping[Member, Member]:
+        """Return the root of each member."""
+        return {member: self._find(member)[0] for member in self._parent}
+
+    def _find(self, member: Member) -> tuple[Member, float]:
+        if member not in self._parent:
+            self._parent[member] = member, 1.0
+            self._rules[member] = set()
+        path, at = [], member
+        while self._parent[at][0] != at:
+            path.append(at)
+            at = self._parent[at][0]
+        times = 1.0
+        for step in reversed(path):  # from the root downwards
+            times = self._parent[step][1] * times
+            self._parent[step] = at, times
+        return at, times

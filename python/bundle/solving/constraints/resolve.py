@@ -8,10 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bundle.errors import InputError
+from bundle.errors import InputError, brief
 from bundle.interface.options import SolveOptions
 from bundle.model.cameras import camera_models, param_kinds
+from bundle.model.image_selection import named_images
 from bundle.model.problem import Problem
+from bundle.model.problem_keys import parameter_names
 from bundle.solving.constraints.applied import (
     HELD_POSITION,
     HELD_ROTATION,
@@ -19,19 +21,17 @@ from bundle.solving.constraints.applied import (
     KnownPrior,
     Tie,
 )
-from bundle.solving.constraints.chosen import Chooser
-from bundle.solving.constraints.constant_parts import ConstantParts
-from bundle.solving.constraints.prior_factors import factor_of
-from bundle.solving.constraints.rule_list import rules_of
-from bundle.solving.constraints.rules import Bounds, Fixed, Prior, Ratio, Rule, Share
-from bundle.solving.constraints.ties import (
+from bundle.solving.constraints.constant_parts import (
     MOST_SHARED,
+    ConstantParts,
     Group,
     Groups,
     Member,
     check_components,
     divided_bounds,
 )
+from bundle.solving.constraints.rule_list import rules_of
+from bundle.solving.constraints.rules import Bounds, Fixed, Prior, Ratio, Rule, Share
 
 if TYPE_CHECKING:
     from bundle.graphs.factors.factors import Factor
@@ -338,3 +338,125 @@ def _tuple(value: Any) -> tuple[float, ...]:
 
 def _one(value: Any) -> float:
     return float(_tuple(value)[0])
+
+
+class Chooser:
+    """Lookup of the names of rules in one problem."""
+
+    def __init__(self, problem: Problem) -> None:
+        self._problem = problem
+        self._indices: dict[str, dict[int, int]] = {}
+
+    def indices(self, rule: Rule) -> list[int]:
+        """Return the indices of the rule's cameras, images or points, ascending.
+
+        Raises:
+            InputError: the problem does not have an id or name of the rule.
+        """
+        target = rule.target
+        known = self._known(target.kind)
+        if target.entries is None:
+            if not known:
+                raise InputError(f"{rule.place}: there are no {target.kind}s in the problem")
+            return list(known.values())
+        found: set[int] = set()
+        for entry in target.entries:
+            if isinstance(entry, str):
+                ids = named_images(rule.place, self._problem, entry)
+                found.update(known[image_id] for image_id in ids)
+                continue
+            for number in entry:
+                if number not in known:
+                    raise InputError(
+                        f"{rule.place}: there is no {target.kind} {number} in the problem"
+                    )
+                found.add(known[number])
+        return sorted(found)
+
+    def parameters(self, rule: Rule) -> list[tuple[int, str, tuple[int, ...]]]:
+        """Return (camera index, name, columns) of each parameter that the rule names.
+
+        For a model with several focal lengths, ``f`` has the columns of all of them.
+        ``cameras *`` leaves out the cameras whose model does not have the parameter.
+
+        Raises:
+            InputError: a camera does not have the parameter; the message lists its parameters.
+        """
+        cameras = self.indices(rule)
+        every = rule.target.entries is None
+        found: list[tuple[int, str, tuple[int, ...]]] = []
+        columns: dict[tuple[str, str], tuple[int, ...]] = {}
+        models = self._problem.camera_models
+        for name in rule.parameters:
+            before = len(found)
+            for camera in cameras:
+                model = models[camera]
+                if (model, name) not in columns:
+                    columns[model, name] = _columns(model, name)
+                if columns[model, name]:
+                    found.append((camera, name, columns[model, name]))
+                elif not every:
+                    names = parameter_names(rule.place, self._problem, camera)
+                    raise InputError(
+                        f"{rule.place}: camera {self._problem.camera_ids[camera]} ({model}) has no "
+                        f"parameter {brief(name)}; expected one of {', '.join(_and_f(names))}"
+                    )
+            if len(found) == before:
+                names = tuple(
+                    dict.fromkeys(
+                        other for m in dict.fromkeys(models) for other in camera_models().get(m, ())
+                    )
+                )
+                raise InputError(
+                    f"{rule.place}: no camera has a parameter {brief(name)}; "
+                    f"expected one of {', '.join(_and_f(names))}"
+                )
+        return found
+
+    def _known(self, kind: str) -> dict[int, int]:
+        if kind not in self._indices:
+            ids = getattr(self._problem, f"{kind}_ids").tolist()
+            self._indices[kind] = {known: index for index, known in enumerate(ids)}
+        return self._indices[kind]
+
+
+def _columns(model: str, name: str) -> tuple[int, ...]:
+    names = camera_models().get(model, ())
+    if name in names:
+        return (names.index(name),)
+    if name != "f" or not names:
+        return ()
+    return tuple(j for j, kind in enumerate(param_kinds(model)) if kind == "focal")
+
+
+def _and_f(names: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the names, and also "f" if the model has two focal lengths."""
+    return ("f", *names) if "fx" in names and "f" not in names else names
+
+
+def factor_of(prior: KnownPrior) -> Factor:
+    """Return the factor whose whitened residual is the prior's pull in sigmas.
+
+    For a rotation this residual is Log(R0^T R) / sigma. The factor is then a
+    :class:`bundle.LinearPrior` on the pose, with zero information on the position.
+    """
+    from bundle.graphs.factors.factors import PositionFactor, PriorFactor, ScalarPriorFactor
+    from bundle.graphs.factors.linear_prior import LinearPrior
+
+    key = prior.subject
+    if key[0] == "camera":
+        (value,), (sigma,) = prior.value, prior.sigma
+        return ScalarPriorFactor(key, prior.column, value, sigma, relative=prior.relative)
+    if prior.parameter == "rotation":
+        weight = 1 / math.radians(prior.sigma[0]) ** 2
+        return LinearPrior(
+            np.diag([weight] * 3 + [0.0] * 3),
+            np.zeros(6),
+            {key: prior.value},
+            (key,),
+            manifolds={key: "se3"},
+        )
+    information = np.diag(1 / np.array(prior.sigma) ** 2)
+    if key[0] == "image":
+        return PositionFactor(key, prior.value, information)
+    return PriorFactor(key, prior.value, information)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.base.records import dataclass
-from bundle.interface.process_record import ProcessPart
+from bundle.interface.summary import ProcessPart
 from bundle.solving.constraints.restrictions import Restrictions
 from bundle.solving.ranks.partition import ProblemPart
 

@@ -12,7 +12,7 @@ import numpy as np
 import bundle._core as _core
 from bundle.base.arrays import freeze
 from bundle.base.records import dataclass
-from bundle.interface.process_record import ProcessPart, ProcessRecord, Traffic
+from bundle.interface.summary import ProcessPart, ProcessRecord, Traffic
 from bundle.model.problem import Problem
 from bundle.solving.constraints.restrictions import Restrictions
 from bundle.solving.prepare import Executor, Prepared

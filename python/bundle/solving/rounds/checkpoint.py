@@ -25,29 +25,20 @@ from numpy.typing import NDArray
 
 from bundle.errors import InputError, first_line, shown
 from bundle.interface.options import SolveOptions
-from bundle.interface.process_record import ProcessRecord
-from bundle.interface.summary import Summary
+from bundle.interface.summary import ProcessRecord, Summary
 from bundle.io.atomic import atomic_write as atomic
 from bundle.model.estimates import estimates, with_estimates
 from bundle.model.problem import Problem
+from bundle.solving.measured_result import Round
 from bundle.solving.prepare import Prepared
 from bundle.solving.result import Result
-from bundle.solving.round_record import Round
-from bundle.solving.rounds.input_digest import (
-    digest_of_fields,
-    fingerprint_of_options,
-    fingerprint_of_run,
-)
+from bundle.solving.rounds.input_digest import fingerprint_of_options, fingerprint_of_run
 from bundle.solving.rounds.run_state import State
 
 if TYPE_CHECKING:
     from bundle.solving.request import RunPlan
 
-SCHEMA = "bundle checkpoint 3"  # 1: another digest of the input; 2: pickles of factors
-
-SCHEMA_OF_PICKLES = "bundle checkpoint 2"
-NO_FACTORS = "4a3475571dfe38659e491096b8138447bd69b242ce6511e9282ed8948c85769f"
-"""Digest of the pickle that stands for "no factors, no bounds" in checkpoints of that schema."""
+SCHEMA = "bundle checkpoint 3"
 
 Made = TypeVar("Made")
 
@@ -156,8 +147,6 @@ def read_by(
     meta, arrays = _open(path)
     # Options that are newer than the file have their defaults.
     saved = {**fingerprint_of_options(SolveOptions()), **meta["fingerprint"]}
-    if meta["schema"] == SCHEMA_OF_PICKLES:
-        saved |= _redigested(path, saved)
     _compare(path, saved, fingerprint)
     try:
         return make(meta, arrays)
@@ -251,7 +240,7 @@ def _open(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
             with np.load(file, allow_pickle=False) as archive:
                 arrays = dict(archive.items())
         meta = json.loads(arrays.pop("meta").tobytes())
-        if meta["schema"] not in (SCHEMA, SCHEMA_OF_PICKLES):
+        if meta["schema"] != SCHEMA:
             raise ValueError(f"schema {meta['schema']!r}, expected {SCHEMA!r}")
         _ = meta["fingerprint"]["input"]
     except (ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
@@ -260,20 +249,6 @@ def _open(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
             f"({first_line(error)})"
         ) from None
     return meta, arrays
-
-
-def _redigested(path: Path, saved: Mapping[str, Any]) -> dict[str, Any]:
-    """Replace the old pickle digest of a run without factors by the present digest.
-
-    Raises:
-        InputError: the run had factors, bounds or rules, whose pickles cannot be compared.
-    """
-    if saved.get("factors and bounds") != NO_FACTORS:
-        raise InputError(
-            f"{shown(path)}: expected {SCHEMA!r}, found {SCHEMA_OF_PICKLES!r}, which resumes "
-            "only without factors, priors, bounds and rules; start the run anew"
-        )
-    return {"factors and bounds": digest_of_fields(((), None))}
 
 
 def _compare(path: Path, saved: Mapping[str, Any], now: Mapping[str, Any]) -> None:

@@ -28,8 +28,8 @@ from bundle.interface.options import SolveOptions
 from bundle.model.problem import Problem
 from bundle.model.problem_keys import touched_ids
 from bundle.model.selection import with_frames
+from bundle.solving.measured_result import PartRecord
 from bundle.solving.request import Bounds
-from bundle.solving.round_record import PartRecord
 
 if TYPE_CHECKING:
     from bundle.graphs.factors.factors import Factor

@@ -13,7 +13,7 @@ from bundle.model.problem import Problem
 from bundle.solving.result import Result
 
 if TYPE_CHECKING:
-    from bundle.solving.round_record import Round
+    from bundle.solving.measured_result import Round
     from bundle.solving.rounds.filtering import Filtered
 
 _Mask = NDArray[np.bool_]

@@ -8,11 +8,11 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 from bundle.errors import InputError
+from bundle.interface.judging_options import HoldOutOptions
 from bundle.interface.option_class import takes_options
 from bundle.interface.options import SolveOptions
 from bundle.interface.round_options import CHECKPOINT_INTERVAL, RoundOptions
 from bundle.interface.solve_record import Progress
-from bundle.interface.validation_options import HoldOutOptions
 from bundle.io.files import Source, as_problem
 from bundle.model.image_selection import ImageSelection
 from bundle.model.problem_keys import touched_ids
@@ -30,9 +30,9 @@ if TYPE_CHECKING:
     from bundle.model.problem import Problem
     from bundle.solving.constraints.rule_list import Constraints
     from bundle.solving.constraints.rules import Rule
-    from bundle.solving.held_out.measurement import HeldOutFit
+    from bundle.solving.hold_out import HeldOutFit
+    from bundle.solving.measured_result import Round
     from bundle.solving.placed_problem import Prior
-    from bundle.solving.round_record import Round
     from bundle.solving.rounds.checkpoint import Checkpoint
     from bundle.solving.rounds.filtering import Filtered
 
@@ -194,7 +194,7 @@ def run(request: SolveRequest, plan: RunPlan, progress: Progress | None = None) 
 def _held_out_fit(prepared: Prepared, plan: RunPlan) -> HeldOutFit | None:
     if not plan.held_out.hold_out:
         return None
-    from bundle.solving.held_out.measurement import HeldOutFit
+    from bundle.solving.hold_out import HeldOutFit
 
     return HeldOutFit(prepared, plan.held_out)
 
@@ -294,7 +294,7 @@ def _filter(prepared: Prepared, problem: Problem, limits: RoundOptions) -> Filte
 
 def _round_of(number: int, result: Result, filtered: Filtered, limits: RoundOptions) -> Round:
     """Return the record of a round."""
-    from bundle.solving.round_record import Round
+    from bundle.solving.measured_result import Round
     from bundle.solving.rounds.segments import num_steps
 
     summary, adjusted = result.summary, result.problem

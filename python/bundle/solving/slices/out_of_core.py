@@ -23,8 +23,8 @@ from bundle.io import colmap
 from bundle.solving.kept_errors import PixelErrors
 from bundle.solving.prepare import Executor, Prepared
 from bundle.solving.result import Result
-from bundle.solving.slices.block_errors import measure_on_disk, point_errors_on_disk, rmse_on_disk
 from bundle.solving.slices.scratch_size import RESIDENT_BYTES, refuse_small_disk
+from bundle.solving.slices.slice_errors import measure_on_disk, point_errors_on_disk, rmse_on_disk
 from bundle.solving.slices.slice_process import Process
 from bundle.solving.slices.slice_reading import Survey
 from bundle.solving.slices.sliced_refinement import SliceCrew, SlicedRefinement, SliceJob

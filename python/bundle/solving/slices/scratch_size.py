@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bundle.base.memory_sizes import format_size
+from bundle.base.words import format_size
 from bundle.errors import InputError, shown
 
 RESIDENT_BYTES = 1 << 30

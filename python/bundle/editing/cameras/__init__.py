@@ -1,1 +1,0 @@
-"""Edits of cameras: change of the camera model, sharing and splitting."""

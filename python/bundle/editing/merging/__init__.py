@@ -1,1 +1,0 @@
-"""Merge of two models into one."""

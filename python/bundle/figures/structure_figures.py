@@ -1,0 +1,202 @@
+"""Structure of a reconstruction: its co-visibility graph, and statistics of its tracks."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.analysis.statistics.covisibility import shared_points
+from bundle.base.arguments import check_type
+from bundle.base.records import dataclass
+from bundle.base.words import amount, plural
+from bundle.figures.drawing import Figure
+from bundle.figures.marks import GREY, SHAPE, Axis, Bars, Dots, Mark, Vectors, square
+from bundle.interface.option_fields import number
+from bundle.model.problem import Problem
+from bundle.model.ray_angles import enclose_angle
+
+STRONGEST_OF_EACH = 3
+NARROWEST = 0.2
+"""Ratio of height to width below which a graph is stretched."""
+STRENGTHS = 6
+"""Number of opacities of edges."""
+
+
+@dataclass(frozen=True, eq=False)
+class CovisibilityGraph:
+    """Images as points of the plane, and the edges to draw, the weakest first.
+
+    Attributes:
+        positions: (num_images, 2) camera centres in their plane of largest spread, in the
+            reconstruction's length unit; y up.
+        edges: (num_edges, 2) pairs of images with common points.
+        weights: (num_edges,) number of their common points.
+        num_pairs: number of all pairs with common points, drawn or not.
+    """
+
+    positions: NDArray[np.float64]
+    edges: NDArray[np.int64]
+    weights: NDArray[np.int64]
+    num_pairs: int
+
+
+def covisibility_graph(problem: Problem, max_edges: int = 4000) -> CovisibilityGraph:
+    """Return the graph of a problem, reduced to its most important edges.
+
+    If there are more than ``max_edges`` pairs, the three strongest edges of each image are kept,
+    and the strongest of the others up to the limit.
+    """
+    check_type("problem", problem, Problem)
+    max_edges = number("max_edges", max_edges, whole=True, minimum=0)
+    low, high, count = shared_points(problem)
+    chosen = np.arange(len(count))
+    if len(count) > max_edges:
+        rank = np.minimum(_rank(low, high, count), STRONGEST_OF_EACH)
+        chosen = np.lexsort((-count, rank))[:max_edges]
+    chosen = chosen[np.argsort(count[chosen], kind="stable")]
+    edges = np.stack([low[chosen], high[chosen]], axis=1)
+    return CovisibilityGraph(_plane(problem.projection_centers), edges, count[chosen], len(count))
+
+
+def covisibility_figure(graph: CovisibilityGraph) -> Figure:
+    """Return the graph with the images at their camera centres; edges are stronger with weight.
+
+    Cameras far outside, such as those of broken poses, are drawn at the border.
+    """
+    positions = within_view(graph.positions)
+    strength = np.log1p(graph.weights) / np.log1p(max(int(graph.weights.max(initial=1)), 2))
+    kinds = np.minimum((STRENGTHS * strength**2).astype(int), STRENGTHS - 1)
+    marks: list[Mark] = []
+    for kind in np.unique(kinds).tolist():
+        begin, end = positions[graph.edges[kinds == kind]].swapaxes(0, 1)
+        marks.append(Vectors(begin, end - begin, 0, opacity=0.08 + 0.6 * (kind + 1) / STRENGTHS))
+    radius = float(np.clip(30 / np.sqrt(max(len(positions), 1)), 0.8, 3.4))
+    marks.append(Dots(positions, (GREY,) * len(positions), radius=radius))
+    low, high = (f(positions, axis=0, initial=0.0) for f in (np.min, np.max))
+    middle, half = (low + high) / 2, 1.05 * (high - low) / 2
+    reach = max(float(half[0]) / SHAPE, float(half[1]), 1e-9)
+    x, y = square((float(middle[0]), float(middle[1])), reach, ("", ""))
+    # A street seen from above is a line, and edges on a line would overlap.
+    stretched = bool(0 < half[1] < NARROWEST * half[0])
+    if stretched:
+        y = Axis(float(middle[1] - 2 * half[1]), float(middle[1] + 2 * half[1]), ())
+    words = f"{plural(len(positions), 'image', grouped=True)}, "
+    words += f"{plural(graph.num_pairs, 'pair shares points', 'pairs share points', grouped=True)}"
+    if len(graph.edges) < graph.num_pairs:
+        words += f"; the strongest {len(graph.edges):,} are drawn"
+    return Figure(
+        name="covisibility",
+        title="Co-visibility",
+        x=replace(x, ticks=()),
+        y=replace(y, ticks=()),
+        marks=tuple(marks),
+        note=words + ("; height stretched." if stretched else "."),
+        is_plan=not stretched,
+    )
+
+
+def within_view(positions: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return positions; those far outside the middle 90 % are moved to the border."""
+    if len(positions) == 0:
+        return positions
+    low, high = np.percentile(positions, [5, 95], axis=0)
+    margin = (high - low).max()
+    clipped: NDArray[np.float64] = np.clip(positions, low - margin, high + margin)
+    return clipped
+
+
+def _plane(centres: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return centres in the plane of their two principal axes, computed without outermost ones."""
+    if len(centres) == 0:
+        return np.zeros((0, 2))
+    offset = centres - np.median(centres, axis=0)
+    distance = np.linalg.norm(offset, axis=1)
+    inside = offset[distance <= np.quantile(distance, 0.95)]
+    _, _, axes = np.linalg.svd(inside, full_matrices=True)
+    axes = axes[:2] * np.sign(axes[:2, [0]] + 1e-300)
+    positions: NDArray[np.float64] = offset @ axes.T
+    return positions
+
+
+def _rank(
+    low: NDArray[np.int64], high: NDArray[np.int64], count: NDArray[np.int64]
+) -> NDArray[np.int64]:
+    """Return the rank of each edge among the edges of its images, the better of two, from 0."""
+    ends, edge = np.concatenate([low, high]), np.tile(np.arange(len(count)), 2)
+    by_image = np.lexsort((-count[edge], ends))
+    ends, edge = ends[by_image], edge[by_image]
+    first = np.searchsorted(ends, ends)
+    rank = np.full(len(count), len(count))
+    np.minimum.at(rank, edge, np.arange(len(ends)) - first)
+    return rank
+
+
+ANGLES = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0)
+LONGEST = 20
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class TrackStatistics:
+    """Distributions over the points.
+
+    Attributes:
+        lengths: number of points with 0, 1, ... observations; the last entry also counts all longer
+            tracks.
+        angle_limits: limits of the angle classes in degrees, ascending.
+        angles: (len(angle_limits) + 1,) points by the largest angle between two of their rays:
+            below the first limit, between consecutive limits, and above the last one. Only points
+            with at least two observations count.
+    """
+
+    lengths: NDArray[np.int64]
+    angle_limits: tuple[float, ...]
+    angles: NDArray[np.int64]
+
+
+def track_statistics(problem: Problem) -> TrackStatistics:
+    """Return the statistics of all points.
+
+    The angle of two rays is at most 90 degrees, as in ``bundle.filter_observations``.
+    """
+    length = np.bincount(problem.observation_point, minlength=problem.num_points)
+    longest = min(int(length.max(initial=0)), LONGEST)
+    order = np.argsort(problem.observation_point, kind="stable")
+    reached = [int(enclose_angle(problem, order, limit).sum()) for limit in ANGLES]
+    twice = int((length >= 2).sum())
+    return TrackStatistics(
+        lengths=np.bincount(np.minimum(length, longest), minlength=longest + 1),
+        angle_limits=ANGLES,
+        angles=np.array([twice, *reached]) - np.array([*reached, 0]),
+    )
+
+
+def length_figure(tracks: TrackStatistics, longest: int | None = None) -> Figure:
+    """Return the number of points against the number of their observations.
+
+    Args:
+        tracks: the distributions.
+        longest: length of the longest track; None: the last class may contain longer ones.
+    """
+    last = len(tracks.lengths) - 1
+    names = [f"{length}" for length in range(last + 1)]
+    names[-1] += " or more" if longest is None or longest > last else ""
+    title = "Points by observations, log scale"
+    return _bars("track_lengths", title, names, tracks.lengths)
+
+
+def angle_figure(tracks: TrackStatistics) -> Figure:
+    """Return the number of points against the largest angle between two of their rays."""
+    limits = tracks.angle_limits
+    names = [f"below {limits[0]:g}°"]
+    names += [f"{low:g} to {high:g}°" for low, high in pairwise(limits)]
+    names.append(f"{limits[-1]:g} to 90°")
+    title = "Points by angle of rays, log scale"
+    return _bars("triangulation_angles", title, names, tracks.angles)
+
+
+def _bars(name: str, title: str, names: list[str], counts: NDArray[np.int64]) -> Figure:
+    values = dict(zip(names, map(float, counts.tolist()), strict=True))
+    return Figure(name=name, title=title, marks=(Bars(values, amount, is_ordered=True),))

@@ -1,0 +1,210 @@
+"""Lines of text files with positions, control points or numbers of images."""
+
+from __future__ import annotations
+
+import csv
+import math
+import os
+import re
+from collections.abc import Collection, Mapping, Sequence
+
+from bundle.base.paths import numbered_lines
+from bundle.errors import InputError, brief, shown
+from bundle.georeference.image_index import ImageFinder
+from bundle.georeference.reference_system import ReferenceSystem
+
+# Reader of OpenDroneMap's text files: the header, and the words of each line.
+#
+# Files contain tabs, blank lines and ``#`` comments. The first remaining line names the coordinate
+# reference system. A name with blanks is in quotes, or between tabs in a line whose other fields
+# have no blanks.
+
+_COORDINATES = ("x", "y", "z")
+_QUOTES = "; put a name with blanks in quotes"
+_ENDS_AS_FILES_DO = re.compile(r"\.[A-Za-z]\w{1,4}$")
+_WORDS = re.compile(r"""(?<!\S)(?:"([^"]+)"|'([^']+)')(?!\S)|(\S+)""")
+
+LOCAL = "LOCAL"
+"""First line of a file whose coordinates are metres in a frame of their own, the third axis up."""
+
+
+def read_lines(
+    path: str | os.PathLike[str], name_at: int
+) -> tuple[ReferenceSystem | None, list[tuple[int, list[str]]]]:
+    """Return the reference system, and the words of every further line with its number from 1.
+
+    The system is None after a first line LOCAL: coordinates are metres in a frame of their own.
+
+    Args:
+        path: path of the file.
+        name_at: index of the word that is the name of an image.
+
+    Raises:
+        InputError: the file is not text, or its first line does not name a reference system.
+        OSError: the file cannot be read.
+    """
+    lines = [
+        (number, line)
+        for number, line in numbered_lines(path)
+        if line.strip() and not line.strip().startswith("#")
+    ]
+    if not lines:
+        raise InputError(
+            f"{shown(path)}: expected a line with the coordinate reference system, found 0 lines"
+        )
+    (number, header), *rows = lines
+    split = [(place, split_words(line, name_at)) for place, line in rows]
+    if header.strip().upper() == LOCAL:
+        return None, split
+    try:
+        system = ReferenceSystem(header.strip())
+    except InputError as error:
+        raise InputError(f"{shown(path)}: line {number}: {error}") from None
+    return system, split
+
+
+def split_words(line: str, name_at: int) -> list[str]:
+    """Return the words of a line: the fields between tabs if only the name has blanks."""
+    fields = [field.strip() for field in line.split("\t") if field.strip()]
+    if len(fields) > max(name_at, 1) and _ENDS_AS_FILES_DO.search(fields[name_at].strip("'\"")):
+        others = fields[:name_at] + fields[name_at + 1 :]
+        if not any(re.search(r"\s", field) for field in others):
+            fields[name_at] = fields[name_at].strip("'\"")
+            return fields
+    return [next(filter(None, groups)) for groups in _WORDS.findall(line)]
+
+
+def parse_number(place: str, name: str, word: str, *, unknown: bool = False) -> float:
+    """Return a word as a number.
+
+    Args:
+        place: file and line, for messages.
+        name: name of the number for messages.
+        word: the word in the file.
+        unknown: allow nan for unknown values.
+
+    Raises:
+        InputError: the word is not numeric, or not finite.
+    """
+    try:
+        value = float(word)
+    except ValueError:
+        value = math.inf
+    if math.isinf(value) or (math.isnan(value) and not unknown):
+        kind = "a number or nan" if unknown else "a number"
+        hint = "" if name not in _COORDINATES or not re.search("[^\\W\\d]", word) else _QUOTES
+        raise InputError(f"{place}: {name}: expected {kind}, found {brief(word)}{hint}")
+    return value
+
+
+# Lines of text files with numbers of images: words, images, headers.
+#
+# Lines have words between blanks, tabs or commas; lines that begin with ``#`` are comments. A name
+# with blanks is in quotes. An image is given by its name (the last part is sufficient if it is
+# unique) or, if no image has this name, by its id.
+
+
+def headed_rows(
+    path: str | os.PathLike[str],
+    images: ImageFinder,
+    layouts: Mapping[tuple[str, ...], Sequence[str]],
+    example: str,
+) -> tuple[tuple[str, ...], list[str], list[tuple[str, int, list[str]]]]:
+    """Return the columns of values that the header names, all columns after the name, and the rows.
+
+    Args:
+        path: path of the file.
+        images: images of the problem.
+        layouts: allowed columns after the name, and the standard deviations that may follow them.
+        example: a header, for messages.
+
+    Raises:
+        InputError: the header is unknown, or as :func:`image_rows`.
+        OSError: the file cannot be read.
+    """
+    (number, header), *lines = content_lines(path) or [(0, [])]
+    found = next(
+        (
+            (columns, layout)
+            for columns, sigmas in layouts.items()
+            for count in range(len(sigmas) + 1)
+            if header == (layout := ["name", *columns, *sigmas[:count]])
+        ),
+        None,
+    )
+    if found is None:
+        raise InputError(
+            f"{shown(path)}: line {number}: expected a header such as {example}, found "
+            f"{brief(' '.join(header))}"
+            if number
+            else f"{shown(path)}: expected a header and a line for each image, found 0 lines"
+        )
+    columns, layout = found
+    return columns, layout[1:], image_rows(path, images, lines, " ".join(layout))
+
+
+def content_lines(path: str | os.PathLike[str]) -> list[tuple[int, list[str]]]:
+    """Return the words of every line with content, with its number from 1."""
+    lines = []
+    for number, line in numbered_lines(path):
+        text = line.strip()
+        if not text or text.startswith("#"):
+            continue
+        if "," in text:
+            (words,) = csv.reader([text], skipinitialspace=True)
+            lines.append((number, [word.strip() for word in words]))
+        else:
+            lines.append((number, split_words(text, 0)))
+    return lines
+
+
+def image_rows(
+    path: str | os.PathLike[str],
+    images: ImageFinder,
+    lines: list[tuple[int, list[str]]],
+    layout: str,
+) -> list[tuple[str, int, list[str]]]:
+    """Return place, id of the image and numbers of each line.
+
+    Raises:
+        InputError: there is no line, an image is unknown, or has two lines.
+    """
+    if not lines:
+        raise InputError(f"{shown(path)}: expected lines of {layout}, found 0")
+    seen: dict[int, int] = {}
+    rows = []
+    for number, (name, *words) in lines:
+        place = f"{shown(path)}: line {number}"
+        image = images.find(name, f"{place}: ")
+        if image in seen:
+            raise InputError(
+                f"{place}: expected one line for each image, found {brief(name)} again (first in "
+                f"line {seen[image]})"
+            )
+        seen[image] = number
+        rows.append((place, image, words))
+    return rows
+
+
+def row_numbers(
+    place: str,
+    names: Sequence[str],
+    words: Sequence[str],
+    required: int,
+    unknown: Collection[str] = (),
+) -> list[float]:
+    """Return the numbers of a line; those named in ``unknown`` may be nan.
+
+    Raises:
+        InputError: a word is missing, superfluous or no number.
+    """
+    if not required <= len(words) <= len(names):
+        optional = "".join(f" [{name}]" for name in names[required:])
+        raise InputError(
+            f"{place}: expected name {' '.join(names[:required])}{optional}, "
+            f"found {len(words)} words after the name"
+        )
+    return [
+        parse_number(place, name, word, unknown=name in unknown)
+        for name, word in zip(names, words, strict=False)
+    ]

@@ -1,0 +1,271 @@
+"""Factors of an image: attitude, and motion during the readout of a rolling shutter."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Set
+from dataclasses import field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from bundle.base.records import dataclass
+from bundle.errors import InputError, brief
+from bundle.graphs.factors.factors import Factor, as_information
+from bundle.graphs.factors.variables import Key
+from bundle.interface.option_fields import number
+from bundle.model.problem import Problem
+
+# Factors of the attitude of an image: a direction of the world, the rotation, the heading.
+#
+# Each constrains the rotation R of one pose cam_from_world. The core computes residuals and
+# Jacobians; ``cpp/core/factors/attitude_factors.h`` has the derivations. Angles are radians.
+
+DOWN = (0.0, 0.0, -1.0)
+"""Direction of gravity in a world whose third axis points up."""
+FORWARD = (0.0, 0.0, 1.0)
+"""Viewing direction of a camera in its own frame."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class _AttitudeFactor(Factor):
+    """Base class of factors of the rotation of one pose."""
+
+    key: Key
+
+    @property
+    def keys(self) -> tuple[Key, ...]:
+        """Variables in the order of the Jacobians."""
+        return (self.key,)
+
+    def _freeze_direction(self, attribute: str) -> None:
+        self._freeze_row(attribute)
+        vector = np.asarray(getattr(self, attribute))
+        if vector.shape != (3,) or not np.isfinite(vector).all() or not vector.any():
+            raise InputError(
+                f"{self.name}: {attribute}: expected 3 numbers that are not all zero, "
+                f"found {brief(vector.tolist())}"
+            )
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class DirectionFactor(_AttitudeFactor):
+    """Measured direction of an axis of the world in the camera's frame, such as gravity's.
+
+    e = R ``axis`` - ``direction``, for unit vectors: the chord on the sphere, whose length at an
+    angle x is 2 sin(x / 2). Two of its three numbers are independent. Turns about the axis do not
+    change it, and a direction that is upside down does not pull.
+
+    Attributes:
+        key: pose cam_from_world (R, t), on se3.
+        direction: (3,) measured direction in the camera's frame, of any length.
+        sigma: standard deviation in radians, about each axis perpendicular to the direction.
+        axis: (3,) direction in the world, of any length; by default down, where z is up.
+
+    Raises:
+        InputError: an argument is not numeric, a direction is zero, or sigma is not above 0.
+    """
+
+    direction: ArrayLike
+    sigma: float
+    axis: ArrayLike = field(default=DOWN, kw_only=True)
+
+    kind = "direction"
+    dependent_residuals = 1
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._freeze_direction("direction")
+        self._freeze_direction("axis")
+        self._set("sigma", number(f"{self.name}: sigma", self.sigma, above=0))
+
+    def core_arguments(self, name: str, sizes: tuple[int, ...]) -> tuple[Any, ...]:  # noqa: ARG002
+        """See :meth:`Factor.core_arguments`."""
+        return self.direction, self.axis, self.sigma
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class RotationFactor(_AttitudeFactor):
+    """Measured rotation Z of cam_from_world: e = Log(Z^T R), along the axes of the world.
+
+    Attributes:
+        key: pose cam_from_world (R, t), on se3.
+        rotation: (4,) quaternion qx qy qz qw of Z.
+        information: (3, 3) symmetric positive definite, along the world axes, in 1 / radians
+            squared, or a number.
+
+    Raises:
+        InputError: an argument is not numeric.
+    """
+
+    rotation: ArrayLike
+    information: ArrayLike
+
+    kind = "rotation"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._freeze_row("rotation")
+        self._freeze_matrix("information")
+
+    def core_arguments(self, name: str, sizes: tuple[int, ...]) -> tuple[Any, ...]:  # noqa: ARG002
+        """See :meth:`Factor.core_arguments`."""
+        return self.rotation, as_information(name, np.asarray(self.information), 3)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class HeadingFactor(_AttitudeFactor):
+    """Measured heading of an axis of the camera, clockwise from north.
+
+    The axes of the world are east, north, up. The residual is the difference of the angles, at most
+    half a turn, divided by ``sigma``.
+
+    Attributes:
+        key: pose cam_from_world (R, t), on se3.
+        heading: measured heading in radians; north is 0, east pi / 2.
+        sigma: standard deviation in radians.
+        axis: (3,) axis in the camera's frame; by default the viewing direction. A vertical axis
+            has no heading.
+
+    Raises:
+        InputError: an argument is not numeric, the axis is zero, or sigma is not above 0.
+    """
+
+    heading: float
+    sigma: float
+    axis: ArrayLike = field(default=FORWARD, kw_only=True)
+
+    kind = "heading"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._freeze_direction("axis")
+        self._set("heading", number(f"{self.name}: heading", self.heading))
+        self._set("sigma", number(f"{self.name}: sigma", self.sigma, above=0))
+
+    def core_arguments(self, name: str, sizes: tuple[int, ...]) -> tuple[Any, ...]:  # noqa: ARG002
+        """See :meth:`Factor.core_arguments`."""
+        return self.axis, self.heading, self.sigma
+
+
+# Factors of a rolling shutter's twists: ties to neighbours in a video, and measured velocities.
+#
+# ``cpp/core/factors/twist_tie.h`` derives the residual (m - readout * xi) / sigma: m is the twist
+# of an image, xi the motion per frame from one neighbour to the other.
+# ``cpp/core/factors/velocity_factor.h`` derives that of a velocity.
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class TwistTieFactor(Factor):
+    """Tie of an image's twist m to the poses of two images of the same video.
+
+    Attributes:
+        twist: key of the twist, ``("twist", image_id)``.
+        readout: key of the readout, ``("readout", camera_id)``.
+        before: key of the earlier image, ``("image", image_id)``.
+        after: key of the later image.
+        num_frames: frame times from the earlier to the later image, above 0.
+        sigma_w: standard deviation of the angular part of m, radians.
+        sigma_v: standard deviation of the other part, in the length unit; inf: only the angular
+            part is tied.
+
+    Raises:
+        InputError: a number is not above 0 (once the factor is added to a problem).
+    """
+
+    twist: Key
+    readout: Key
+    before: Key
+    after: Key
+    num_frames: float
+    sigma_w: float
+    sigma_v: float
+
+    kind = "twist_tie"
+
+    @property
+    def dependent_residuals(self) -> int:  # type: ignore[override]
+        """Number of residuals without information."""
+        return 3 if math.isinf(self.sigma_v) else 0
+
+    @property
+    def keys(self) -> tuple[Key, ...]:
+        """Variables in the order of the Jacobians."""
+        return self.twist, self.readout, self.before, self.after
+
+    def core_arguments(self, name: str, sizes: tuple[int, ...]) -> tuple[Any, ...]:  # noqa: ARG002
+        """See :meth:`Factor.core_arguments`."""
+        return self.num_frames, self.sigma_w, self.sigma_v
+
+
+def twist_ties(
+    problem: Problem, sigma: tuple[float, ...], turning: Set[Key] = frozenset()
+) -> tuple[TwistTieFactor, ...]:
+    """Return a tie for each image with known neighbours."""
+    shutter = problem.rolling_shutter
+    if shutter is None:
+        raise InputError("twists: tied is valid only with rolling shutters")
+    shutter.check_tied(problem)
+    sigma_w, sigma_v = sigma
+    images, frames, neighbours = problem.image_ids, shutter.frames, shutter.neighbours
+    assert frames is not None
+    assert neighbours is not None
+    ties = []
+    for image in np.flatnonzero(shutter.tied(problem)).tolist():
+        a, b = neighbours[image].tolist()
+        ties.append(
+            TwistTieFactor(
+                ("twist", int(images[image])),
+                ("readout", int(problem.camera_ids[problem.image_camera[image]])),
+                ("image", int(images[a])),
+                ("image", int(images[b])),
+                float(frames[b] - frames[a]),
+                sigma_w,
+                math.inf if ("twist", int(images[image])) in turning else sigma_v,
+            )
+        )
+    return tuple(ties)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class VelocityFactor(Factor):
+    """Measured velocity of an antenna on a camera with a rolling shutter.
+
+    e = -R^T (v + w x lever_arm) / readout - velocity, with the twist (w, v) of the image.
+
+    Attributes:
+        pose: key of the pose cam_from_world (R, t), on se3.
+        twist: key of the twist, ``("twist", image_id)``.
+        readout: key of the readout, ``("readout", camera_id)``; above 0.
+        velocity: (3,) velocity of the antenna in the world frame, length units per frame.
+        information: (3, 3) symmetric positive definite, along the world axes, or a number.
+        lever_arm: (3,) position of the antenna in the camera frame; zeros: the projection centre.
+
+    Raises:
+        InputError: an argument is not numeric.
+    """
+
+    pose: Key
+    twist: Key
+    readout: Key
+    velocity: ArrayLike
+    information: ArrayLike
+    lever_arm: ArrayLike = field(default=(0.0, 0.0, 0.0), kw_only=True)
+
+    kind = "velocity"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._freeze_row("velocity", "lever_arm")
+        self._freeze_matrix("information")
+
+    @property
+    def keys(self) -> tuple[Key, ...]:
+        """Variables in the order of the Jacobians."""
+        return self.pose, self.twist, self.readout
+
+    def core_arguments(self, name: str, sizes: tuple[int, ...]) -> tuple[Any, ...]:  # noqa: ARG002
+        """See :meth:`Factor.core_arguments`."""
+        information = as_information(name, np.asarray(self.information), 3)
+        return self.velocity, self.lever_arm, information

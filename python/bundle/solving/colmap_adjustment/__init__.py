@@ -1,1 +1,0 @@
-"""Bundle adjustment of pycolmap's objects in place, as pycolmap does it."""

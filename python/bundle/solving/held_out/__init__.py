@@ -1,1 +1,0 @@
-"""Held-out observations: their choice, and their errors in a fit without them."""

@@ -1,1 +1,0 @@
-"""Seeded flights: images, tracks and IMU samples."""
