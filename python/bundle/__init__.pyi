@@ -76,8 +76,8 @@ from bundle.inertial.preintegration.imu_factors import ImuFactor as ImuFactor
 from bundle.inertial.preintegration.motion_excitation import Excitation as Excitation
 from bundle.inertial.preintegration.motion_excitation import excitation as excitation
 from bundle.inertial.preintegration.preintegration import Preintegration as Preintegration
+from bundle.inertial.preintegration.preintegration import Repropagation as Repropagation
 from bundle.inertial.preintegration.preintegration import propagate as propagate
-from bundle.inertial.preintegration.repropagation import Repropagation as Repropagation
 from bundle.inertial.tracking.track_images import TrackedImages as TrackedImages
 from bundle.inertial.tracking.track_images import track_images as track_images
 from bundle.inertial.tracking.track_recording import Tracking as Tracking
@@ -121,9 +121,9 @@ from bundle.io.sequences.trajectory_files import load_trajectory as load_traject
 from bundle.judging.evaluation.check_points import CheckPointEvaluation as CheckPointEvaluation
 from bundle.judging.evaluation.evaluate_models import evaluate as evaluate
 from bundle.judging.evaluation.evaluation_result import Evaluation as Evaluation
-from bundle.judging.triage.cause_words import TriageCause as TriageCause
 from bundle.judging.triage.triage_reports import triage as triage
 from bundle.judging.triage.triage_result import Triage as Triage
+from bundle.judging.triage.triage_result import TriageCause as TriageCause
 from bundle.judging.validation.validate_problem import validate as validate
 from bundle.judging.validation.validation_result import ValidatedCandidate as ValidatedCandidate
 from bundle.judging.validation.validation_result import Validation as Validation

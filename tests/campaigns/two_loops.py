@@ -22,7 +22,7 @@ import numpy as np
 
 import bundle
 from bundle.inertial.two_loops.closure_loop import Keyframe
-from bundle.inertial.two_loops.deadline_priority import deadline_priority
+from bundle.inertial.two_loops.loop_thread import deadline_priority
 from bundle.inertial.two_loops.pose_publisher import Solution
 from bundle.inertial.two_loops.process_solver import ProcessSolver, serve
 from tests.inertial.two_loops.motion import KEYFRAME_EVERY, RATE, Flight, drifted

@@ -135,7 +135,7 @@ def adjusted_with_imu(
         InputError: a file is wrong, or the samples do not fit the images.
         OSError: a file cannot be read.
     """
-    from bundle.inertial.offline.image_times import read_image_times
+    from bundle.inertial.offline.image_intervals import read_image_times
     from bundle.inertial.offline.imu_adjustment import adjust_with_imu
     from bundle.inertial.offline.inertial_result import ImuSamples
     from bundle.io.sequences.csv_tables import read_csv

@@ -23,7 +23,7 @@ from bundle.io.g2o_files import check_g2o_target, load_g2o, save_g2o
 from bundle.reports.sections import Report
 from bundle.reports.terminal.convert import converted_graph
 from bundle.reports.terminal.pose_graph_tables import described_graph, refined_graph
-from bundle.reports.terminal.timing import WallTime
+from bundle.reports.terminal.solve_data import WallTime
 
 if TYPE_CHECKING:
     from bundle.model.pose_graph_arrays import PoseGraph

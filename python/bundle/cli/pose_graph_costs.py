@@ -39,7 +39,7 @@ def inspect_graph(arguments: argparse.Namespace) -> int:
         progress.stage("inspecting")
         found = inspect(graph, num_threads=threads, recalibrate=arguments.recalibrate)
         if arguments.html is not None:
-            from bundle.reports.page.graph_structure_page import write_graph_structure
+            from bundle.reports.page.graph_page import write_graph_structure
 
             progress.stage(f"writing {shown(arguments.html)}")
             write_graph_structure(found, graph, arguments.html, name=str(source))

@@ -36,7 +36,7 @@ from bundle.interface.pose_graph_options import LoopOptions
 from bundle.interface.round_options import CheckpointOptions, LocalOptions, RoundOptions
 from bundle.io.open import save
 from bundle.reports.terminal.refine import refinement
-from bundle.reports.terminal.timing import WallTime
+from bundle.reports.terminal.solve_data import WallTime
 from bundle.solving.kept_errors import Edit
 from bundle.solving.request import PartRequest, RunPlan, SolveRequest
 from bundle.solving.rounds import solve_rounds

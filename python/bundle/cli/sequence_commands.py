@@ -16,7 +16,7 @@ from bundle.cli.progress import Progress
 from bundle.cli.recording_flags import RECORDING, refuse_recording_flags
 from bundle.errors import InputError, shown
 from bundle.inertial.tracking.sequence_axes import axes_findings
-from bundle.inertial.vio.sequence_statistics import sequence_statistics
+from bundle.inertial.vio.odometry import sequence_statistics
 from bundle.interface.finding import Finding
 from bundle.interface.window_options import TrackingOptions
 from bundle.io.recognition import Kind, is_recording, sequence_format
@@ -30,7 +30,7 @@ from bundle.model.sequence.sequence import Sequence
 from bundle.model.sequence.sequence_findings import SequenceFinding
 from bundle.reports.sections import Report
 from bundle.reports.terminal.convert import converted_sequence
-from bundle.reports.terminal.sequence_tables import described_sequence
+from bundle.reports.terminal.tracking import described_sequence
 
 if TYPE_CHECKING:
     from bundle.inertial.tracking.track_recording import Tracking

@@ -18,7 +18,7 @@ from bundle.cli.sequence_commands import given_sequence
 from bundle.cli.standard_streams import complain
 from bundle.errors import InputError, shown
 from bundle.inertial.tracking.sequence_axes import explanations
-from bundle.inertial.two_loops.closure_files import load_closures
+from bundle.inertial.two_loops.closure_loop import load_closures
 from bundle.inertial.two_loops.replay import TwoLoopsResult, run_two_loops
 from bundle.inertial.vio.keyframe_record import KeyframeRecord
 from bundle.inertial.vio.odometry import OdometryResult, run_odometry
@@ -29,8 +29,7 @@ from bundle.io.atomic import atomic_write as atomic
 from bundle.io.recognition import sequence_format
 from bundle.io.sequences.trajectory_files import load_trajectory, save_tum
 from bundle.model.sequence.sequence import Sequence
-from bundle.reports.terminal.two_loops_tables import with_loops
-from bundle.reports.terminal.vio import odometry_report, telemetry_lines
+from bundle.reports.terminal.vio import odometry_report, telemetry_lines, with_loops
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -17,7 +17,7 @@ from bundle.interface.option_class import Options, documented
 from bundle.interface.option_fields import option
 
 SCENES = ("street", "orbit", "photo_collection", "drone_grid")
-# Models for which intrinsics.py can draw realistic parameters.
+# Models for which ``synthetic.scene`` can draw realistic parameters.
 CAMERA_MODELS = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV")
 CAMERAS = ("auto", "shared", "individual")
 MIN_OBSERVATIONS_PER_IMAGE = 20

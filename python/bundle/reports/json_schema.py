@@ -38,7 +38,7 @@ _DEFINED = {
     "summary": "interface.summary.Summary",
     "finding": "interface.finding.Finding",
     "reprojection_error": "model.reprojection.ReprojectionError",
-    "cause": "judging.triage.cause_words.TriageCause",
+    "cause": "judging.triage.triage_result.TriageCause",
     "environment": "interface.environment.Environment",
     "tracking": "inertial.tracking.track_recording.Tracking",
 }

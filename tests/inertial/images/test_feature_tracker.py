@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from bundle.inertial.tracking.feature_tracker import CHECKS, FeatureTracker
-from bundle.inertial.tracking.usable_pixels import BORDER, usable_pixels
+from bundle.inertial.tracking.feature_tracker import BORDER, CHECKS, FeatureTracker, usable_pixels
 from bundle.interface.window_options import TrackingOptions
 from bundle.model.sequence.calibration import Calibration
 from tests.inertial.images.rendered_flight import FISHEYE, PINHOLE

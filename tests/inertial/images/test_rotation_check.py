@@ -11,8 +11,7 @@ from scipy.spatial.transform import Rotation
 from bundle.inertial.tracking import track_recording as tracks
 from bundle.inertial.tracking.feature_tracker import Turn
 from bundle.inertial.tracking.relative_rotation import refined_rotation
-from bundle.inertial.tracking.rotation_check import check_rotations
-from bundle.inertial.tracking.tracking_findings import tracking_findings
+from bundle.inertial.tracking.rotation_check import check_rotations, tracking_findings
 from bundle.interface.window_options import TrackingOptions
 from bundle.io.sequences.recordings import read_mav
 from bundle.model.sequence.sequence import Recording

@@ -13,9 +13,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from bundle.cli.main import main
-from bundle.inertial.tracking import force_check, sequence_axes, track_turns
-from bundle.inertial.tracking.force_check import CLEAR, GIVEN, _Start
-from bundle.inertial.tracking.sequence_axes import axes_findings, explanations
+from bundle.inertial.tracking import sequence_axes, track_turns
+from bundle.inertial.tracking.sequence_axes import CLEAR, GIVEN, _Start, axes_findings, explanations
 from bundle.inertial.tracking.track_turns import turns_of_tracks
 from bundle.inertial.vio.sequence_images import SequenceImages
 from bundle.inertial.vio.trajectory_comparison import states_at
@@ -34,7 +33,7 @@ def flight() -> SyntheticFlight:
 def few(monkeypatch: pytest.MonkeyPatch) -> None:
     """Fewer pairs of images and spans: enough here, and quick."""
     monkeypatch.setattr(sequence_axes, "MANY", 70)
-    monkeypatch.setattr(force_check, "SPANS", 3)
+    monkeypatch.setattr(sequence_axes, "SPANS", 3)
 
 
 def changed(flight: SyntheticFlight, gyro: Any = (1, 1, 1), accel: Any = (1, 1, 1)) -> Sequence:
@@ -159,7 +158,7 @@ def test_signs_of_a_span_are_clear_by_a_likelihood_ratio(
             signs: start._replace(misfit=variance * start.misfit, freedom=100)
             for signs, start in starts.items()
         }
-        assert force_check._clear_signs(scaled) == expected
+        assert sequence_axes._clear_signs(scaled) == expected
 
 
 UNCLEAR = None
@@ -196,14 +195,14 @@ def test_two_spans_name_the_signs_unless_one_before_contradicts(
             return _Start("", given[1] if best == GIVEN else 0.0, 1.0)
         return _Start(*given, misfit=2.0 if best is UNCLEAR else 100.0)
 
-    monkeypatch.setattr(force_check, "_spans", lambda _: iter(spans))
-    monkeypatch.setattr(force_check, "_start", start)
+    monkeypatch.setattr(sequence_axes, "_spans", lambda _: iter(spans))
+    monkeypatch.setattr(sequence_axes, "_start", start)
     monkeypatch.setattr(
-        force_check, "SequenceImages", lambda given: SimpleNamespace(sequence=given)
+        sequence_axes, "SequenceImages", lambda given: SimpleNamespace(sequence=given)
     )
     images: Any = SimpleNamespace(sequence=Given(np.ones(3)))
-    assert force_check.right_signs(images, is_gross=True) == gross
-    assert force_check.right_signs(images) == after
+    assert sequence_axes.right_signs(images, is_gross=True) == gross
+    assert sequence_axes.right_signs(images) == after
 
 
 @pytest.mark.parametrize("milliseconds", [-100, 30, 130])

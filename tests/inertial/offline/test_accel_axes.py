@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bundle.inertial.offline import accel_axes as module
+from bundle.inertial.offline import rotation_map as module
 from bundle.inertial.offline.inertial_start import InertialStart
 from bundle.inertial.vio.window_frame import ImuInterval
 

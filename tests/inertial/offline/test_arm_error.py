@@ -5,10 +5,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import bundle
-from bundle.inertial.offline.arm_error import POSITION_SIGMA, ArmError, _covariance, arm_error
 from bundle.inertial.offline.image_intervals import ImageIntervals
 from bundle.inertial.offline.inertial_result import ImuSamples
 from bundle.inertial.offline.inertial_start import preintegrated
+from bundle.inertial.offline.path_tests import POSITION_SIGMA, ArmError, _covariance, arm_error
 from bundle.inertial.vio.trajectory_comparison import states_at
 from bundle.model.sequence.calibration import ImuNoise
 

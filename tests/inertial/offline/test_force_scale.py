@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import bundle
-from bundle.inertial.offline.force_scale import STEP, ForceScale, LeastCost, few_steps
+from bundle.inertial.offline.path_tests import STEP, ForceScale, LeastCost, few_steps
 
 POSITIONS = np.array([[0.0, 0, 1], [4, 0, 1], [0, 6, 1], [4, 6, 9]])
 

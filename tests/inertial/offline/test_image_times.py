@@ -3,7 +3,7 @@
 import pytest
 
 from bundle import InputError
-from bundle.inertial.offline.image_times import read_image_times
+from bundle.inertial.offline.image_intervals import read_image_times
 from tests.scenes import make_problem
 
 

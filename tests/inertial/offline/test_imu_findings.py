@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from bundle.inertial.offline.arm_error import ArmError
 from bundle.inertial.offline.clock_offset import ClockOffset
-from bundle.inertial.offline.force_scale import ForceScale
 from bundle.inertial.offline.imu_agreement import Agreement, ClockErrors
 from bundle.inertial.offline.imu_findings import Evidence, imu_findings
+from bundle.inertial.offline.path_tests import ArmError, ForceScale
 from bundle.inertial.offline.rotation_map import RotationMap
 from bundle.model.sequence.sequence_findings import BadStretch
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import bundle
-from bundle.inertial.preintegration.repropagation import first_order_error
+from bundle.inertial.preintegration.preintegration import first_order_error
 from tests.inertial.preintegration import recursion
 
 NOISE = bundle.ImuNoise(1.7e-4, 2e-3, 2e-5, 3e-3)

@@ -7,7 +7,7 @@ import threading
 
 import pytest
 
-from bundle.inertial.two_loops.deadline_priority import deadline_priority
+from bundle.inertial.two_loops.loop_thread import deadline_priority
 
 linux = pytest.mark.skipif(sys.platform != "linux", reason="schedules are Linux's")
 

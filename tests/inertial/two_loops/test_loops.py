@@ -9,8 +9,8 @@ import pytest
 import bundle
 from bundle import InputError
 from bundle.inertial.two_loops.closure_loop import Closure, Keyframe
+from bundle.inertial.two_loops.loop_thread import Ring
 from bundle.inertial.two_loops.pose_publisher import Solution
-from bundle.inertial.two_loops.ring import Ring
 from bundle.inertial.two_loops.yaw_motion import YawMotion
 from tests.inertial.two_loops.motion import KEYFRAME_EVERY, PERIOD_NS, Flight, drifted
 

@@ -12,8 +12,7 @@ import pytest
 import bundle
 from bundle import InputError
 from bundle.cli.main import main
-from bundle.inertial.two_loops.closure_files import load_closures
-from bundle.inertial.two_loops.closure_loop import Closure, ClosureLoop
+from bundle.inertial.two_loops.closure_loop import Closure, ClosureLoop, load_closures
 from bundle.inertial.two_loops.process_solver import ProcessSolver
 from bundle.inertial.two_loops.replay import run_two_loops
 from bundle.inertial.two_loops.yaw_motion import YawMotion

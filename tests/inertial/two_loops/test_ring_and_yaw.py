@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from bundle import InputError
-from bundle.inertial.two_loops.ring import Ring
+from bundle.inertial.two_loops.loop_thread import Ring
 from bundle.inertial.two_loops.yaw_motion import YawMotion
 
 

@@ -14,9 +14,9 @@ from scipy.spatial.transform import Rotation
 from bundle import _core
 from bundle.cli.main import main
 from bundle.errors import InputError
+from bundle.inertial.vio.initialize import find_static_start
 from bundle.inertial.vio.odometry import run_odometry
 from bundle.inertial.vio.sequence_images import ImuSlices, SequenceImages
-from bundle.inertial.vio.static_start import find_static_start
 from bundle.inertial.vio.trajectory_comparison import compare_trajectories
 from bundle.io.sequences.sequence_folder import read_track_csv, save_sequence
 from bundle.io.sequences.trajectory_files import load_tum

@@ -11,7 +11,7 @@ import pytest
 
 import bundle
 from bundle.cli.main import main
-from bundle.inertial.vio.sequence_statistics import sequence_statistics
+from bundle.inertial.vio.odometry import sequence_statistics
 from bundle.inertial.vio.trajectory_comparison import states_at
 from bundle.io.sequences.sequence_folder import load_sequence, read_track_csv
 from bundle.io.sequences.trajectory_files import load_ground_truth

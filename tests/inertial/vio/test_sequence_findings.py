@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bundle.inertial.vio.sequence_statistics import sequence_statistics
+from bundle.inertial.vio.odometry import sequence_statistics
 from bundle.model.sequence.sequence import Sequence
 from bundle.model.sequence.sequence_findings import SequenceFinding, sequence_findings
 from tests.inertial.vio.sequences import NOISE, START, calibration, sequence

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from bundle.inertial.vio.initialize import find_static_start, rest_at_start
+from bundle.inertial.vio.odometry import sequence_statistics
 from bundle.inertial.vio.sequence_images import SequenceImages
-from bundle.inertial.vio.sequence_statistics import sequence_statistics
-from bundle.inertial.vio.static_start import find_static_start, rest_at_start
 from tests.inertial.vio.sequences import START, calibration, sequence
 
 

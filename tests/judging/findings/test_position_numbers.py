@@ -10,8 +10,7 @@ from scipy.spatial.transform import Rotation
 from bundle import PositionPrior
 from bundle.judging.findings.measured import Measured
 from bundle.judging.findings.next_command import NextCommand
-from bundle.judging.findings.position_sigmas import _sums
-from bundle.judging.findings.positions import is_tense, measured_positions, scale_drift
+from bundle.judging.findings.positions import _sums, is_tense, measured_positions, scale_drift
 from tests.georeference.test_attitude_priors import upright_and_turned
 
 ARM = np.array([0.3, -0.2, 0.5])

@@ -9,7 +9,7 @@ import bundle
 from bundle.judging.findings.find import find
 from bundle.judging.findings.measured import Measured
 from bundle.judging.findings.next_command import NextCommand
-from bundle.judging.findings.position_sigmas import sigma_factors
+from bundle.judging.findings.positions import sigma_factors
 from tests.campaigns.findings import make
 
 HORIZONTAL, VERTICAL = 0.3, 3.0

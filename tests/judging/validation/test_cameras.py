@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 import bundle
 from bundle.judging.findings.larger_lens import Step
 from bundle.judging.validation.judgement import _distance
-from bundle.judging.validation.position_certainty import certainty
+from bundle.judging.validation.known_positions import certainty
 from bundle.solving.executors import solve_prepared
 from bundle.solving.prepare import prepare
 from bundle.solving.request import SolveRequest

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bundle import SolveOptions
-from bundle.judging.validation.information_criteria import dispersion, information_criteria
+from bundle.judging.validation.prediction import dispersion, information_criteria
 
 
 def test_dispersion_of_the_trivial_loss_is_the_variance():

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import bundle
-from bundle.judging.validation.position_certainty import certainty, position_sigmas
+from bundle.judging.validation.known_positions import certainty, position_sigmas
 from bundle.solving.executors import solve_prepared
 from bundle.solving.prepare import prepare
 from bundle.solving.request import SolveRequest

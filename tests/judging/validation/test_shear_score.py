@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 import bundle
-from bundle.judging.validation import shear_score as module
-from bundle.judging.validation.row_test import row_test
-from bundle.judging.validation.shear_score import shear_score
+from bundle.judging.validation import row_test as module
+from bundle.judging.validation.row_test import row_test, shear_score
 from bundle.model import point_elimination
 from bundle.model.cameras import param_kinds
 from bundle.model.reprojection import linearize, residuals

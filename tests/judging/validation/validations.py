@@ -4,8 +4,7 @@ import numpy as np
 
 from bundle.judging.validation.decision import DecisionRule, decide
 from bundle.judging.validation.row_test import RowTest
-from bundle.judging.validation.validation_result import ValidatedCandidate, Validation
-from bundle.judging.validation.verdict import verdict_of
+from bundle.judging.validation.validation_result import ValidatedCandidate, Validation, verdict_of
 from tests.scenes import make_problem
 
 LENSES = (

@@ -13,8 +13,8 @@ import pytest
 from bundle import SolveOptions
 from bundle.planning.inspection.inspection_result import Inspection, MethodInspection
 from bundle.planning.inspection.rank_prediction import find_rank_limit
+from bundle.reports.page.elimination_player import best_connected, image_graph, spread
 from bundle.reports.page.inspection_page import write_inspection
-from bundle.reports.page.subgraph import best_connected, image_graph, spread
 from tests.planning.inspection.test_rank_limit import row
 from tests.reports.page.browser import check_nothing_is_clipped
 from tests.reports.page.reader import Page, check_self_contained

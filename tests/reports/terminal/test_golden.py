@@ -38,7 +38,7 @@ from bundle.reports.terminal import inspect as inspect_report
 from bundle.reports.terminal import inspect_graph as inspect_graph_report
 from bundle.reports.terminal import validate as validate_report
 from bundle.reports.terminal.screen import laid_out
-from bundle.reports.terminal.timing import WallTime
+from bundle.reports.terminal.solve_data import WallTime
 from bundle.synthetic.synthesis import synthesize
 from tests.figures.matplotlib.comparisons import comparison
 from tests.georeference.blocks import block

@@ -17,8 +17,7 @@ from bundle.reports.terminal import refine
 from bundle.reports.terminal.inputs import about_problem
 from bundle.reports.terminal.refine import refinement
 from bundle.reports.terminal.screen import laid_out
-from bundle.reports.terminal.solve_data import result_data
-from bundle.reports.terminal.timing import WallTime
+from bundle.reports.terminal.solve_data import WallTime, result_data
 from bundle.solving.parameter_changes import CameraChange
 from tests.printed import figures
 from tests.reports.terminal import fakes

@@ -5,8 +5,8 @@ from __future__ import annotations
 from types import SimpleNamespace
 
 from bundle.base.tables import render
-from bundle.reports.terminal.constraint_tables import MOST_ROWS, constraint_sections
 from bundle.reports.terminal.screen import laid_out
+from bundle.reports.terminal.solve_tables import MOST_ROWS, constraint_sections
 
 
 def prior(pull):

@@ -34,18 +34,20 @@ from bundle.georeference.pose_alignment import align_centers
 from bundle.georeference.similarity import Similarity, moved
 from bundle.graphs.factors.factors import Factor, RelativePoseFactor
 from bundle.graphs.factors.image_factors import DOWN, DirectionFactor
-from bundle.inertial.offline.accel_axes import accel_axes
-from bundle.inertial.offline.arm_error import ArmError, arm_error
 from bundle.inertial.offline.clock_offset import ClockOffset
-from bundle.inertial.offline.force_scale import ForceScale, LeastCost, few_steps
 from bundle.inertial.offline.image_intervals import RULES, ImageIntervals, likely_kinds
 from bundle.inertial.offline.imu_agreement import Agreement, noise_ratios, quietest_ratio
-from bundle.inertial.offline.imu_bodies import ImuBodies
 from bundle.inertial.offline.imu_findings import LONG_ARM, Evidence, imu_findings
 from bundle.inertial.offline.inertial_result import ImuSamples, InertialAdjustment
 from bundle.inertial.offline.inertial_start import InertialStart, preintegrated
-from bundle.inertial.offline.motion_solve import GRAVITY, MotionState, solved_with_motions
-from bundle.inertial.offline.rotation_map import RotationMap, axes_sentence
+from bundle.inertial.offline.motion_solve import (
+    GRAVITY,
+    ImuBodies,
+    MotionState,
+    solved_with_motions,
+)
+from bundle.inertial.offline.path_tests import ArmError, ForceScale, LeastCost, arm_error, few_steps
+from bundle.inertial.offline.rotation_map import RotationMap, accel_axes, axes_sentence
 from bundle.inertial.offline.upright_start import to_priors, upright_start
 from bundle.inertial.preintegration.preintegration import Preintegration
 from bundle.inertial.vio.window_frame import ImuInterval

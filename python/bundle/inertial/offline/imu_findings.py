@@ -9,9 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.base.words import plural
-from bundle.inertial.offline.arm_error import ArmError
 from bundle.inertial.offline.clock_offset import ClockOffset
-from bundle.inertial.offline.force_scale import ForceScale
 from bundle.inertial.offline.imu_agreement import (
     DRIFT,
     DRIFT_SIGMAS,
@@ -21,6 +19,7 @@ from bundle.inertial.offline.imu_agreement import (
     Agreement,
     ClockErrors,
 )
+from bundle.inertial.offline.path_tests import ArmError, ForceScale
 from bundle.inertial.offline.rotation_map import RotationMap
 from bundle.model.rigid_motions import (
     quaternion_from_matrix,

@@ -21,9 +21,8 @@ from bundle.georeference.problem_attitudes import ProblemAttitudes
 from bundle.georeference.similarity import Similarity
 from bundle.georeference.similarity_fit import Correspondences
 from bundle.georeference.target_priors import TargetPriors
-from bundle.inertial.offline.imu_bodies import ImuBodies
 from bundle.inertial.offline.inertial_start import InertialStart, solve_inertial_start
-from bundle.inertial.offline.motion_solve import GRAVITY
+from bundle.inertial.offline.motion_solve import GRAVITY, ImuBodies
 from bundle.inertial.vio.window_frame import ImuInterval
 from bundle.model.problem import Problem
 from bundle.model.sequence.calibration import ImuNoise

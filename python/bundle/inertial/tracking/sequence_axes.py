@@ -7,14 +7,24 @@ After an odometry that failed or had alarms, all tests search its cause.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import product
+from typing import NamedTuple
+
 import numpy as np
 
 from bundle.errors import shown
-from bundle.inertial.tracking.force_check import Signs, right_signs
-from bundle.inertial.tracking.rotation_check import check_rotations, share_unexplained
+from bundle.inertial.tracking.rotation_check import (
+    check_rotations,
+    share_unexplained,
+    tracking_findings,
+)
 from bundle.inertial.tracking.stamp_jitter import jitter_findings
 from bundle.inertial.tracking.track_turns import turns_of_tracks
-from bundle.inertial.tracking.tracking_findings import tracking_findings
+from bundle.inertial.vio.initialize import SPAN, Span, find_span, objection_to, span_start
+from bundle.inertial.vio.linear_start import ACCEL_BIAS_SIGMA
 from bundle.inertial.vio.sequence_images import SequenceImages
 from bundle.interface.finding import Finding
 from bundle.model.sequence.sequence import Recording, Sequence
@@ -90,4 +100,118 @@ def _recording(sequence: Sequence, path: str) -> Recording:
         notes=(),
         imu_place=lambda _: f"{shown(path)}: IMU",
         image_place=lambda _: shown(path),
+    )
+
+
+# Signs of the accelerometer's axes, by the linear start of several spans.
+#
+# The linear start determines velocity, gravity and depths in metres from tracks and samples. It
+# does not know that points are in front of the camera. If all forces have the wrong sign, or those
+# along gravity, the same motion mirrored at the first image explains gravity and parallax:
+# velocities and depths are negative, those of nearly all points in every span with an acceleration.
+#
+# If other axes are reversed, the start may pass all its tests: a gentle motion along one axis is
+# small beside gravity. The tracks then decide among the eight signs. With e the errors of n
+# observations in sigmas, m points, and a bias a with the prior deviation s,
+#
+#     L(signs) = C / v + |a|^2 / s^2,   C = sum log(1 + |e|^2),   v = least C / (2 n - 3 m - 11)
+#
+# is twice the negative log-likelihood. Under the right signs, a likelihood ratio has the
+# expectation 1, so that one of seven others is better by 2 log(7 / p) with a probability of at most
+# p (Markov). Two spans that prefer the same signs by this much name the axes, unless one before
+# them prefers others or the given ones.
+
+BEHIND = 0.95  # share of points behind the camera, from which forces along gravity are reversed
+SPANS = 6
+AGREE = 2  # spans that decide
+NO_PARALLAX = "no parallax"
+STANDARD_GRAVITY = 9.81
+FALSE_ALARM = 1e-4  # in a span
+CLEAR = 2 * math.log(7 / FALSE_ALARM)
+GIVEN = (1, 1, 1)
+
+Signs = tuple[int, ...]
+
+
+class _Start(NamedTuple):
+    """Linear start of a span.
+
+    Attributes:
+        objection: the test that it fails.
+        behind: share of points behind the camera.
+        misfit: C.
+        prior: |a|^2 / s^2.
+        freedom: 2 n - 3 m - 11.
+    """
+
+    objection: str
+    behind: float
+    misfit: float = 0.0
+    prior: float = 0.0
+    freedom: int = 1
+
+
+def right_signs(images: SequenceImages, is_gross: bool = False) -> Signs | None:
+    """Return signs of the accelerometer's axes that explain spans better than the given ones.
+
+    Args:
+        images: images and samples.
+        is_gross: compare only spans whose points are behind the camera; end at a span that passes.
+    """
+    changed: dict[Signs, SequenceImages] = {}
+    for each in product((1, -1), repeat=3):
+        accel = images.sequence.accel * np.array(each, np.float64)
+        changed[each] = SequenceImages(replace(images.sequence, accel=accel))
+    found: list[Signs] = []
+    for span in _spans(images):
+        starts: dict[Signs, _Start] = {GIVEN: _start(changed[GIVEN], span)}
+        objection, behind = starts[GIVEN][:2]
+        if is_gross and not objection:
+            return None
+        if objection == NO_PARALLAX or (is_gross and behind < BEHIND):
+            continue
+        starts |= {signs: _start(changed[signs], span) for signs in changed if signs != GIVEN}
+        best = _clear_signs(starts)
+        if best is None:
+            continue
+        found.append(best)
+        if best == GIVEN or best != found[0]:
+            return None
+        if len(found) == AGREE:
+            return best
+    return None
+
+
+def _clear_signs(starts: dict[Signs, _Start]) -> Signs | None:
+    """Return the signs that explain a span better than all others, if they pass its tests."""
+    least = min(starts.values(), key=lambda start: start.misfit)
+    variance = max(least.misfit / max(least.freedom, 1), 1e-12)
+    costs = {signs: start.misfit / variance + start.prior for signs, start in starts.items()}
+    best, second = sorted(costs, key=costs.__getitem__)[:2]
+    is_clear = costs[second] - costs[best] > CLEAR and not starts[best].objection
+    return best if is_clear else None
+
+
+def _spans(images: SequenceImages) -> Iterator[Span]:
+    """Yield spans spread over the sequence, the last one first: vehicles begin at rest."""
+    stamps, covered = images.stamps, np.flatnonzero(images.covered)
+    first, last = int(stamps[covered[0]]), int(stamps[covered[-1]] - 1e9 * SPAN)
+    for stamp in np.linspace(last, first, SPANS).round() if last > first else ():
+        span = find_span(images, int(np.searchsorted(stamps, stamp)), int(covered[-1]))
+        if span is not None:
+            yield span
+
+
+def _start(images: SequenceImages, span: Span) -> _Start:
+    calibration = images.sequence.calibration
+    found = span_start(images, span, STANDARD_GRAVITY, "zero_order_hold")
+    sigma = calibration.pixel_sigma / calibration.focal
+    errors = np.sum(((found.predicted - span.seen.xy) / sigma) ** 2, axis=1)
+    misfit = float(np.log1p(errors).sum())
+    return _Start(
+        objection=objection_to(found, span, calibration),
+        behind=float(np.mean(found.depths <= 0)),
+        misfit=misfit if math.isfinite(misfit) else math.inf,
+        prior=float(found.accel_bias @ found.accel_bias) / ACCEL_BIAS_SIGMA**2,
+        freedom=2 * len(errors) - 3 * len(span.track_ids) - 11,
     )

@@ -6,9 +6,9 @@ import os
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
+from bundle.inertial.tracking.rotation_check import tracking_findings
 from bundle.inertial.tracking.stamp_jitter import jitter_findings
 from bundle.inertial.tracking.track_recording import Tracking, track_recording
-from bundle.inertial.tracking.tracking_findings import tracking_findings
 from bundle.inertial.vio.sequence_images import SequenceImages
 from bundle.interface.finding import Finding
 from bundle.interface.window_options import TrackingOptions

@@ -5,13 +5,11 @@ and a :class:`ClosureLoop` solve on their own threads. They put results with tim
 and the publisher uses the newest. :func:`run_two_loops` replays a sequence through all three.
 """
 
-from bundle.inertial.two_loops.closure_files import load_closures
-from bundle.inertial.two_loops.closure_loop import Closure, ClosureLoop, Keyframe
-from bundle.inertial.two_loops.deadline_priority import deadline_priority
+from bundle.inertial.two_loops.closure_loop import Closure, ClosureLoop, Keyframe, load_closures
+from bundle.inertial.two_loops.loop_thread import Ring, deadline_priority
 from bundle.inertial.two_loops.pose_publisher import PosePublisher, PublishedPose, Solution
 from bundle.inertial.two_loops.process_solver import ProcessSolver
 from bundle.inertial.two_loops.replay import LoopStatistics, TwoLoopsResult, run_two_loops
-from bundle.inertial.two_loops.ring import Ring
 from bundle.inertial.two_loops.window_loop import WindowLoop
 from bundle.inertial.two_loops.yaw_motion import Correction, YawMotion
 

@@ -29,7 +29,7 @@ from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
 from bundle.errors import InputError
 from bundle.inertial.preintegration.preintegration import as_vector
-from bundle.inertial.two_loops.ring import Ring
+from bundle.inertial.two_loops.loop_thread import Ring
 from bundle.inertial.two_loops.yaw_motion import Correction, YawMotion
 from bundle.interface.option_fields import number
 

@@ -22,11 +22,10 @@ from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
 from bundle.errors import InputError
 from bundle.inertial.two_loops.closure_loop import Closure, ClosureLoop
-from bundle.inertial.two_loops.deadline_priority import deadline_priority
+from bundle.inertial.two_loops.loop_thread import deadline_priority
 from bundle.inertial.two_loops.pose_publisher import PosePublisher
 from bundle.inertial.two_loops.process_solver import ProcessSolver
-from bundle.inertial.two_loops.window_driver import WindowDriver
-from bundle.inertial.two_loops.window_loop import WindowLoop
+from bundle.inertial.two_loops.window_loop import WindowDriver, WindowLoop
 from bundle.inertial.two_loops.yaw_motion import YawMotion
 from bundle.inertial.vio.odometry import OdometryResult
 from bundle.inertial.vio.window_run import WindowRun

@@ -1,7 +1,7 @@
 """Errors of an estimated trajectory relative to ground truth.
 
 Ground truth is interpolated at the stamps of the estimate: positions linearly, rotations along the
-shortest arc. Errors (``model.pose_errors``) are computed after two alignments
+shortest arc. Errors (``model.pose_table``) are computed after two alignments
 (``georeference.pose_alignment``):
 
 * all six degrees of freedom: papers report this absolute trajectory error; its variant with a free

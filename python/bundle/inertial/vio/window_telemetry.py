@@ -12,8 +12,7 @@ from bundle.inertial.vio.keyframe_record import KeyframeRecord
 from bundle.inertial.vio.landmark_table import LandmarkTable
 from bundle.inertial.vio.window_alarms import WindowAlarms
 from bundle.inertial.vio.window_contents import WindowContents
-from bundle.inertial.vio.window_frame import WindowFrame
-from bundle.inertial.vio.window_sizes import window_sizes
+from bundle.inertial.vio.window_frame import WindowFrame, window_sizes
 from bundle.model.rigid_motions import (
     quaternion_inverse,
     quaternion_multiply,

@@ -33,9 +33,8 @@ from bundle.judging.evaluation.lens_difference import lens_differences
 from bundle.judging.evaluation.movement_in_sigmas import SigmaMovement, movement_in_sigmas
 from bundle.judging.evaluation.pair_errors import MOST_IMAGES as MOST_IN_PAIRS
 from bundle.judging.evaluation.pair_errors import pair_errors
-from bundle.judging.evaluation.sentences import headline_of
 from bundle.judging.evaluation.shared_points import point_difference, shared_points
-from bundle.judging.evaluation.verdict_word import Compared, findings_of, word_of
+from bundle.judging.evaluation.verdict_word import Compared, findings_of, headline_of, word_of
 from bundle.model.pose_table import (
     ErrorStatistics,
     PoseTable,

@@ -15,11 +15,10 @@ from bundle.base.words import number
 from bundle.errors import InputError, shown
 from bundle.interface.judging_options import TriageOptions
 from bundle.interface.option_class import takes_options
-from bundle.judging.triage.cause_words import TriageCause
 from bundle.judging.triage.causes import CAUSES, causes_of
 from bundle.judging.triage.difference import THREADS, Difference
 from bundle.judging.triage.solve_report import SolveReport, read_report, same_input
-from bundle.judging.triage.triage_result import Quantity, Triage
+from bundle.judging.triage.triage_result import Quantity, Triage, TriageCause
 
 QUANTITIES = (
     "columns",

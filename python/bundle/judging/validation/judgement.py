@@ -19,11 +19,19 @@ from bundle.judging.findings.images import GAIN, price_of, shutter_gain
 from bundle.judging.validation.candidate_fits import CandidateFit, Fitting
 from bundle.judging.validation.candidates import groups_of, is_shared
 from bundle.judging.validation.decision import Cameras, Decision, DecisionRule, decide
-from bundle.judging.validation.information_criteria import dispersion, information_criteria
-from bundle.judging.validation.known_positions import KnownErrors, known_errors
-from bundle.judging.validation.position_certainty import Certainty, certainty
-from bundle.judging.validation.prediction import normalized_errors, prediction_covariances
-from bundle.judging.validation.refine_command import refine_command
+from bundle.judging.validation.known_positions import (
+    Certainty,
+    KnownErrors,
+    certainty,
+    known_errors,
+)
+from bundle.judging.validation.prediction import (
+    dispersion,
+    information_criteria,
+    normalized_errors,
+    prediction_covariances,
+    refine_command,
+)
 from bundle.judging.validation.rolling_fits import (
     are_clearly_worse,
     measured,
@@ -32,8 +40,7 @@ from bundle.judging.validation.rolling_fits import (
     rolling_fits,
 )
 from bundle.judging.validation.row_test import RowTest, row_test
-from bundle.judging.validation.validation_result import ValidatedCandidate, Validation
-from bundle.judging.validation.verdict import verdict_of
+from bundle.judging.validation.validation_result import ValidatedCandidate, Validation, verdict_of
 from bundle.model.cameras import param_kinds
 from bundle.model.folds import are_repeated
 from bundle.model.problem import Problem

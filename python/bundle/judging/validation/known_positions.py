@@ -1,4 +1,4 @@
-"""Errors of a fit at check points and measured positions, which judge it better than pixels.
+"""Errors of a fit at check points and measured positions, and certainty of its positions.
 
 Check points do not influence the fit. Measured positions of images are priors of the fit: their
 residuals tell whether positions and pixels agree, but a fit with more parameters agrees more.
@@ -10,9 +10,18 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from bundle.analysis.uncertainty.covariance_by_input import covariance
+from bundle.errors import InputError
+from bundle.judging.findings.larger_lens import Step
+from bundle.model.problem import Problem
+from bundle.model.problem_keys import touched_ids
+from bundle.model.reprojection import residuals
+from bundle.model.rigid_motions import cross_matrices, rotation_matrices
 from bundle.solving.prepare import Prepared
 from bundle.solving.result import Result
+from bundle.solving.rounds.filtering import filter_observations
 
 if TYPE_CHECKING:
     from bundle.solving.placed_problem import Prior
@@ -51,3 +60,110 @@ def _rms(residuals: np.ndarray) -> float:
     if not known.any():
         return float("nan")
     return float(np.sqrt(np.nansum(residuals**2) / known.sum()))
+
+
+# Certainty of camera positions in a fit, and the number of parameters that it determines.
+#
+# The centre of an image is C = -R^T t. For the pose (Exp(w) R, t + dt) it changes by
+#
+#     dC = -R^T (dt - w x t) = -R^T (dt + [t]_x w),
+#
+# so that the covariance of C is A P A^T with A = R^T [[t]_x, I] and the covariance P of (w, dt).
+# The sigma of a position is the root mean square over the three axes, sqrt(trace / 3), in the unit
+# of the model. It is relative to the inner gauge, the mean of cameras and points. A few points of
+# huge uncertainty, far away or from wrong matches, would decide this mean. The covariance therefore
+# leaves out observations beyond 8 times the median error and points with little parallax, which
+# hardly tell where a camera is.
+
+LARGEST_ERROR = 8.0
+"""Largest error of an observation, in medians of the errors."""
+
+SMALLEST_ANGLES = (5.0, 1.5)
+"""Smallest parallax of a point in degrees: the first that leaves half of the observations."""
+
+
+class Certainty(NamedTuple):
+    """Certainty of a fit.
+
+    Attributes:
+        position_sigma: median over the images of the sigma of a position; NaN if not computed.
+        num_parameters: number of parameters that the fit determines, by rank; 0 if not computed.
+        camera_sigma: rms standard deviation of the centres, all axes together, without a free
+            similarity; NaN if not computed.
+        note: reason why the values are not computed.
+    """
+
+    position_sigma: float
+    num_parameters: int
+    camera_sigma: float = float("nan")
+    note: str = ""
+
+
+def certainty(prepared: Prepared, full: Result) -> Certainty:
+    """Return the certainty of a fit to all observations."""
+    try:
+        sound = _sound(prepared, full)
+        found = covariance(
+            sound,
+            full.options,
+            of=("poses",),
+            scale="sigma0",
+            factors=prepared.factors,
+            constraints=() if prepared.applied is None else prepared.applied,  # type: ignore[arg-type]
+        )
+    except InputError as error:
+        return Certainty(float("nan"), 0, note=str(error))
+    sigmas = position_sigmas(sound, found.pose_covariance)
+    moves = sigmas[sigmas > 0]
+    removed = full.problem.num_observations - sound.num_observations
+    dependent = sum(factor.dependent_residuals for factor in prepared.factors)
+    determined = full.summary.num_residuals - 2 * removed - dependent - found.dof
+    return Certainty(
+        position_sigma=float(np.median(moves)) if len(moves) else 0.0,
+        num_parameters=determined + 3 * (full.problem.num_points - sound.num_points),
+        camera_sigma=_camera_sigma(prepared, full),
+    )
+
+
+def _camera_sigma(prepared: Prepared, full: Result) -> float:
+    """Return the standard deviation of the cameras among each other; NaN with rules, which tie."""
+    if prepared.applied is not None:
+        return float("nan")
+    try:
+        return Step(prepared.placed.taken_from(full.problem), full.options).position_sigma()
+    except InputError:
+        return float("nan")
+
+
+def _sound(prepared: Prepared, full: Result) -> Problem:
+    """Return the fitted problem without points that would dominate the gauge.
+
+    Factors name points that must stay, control points among them.
+    """
+    known = touched_ids(prepared.factors)["point"]
+    kept = sorted({*known, *prepared.options.fixed_point_ids})
+    lengths = np.hypot(*residuals(full.problem, full.options.cheirality).xy.T)
+    largest = max(LARGEST_ERROR * float(np.nanmedian(lengths)), 1e-6)
+    for angle in SMALLEST_ANGLES:
+        sound = filter_observations(
+            full.problem,
+            largest,
+            angle,
+            kept_point_ids=kept,
+            kept_track_ids=prepared.placed.control_point_ids,
+            num_threads=full.options.num_threads,
+        ).problem
+        if 2 * sound.num_observations >= full.problem.num_observations:
+            return sound
+    return full.problem
+
+
+def position_sigmas(problem: Problem, covariances: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the sigma of each image's position from covariances (n, 6, 6) of poses."""
+    rotations = rotation_matrices(problem.cam_from_world[:, :4])
+    cross = cross_matrices(problem.cam_from_world[:, 4:])
+    both = np.concatenate([cross, np.broadcast_to(np.eye(3), cross.shape)], axis=2)
+    jacobians = rotations.transpose(0, 2, 1) @ both
+    spread = jacobians @ covariances @ jacobians.transpose(0, 2, 1)
+    sigmas: NDArray[np.float64] = np.sqrt(np.trace(spread, axis1=1, axis2=2) / 3)
+    return sigmas

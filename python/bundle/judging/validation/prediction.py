@@ -1,4 +1,4 @@
-"""Normalised errors of held-out observations.
+"""Normalised errors of held-out observations, AIC and BIC, and the command of a candidate.
 
 A held-out residual r of a point X contains the noise of the measurement and the error of X, which
 comes from the noise of the observations that were fitted. With equal noise sigma, poses and lenses
@@ -17,11 +17,18 @@ Observations with a sigma of their own have J and r divided by it.
 
 from __future__ import annotations
 
+import shlex
+
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.editing.camera_sharing import split_cameras
+from bundle.interface.options import SolveOptions
+from bundle.judging.validation.candidates import Candidate, groups_of, tying_rules
+from bundle.model.losses import evaluate_loss
 from bundle.model.problem import Problem
 from bundle.model.reprojection import linearize
+from bundle.planning.comparison.recommendation import command_line
 
 MEDIAN_OF_TWO = 2 * np.log(2.0)
 """Median of the chi-square distribution of two degrees of freedom."""
@@ -88,3 +95,83 @@ def _sums(matrices: _Floats, index: NDArray[np.int32], count: int) -> _Floats:
         for j in range(i, 3):
             sums[:, i, j] = sums[:, j, i] = np.bincount(index, matrices[:, i, j], count)
     return sums
+
+
+# AIC and BIC of candidates from their fits, with the number of parameters by rank.
+#
+# A fit minimises C = 1/2 sum rho(||r||^2). For Gaussian noise with variance s^2 and the trivial
+# loss, -2 log L = 2 C / s^2 + constant, and
+#
+#     AIC = 2 C / s^2 + 2 p,    BIC = 2 C / s^2 + p log n,
+#
+# with p free parameters and n residuals. A robust loss takes the place of the squares; its
+# dispersion takes the place of the variance (Ronchetti 1985, Statistics & Probability Letters 3;
+# Machado 1993, Econometric Theory 9):
+#
+#     s^2 = E[psi^2] / E[psi'],    psi(r) = rho'(||r||^2) r.
+#
+# Both expectations are means over the residuals of the candidate with the most parameters, so that
+# systematic errors of smaller candidates do not count as noise. psi' is the mean over the two
+# directions of the derivative of psi: rho' + rho'' ||r||^2. For the trivial loss s^2 is the mean of
+# r^2 per coordinate. Criteria compare candidates
+# with one loss; each loss has a dispersion of its own.
+
+
+def dispersion(lengths: NDArray[np.float64], options: SolveOptions) -> float:
+    """Return s^2 from the lengths of residuals, in sigmas; NaN lengths do not count."""
+    lengths = lengths[np.isfinite(lengths)]
+    if not len(lengths):
+        return float("nan")
+    squares = lengths**2
+    _, first, second = evaluate_loss(options.loss, options.loss_scale, squares).T
+    slope = np.mean(first + second * squares)
+    return float(np.mean(first**2 * squares) / 2 / slope) if slope > 0 else float("nan")
+
+
+def information_criteria(
+    cost: float, variance: float, num_parameters: int, num_residuals: int
+) -> tuple[float, float]:
+    """Return AIC and BIC, up to a constant that all candidates share."""
+    if not variance > 0:
+        return float("nan"), float("nan")
+    fit = 2 * cost / variance
+    return fit + 2 * num_parameters, fit + num_parameters * float(np.log(num_residuals))
+
+
+def refine_command(
+    problem: Problem,
+    candidate: Candidate,
+    options: SolveOptions,
+    source: str = "INPUT",
+    output: str = "OUTPUT",
+) -> str:
+    """Return the `bundle refine` command of a candidate.
+
+    Args:
+        problem: the input.
+        candidate: the candidate.
+        options: options of its solve, as the user gave them.
+        source: path of the input.
+        output: path of the output.
+    """
+    options = options.replace(loss=candidate.loss, refine=candidate.refine)
+    words = [command_line(options, source, output)]
+    used = {problem.camera_models[camera] for camera in set(problem.image_camera.tolist())}
+    if candidate.camera_model and used != {candidate.camera_model}:
+        words.append(f"--camera-model {candidate.camera_model}")
+    own, wanted = groups_of(problem, "input"), groups_of(problem, candidate.share)
+    if own.tobytes() != wanted.tobytes() or candidate.share == "focal":
+        words.append(_sharing(candidate.share))
+    if problem.format == "bal" and candidate.camera_model not in ("", "RADIAL"):
+        words.append("--format colmap")  # BAL has no other model
+    if candidate.share == "focal":
+        rules = tying_rules(split_cameras(problem), candidate)
+        words += [f"--set {shlex.quote(rule)}" for rule in rules]
+    return " ".join(words)
+
+
+def _sharing(share: str) -> str:
+    """Return the flag that gives the cameras of a sharing."""
+    if share in ("each", "focal"):
+        return "--split-cameras"
+    return f"--share-cameras {share}"

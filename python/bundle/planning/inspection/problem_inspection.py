@@ -25,9 +25,15 @@ from bundle.planning.inspection.factor_graph_inspection import (
     FactorGraphInspection,
     inspect_factor_graph,
 )
-from bundle.planning.inspection.inspection_result import Inspection, MethodInspection
+from bundle.planning.inspection.inspection_result import (
+    Inspection,
+    Method,
+    MethodInspection,
+    all_methods,
+    explain,
+    recommend,
+)
 from bundle.planning.inspection.machine_rates import machine_rates
-from bundle.planning.inspection.methods import Method, all_methods, explain, recommend
 from bundle.planning.inspection.peak_memory import (
     FactorCounter,
     FactorizedSystem,

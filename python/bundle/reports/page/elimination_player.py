@@ -1,16 +1,19 @@
-"""Elimination of a small graph, step by step with a slider."""
+"""Elimination of a small graph or subgraph, step by step with a slider."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from html import escape
+from pathlib import PurePosixPath
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from bundle.analysis.statistics.covisibility import shared_points
+from bundle.model.problem import Problem
 from bundle.reports.page.page import tag
 from bundle.reports.page.table import table
-from bundle.reports.page.vertex_positions import place
 
 if TYPE_CHECKING:
     from bundle.planning.inspection.graph_inspection import EliminationStep, GraphInspection
@@ -147,3 +150,164 @@ def _steps(graph: GraphInspection) -> str:
     rows = [words(number, step) for number, step in enumerate(graph.steps, 1)]
     head = ["eliminated", "step", "meets", "fill", "flops", "fill so far", "flops so far"]
     return table(head, rows, words={2, 3})
+
+
+# Layout of a small graph, with distances in the plane close to distances in the graph.
+#
+# Stress majorisation (Gansner, Koren and North 2004) reduces the sum over pairs of
+# (distance in the plane / distance in the graph - 1)^2 in every round. The graph determines the
+# start, so the same graph always has the same layout. Cycles become circles, and chains
+# become lines.
+
+ROUNDS = 300
+
+
+def place(num_vertices: int, edges: Sequence[tuple[int, int]]) -> NDArray[np.float64]:
+    """Return (num_vertices, 2) positions within the unit square."""
+    if num_vertices < 3:
+        return np.stack([np.linspace(0, 1, num_vertices), np.full(num_vertices, 0.5)], axis=1)
+    distance = _distances(num_vertices, edges)
+    positions = _classical_scaling(distance)
+    np.fill_diagonal(distance, 1.0)
+    weight = distance**-2.0
+    np.fill_diagonal(weight, 0.0)
+    # Weighted Laplacian without its last row and column: a common shift has no effect.
+    laplacian = (np.diag(weight.sum(1)) - weight)[:-1, :-1]
+    for _ in range(ROUNDS):
+        offset = positions[:, None] - positions[None]
+        apart = np.linalg.norm(offset, axis=2)
+        np.fill_diagonal(apart, 1.0)
+        pull = weight * distance / np.maximum(apart, 1e-9)
+        target = (pull[..., None] * offset).sum(1)
+        positions = np.vstack([np.linalg.solve(laplacian, target[:-1]), [0.0, 0.0]])
+    low, high = positions.min(0), positions.max(0)
+    centred: NDArray[np.float64] = (positions - (low + high) / 2) / max((high - low).max(), 1e-9)
+    return centred + 0.5
+
+
+def _distances(num_vertices: int, edges: Sequence[tuple[int, int]]) -> NDArray[np.float64]:
+    """Return graph distances; between components, 0.75 times the largest distance plus 1.5."""
+    distance = np.full((num_vertices, num_vertices), np.inf)
+    for a, b in edges:
+        distance[a, b] = distance[b, a] = 1.0
+    np.fill_diagonal(distance, 0.0)
+    for middle in range(num_vertices):
+        through = distance[:, [middle]] + distance[[middle]]
+        np.minimum(distance, through, out=distance)
+    reached = distance[np.isfinite(distance)].max()
+    distance[np.isinf(distance)] = 0.75 * reached + 1.5
+    return distance
+
+
+def _classical_scaling(distance: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the start by classical scaling (Torgerson 1952), the best plane for the distances.
+
+    Vertices at the same position, such as leaves of a star, are moved slightly apart.
+    """
+    size = len(distance)
+    centring = np.eye(size) - 1.0 / size
+    values, vectors = np.linalg.eigh(-0.5 * centring @ distance**2 @ centring)
+    start = vectors[:, -2:] * np.sqrt(np.maximum(values[-2:], 0.0))
+    angle = 2.0 * np.pi * np.arange(size) / size
+    return np.stack([start[:, 1], start[:, 0]], axis=1) + 0.2 * np.stack(
+        [np.cos(angle), np.sin(angle)], axis=1
+    )
+
+
+# Subgraph of a few images of a problem, small enough for an elimination step by step.
+#
+# Images that share the most points are all connected with each other, so their elimination shows no
+# fill-in. Therefore images are sampled from the whole problem at even steps. The step is as large
+# as possible while the sampled images still share points.
+
+MOST_IMAGES = 24
+# Edges per image that are enough for visible fill-in.
+ENOUGH = 1.5
+
+
+def image_graph(
+    problem: Problem, most: int = MOST_IMAGES
+) -> tuple[list[str], list[tuple[int, int]]]:
+    """Return (names, edges) of up to ``most`` images; empty if no images share a point.
+
+    Images are renumbered in the order of the problem. An edge joins two images that share points,
+    that is, images with a block in S.
+    """
+    low, high, count = shared_points(problem)
+    chosen = spread(low, high, problem.num_images, most)
+    if len(chosen) == 0:
+        chosen = np.sort(best_connected(low, high, count, most))
+    number = {int(image): index for index, image in enumerate(chosen)}
+    inside = _inside(low, high, chosen)
+    edges = [
+        (number[int(a)], number[int(b)]) for a, b in zip(low[inside], high[inside], strict=True)
+    ]
+    return [_name(problem, int(image)) for image in chosen], edges
+
+
+def spread(
+    low: NDArray[np.int64], high: NDArray[np.int64], num_vertices: int, most: int
+) -> NDArray[np.int64]:
+    """Return up to ``most`` vertices at the largest even step that leaves enough edges.
+
+    Args:
+        low: (num_edges,) first vertex of each edge.
+        high: (num_edges,) second vertex of each edge.
+        num_vertices: number of vertices of the whole graph.
+        most: largest number of vertices; vertices without edges to others are omitted.
+
+    Returns:
+        (n,) vertices, ascending; empty if no step leaves enough edges.
+    """
+    step = -(-num_vertices // most)
+    while step > 0:
+        taken = np.arange(0, num_vertices, step)[:most]
+        inside = _inside(low, high, taken)
+        kept = np.unique(np.concatenate([low[inside], high[inside]]))
+        if len(kept) > len(taken) / 2 and inside.sum() >= ENOUGH * len(kept):
+            return kept
+        step //= 2
+    return np.empty(0, np.int64)
+
+
+def _inside(
+    low: NDArray[np.int64], high: NDArray[np.int64], chosen: NDArray[np.int64]
+) -> NDArray[np.bool_]:
+    found: NDArray[np.bool_] = np.isin(low, chosen) & np.isin(high, chosen)
+    return found
+
+
+def best_connected(
+    low: NDArray[np.int64], high: NDArray[np.int64], count: NDArray[np.int64], most: int
+) -> NDArray[np.int64]:
+    """Return up to ``most`` vertices, grown from the heaviest edge by the largest edge weight.
+
+    Args:
+        low: (num_edges,) first vertex of each edge.
+        high: (num_edges,) second vertex of each edge.
+        count: (num_edges,) weight of each edge.
+        most: largest number of vertices; fewer if no further vertex is connected.
+    """
+    if len(count) == 0:
+        return np.empty(0, np.int64)
+    ends = np.stack([np.concatenate([low, high]), np.concatenate([high, low])])
+    by_first = np.argsort(ends[0], kind="stable")
+    first, second, weight = ends[0][by_first], ends[1][by_first], np.tile(count, 2)[by_first]
+    bound = np.zeros(first[-1] + 1)
+    heaviest = int(np.argmax(count))
+    chosen: list[int] = []
+    following = int(low[heaviest])
+    while len(chosen) < most:
+        chosen.append(following)
+        begin, end = np.searchsorted(first, [following, following + 1])
+        bound[second[begin:end]] += weight[begin:end]
+        bound[chosen] = -1.0
+        following = int(np.argmax(bound))
+        if bound[following] <= 0:
+            break
+    return np.array(chosen, np.int64)
+
+
+def _name(problem: Problem, image: int) -> str:
+    """Return the last part of an image's name, or its id if the name is empty."""
+    return PurePosixPath(problem.image_names[image]).name or f"image {problem.image_ids[image]}"

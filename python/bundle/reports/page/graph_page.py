@@ -1,26 +1,37 @@
-"""Page of a graph: cost and steps of each elimination order."""
+"""Pages of a graph before a solve: cost and steps of each elimination order."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bundle.base.words import amount
+import numpy as np
+
+import bundle._core as _core
+from bundle.base.paths import as_path
+from bundle.base.words import amount, span
 from bundle.figures.cost_figures import bar_figure, column_figure
 from bundle.figures.matplotlib.matrix_pattern import MatrixPattern
+from bundle.model.pose_graph_arrays import PoseGraph
+from bundle.planning.inspection.elimination_costs import ORDERINGS
+from bundle.planning.inspection.graph_inspection import inspect_graph, pattern_of_edges
+from bundle.planning.inspection.graph_rates import free_pairs
+from bundle.planning.inspection.pose_graph_inspection import PoseGraphInspection
 from bundle.reports.page.elimination_player import (
     MOST_VARIABLES,
     elimination_data,
     elimination_section,
     order_name,
 )
-from bundle.reports.page.matrices import orderings
-from bundle.reports.page.page import write_page
-from bundle.reports.page.section_markup import rendered
-from bundle.reports.page.table import CONVENTION
+from bundle.reports.page.graph_report import structure_section
+from bundle.reports.page.page import tag, write_page
+from bundle.reports.page.pictures import orderings
+from bundle.reports.page.table import CONVENTION, rendered
 from bundle.reports.sections import Section, Table
+from bundle.reports.terminal.inputs import contents_of_graph
 
 if TYPE_CHECKING:
     from bundle.planning.inspection.graph_inspection import GraphInspection
@@ -74,3 +85,81 @@ def _orders(graphs: Sequence[GraphInspection], best: int) -> Table:
         ])  # fmt: skip
     best_row = best if len(graphs) > 1 else None
     return Table.of(head, rows, left=2, best=best_row, legend=CONVENTION)
+
+
+# Page of a pose graph before a solve: cost of each elimination order, matrices, the elimination.
+#
+# A small graph can be stepped through in every order; a matrix of many poses is not drawn, because
+# its factor would take longer than a solve.
+
+STEPPED = ("natural", "reverse", "minimum_degree", *ORDERINGS[1:])
+
+MOST_DRAWN = 20_000
+"""Largest number of poses whose matrix and factors are drawn."""
+
+
+def write_graph_structure(
+    found: PoseGraphInspection, graph: PoseGraph, path: str | os.PathLike[str], *, name: str = ""
+) -> None:
+    """Write one self-contained HTML page.
+
+    Args:
+        found: inspection of the graph.
+        graph: the graph.
+        path: path of the page. A failed write leaves no partial file.
+        name: name of the graph, for the title.
+
+    Raises:
+        InputError: the path cannot hold a page.
+        OSError: the page cannot be written.
+    """
+    pairs, count = free_pairs(graph)
+    held, _, _ = _core.hold_poses(graph)
+    names = [graph.pose_name(pose) for pose in np.flatnonzero(~held).tolist()]
+    times = {
+        cost.ordering: cost.time_per_step_in_seconds
+        for cost in found.costs
+        if np.isfinite(cost.time_per_step_in_seconds)
+    }
+    flops = {cost.ordering: float(cost.flops) for cost in found.costs}
+    words = f"{contents_of_graph(graph)}; {count} free poses of {graph.tangent_size} unknowns."
+    sections: list[Section | str] = [
+        tag("p", escape(words), class_="quiet"),
+        structure_section(found),
+        Section(
+            title="Cost of an order",
+            figures=[
+                bar_figure("time", "Predicted time of a step, on a log scale", times, span),
+                bar_figure("flops", "Flops of the factorisation, on a log scale", flops, amount),
+            ],
+        ),
+    ]
+    if count <= MOST_DRAWN:
+        triple = pattern_of_edges(np.full(count, graph.tangent_size, np.int32), pairs)
+        orders = {order: _core.order_blocks(*triple, order) for order in ORDERINGS}
+        sections += [
+            Section(title="Matrix and factor", text=["Fill is orange."]),
+            orderings(MatrixPattern.of(triple), orders, "matrix"),
+        ]
+    data = None
+    if count <= MOST_VARIABLES:
+        graphs = [
+            inspect_graph(
+                pairs, count, order, names=names, block_size=graph.tangent_size, record_steps=True
+            )
+            for order in STEPPED
+        ]
+        hint = "Choose an order, and eliminate pose by pose; a new edge is fill."
+        sections += [
+            Section(title="Elimination step by step", text=[hint]),
+            elimination_section(graphs),
+        ]
+        data = {"elimination": elimination_data(graphs)}
+    short = "/".join(Path(name).parts[-2:]) or "A pose graph"
+    write_page(
+        as_path(path),
+        f"Structure of {name}" if name else "Structure of a pose graph",
+        rendered(sections),
+        data,
+        headline=f"{short}: {found.recommendation}",
+    )

@@ -1,7 +1,9 @@
-"""Report page of a pose graph or a factor graph: errors by kind, structure, convergence, views."""
+"""Report page of a pose graph or a factor graph: errors by kind, structure, convergence, view."""
 
 from __future__ import annotations
 
+import dataclasses
+import math
 import os
 from collections.abc import Sequence
 from dataclasses import replace
@@ -10,31 +12,38 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bundle.base.paths import as_path
 from bundle.base.words import amount, number, plural
-from bundle.figures.cost_figures import iteration_figure
+from bundle.figures.cost_figures import bar_figure, iteration_figure
+from bundle.figures.drawing import Figure
 from bundle.figures.graph_figures import DrawnGraph, error_figure, plan_figures
+from bundle.figures.scene_view import SceneView
 from bundle.graphs.factors.factor_graph import FactorGraph, GraphResult
-from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
+from bundle.graphs.pose_graphs.pose_graph_result import (
+    ESCAPES,
+    STAIRCASE,
+    Certificate,
+    PoseGraphResult,
+)
 from bundle.interface.finding import Finding
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.planning.inspection.elimination_costs import CONVENTION
 from bundle.planning.inspection.factor_graph_inspection import FactorGraphInspection
 from bundle.planning.inspection.pose_graph_inspection import PoseGraphInspection
-from bundle.reports.page.certificate_section import certificate_sections
 from bundle.reports.page.graph_facts import (
     ODOMETRY,
     GraphFacts,
     facts_of_factor_graph,
     facts_of_pose_graph,
 )
-from bundle.reports.page.graph_scene import graph_scene
 from bundle.reports.page.page import tag, write_page
-from bundle.reports.page.scene_section import scene_script
-from bundle.reports.page.section_markup import findings_list, rendered
+from bundle.reports.page.scene_section import packed, scene_data, scene_script, scene_section
+from bundle.reports.page.table import findings_list, rendered
 from bundle.reports.sections import Section, Table
 from bundle.reports.terminal.graph_costs import cost_table, matrix_size
+from bundle.reports.terminal.graph_headline import certificate_section, certificate_sentences
 
 MOST_EDGES = 15
 """Number of edges with the largest chi2 in the table."""
@@ -234,3 +243,144 @@ def structure_section(found: PoseGraphInspection | FactorGraphInspection) -> Sec
     table = cost_table(found)
     table = replace(table, legend=f"{CONVENTION} {table.legend}")
     return Section(title="Structure", text=[escape(words)], tables=[table])
+
+
+LEGEND = (
+    "The eigenvalue is the smallest one of the certificate matrix, 0 up to rounding if certified; "
+    "the next one tells how isolated the optimum is. F: chordal cost, without a factor 1/2."
+)
+
+
+def certificate_sections(solved: object) -> list[Section]:
+    """Return the section of a result with a certificate; otherwise an empty list."""
+    if not isinstance(solved, PoseGraphResult) or solved.certificate is None:
+        return []
+    found = solved.certificate
+    figures = [_costs(solved, found), *_minima(solved, found)]
+    text = [" ".join(certificate_sentences(solved)), LEGEND]
+    (facts,) = certificate_section(solved)
+    return [dataclasses.replace(facts, title="Certificate", text=text, figures=figures)]
+
+
+def _costs(solved: PoseGraphResult, found: Certificate) -> Figure:
+    """Return chi2 and F with their lower bounds, as bars."""
+    has_escaped = solved.summary.init in ESCAPES
+    values = {"chi2, first solution" if has_escaped else "chi2": found.chi2}
+    if has_escaped:
+        values["chi2"] = solved.summary.chi2_final
+    values["chi2 of any poses, at least"] = found.chi2_lower_bound
+    values["F, minimum of the solve"] = found.cost
+    bound = found.lower_bound
+    if found.staircase is not None:
+        values["F, after the staircase"] = found.staircase.cost
+        bound = max(bound, found.staircase.lower_bound)
+    values["F of any poses, at least"] = bound
+    positive = {name: value for name, value in values.items() if math.isfinite(value) and value > 0}
+    return bar_figure("bounds", "Costs and their lower bounds, on a log scale", positive, number)
+
+
+def _minima(solved: PoseGraphResult, found: Certificate) -> list[Figure]:
+    """Return the trajectory of the solve's first minimum, below that of the result."""
+    if solved.summary.init != STAIRCASE:
+        return []
+    graph = solved.problem
+    along = ~graph.is_closure
+    ends = graph.edges.astype(np.int64)
+    drawn = DrawnGraph(
+        positions=_positions(graph),
+        before=_positions(found.problem),
+        path=ends[along],
+        others=ends[~along],
+        worst=np.empty((0, 2), np.int64),
+    )
+    figure = plan_figures(drawn)[0]
+    title = "The first minimum (before) and the result"
+    return [dataclasses.replace(figure, name="minima", title=title)]
+
+
+def _positions(graph: PoseGraph) -> np.ndarray:
+    return graph.poses[:, :2] if graph.dimension == 2 else graph.poses[:, 4:]
+
+
+# 3-D view of a graph: poses as points and frames, edges as lines (``scene_section.py``).
+#
+# Poses are drawn as small frusta that look along the x axis of the body, with z up.
+
+MOST_FRAMES = 1500
+MOST_POINTS, MOST_LINES = 60_000, 60_000
+
+FIELD = 0.4
+"""Tangent of half the drawn field of view."""
+
+
+def graph_scene(facts: GraphFacts, drawn: DrawnGraph) -> tuple[str, dict[str, Any] | None]:
+    """Return the section of the view and its data; None without positions."""
+    places = drawn.positions
+    if not len(places):
+        return "", None
+    there = facts.is_placed
+    rotations = facts.rotations[there]
+    low, high = np.quantile(places, [0.02, 0.98], axis=0)
+    origin, unit = (low + high) / 2, max(float((high - low).max()) / 2, 1e-12)
+    step = max(1, -(-len(places) // MOST_POINTS))
+    points = np.arange(0, len(places), step)
+    frames = np.arange(0, len(places), max(1, -(-len(places) // MOST_FRAMES)))
+    errors = _worst_of_each(facts, there)[points]
+    reach = float(np.quantile(np.linalg.norm((places - origin) / unit, axis=1), 0.98))
+
+    def view(positions: NDArray[np.float64]) -> SceneView:
+        placed = (positions - origin) / unit
+        return SceneView(
+            origin=origin,
+            unit=unit,
+            points=placed[points],
+            point_indices=points,
+            point_errors=errors,
+            step=step,
+            num_far=0,
+            centers=placed[frames],
+            image_indices=frames,
+            image_ids=frames,
+            axes=rotations[frames][:, :, [1, 2, 0]].transpose(0, 2, 1) * [[-1.0], [-1.0], [1.0]],
+            half_fields=np.full((len(frames), 2), FIELD),
+            middle=np.zeros(3),
+            reach=max(reach, 1e-3),
+            up=np.array([0.0, 0, 1]),
+            forward=np.array([0.0, 1, 0]),
+        )
+
+    now = view(places)
+    before = None
+    if drawn.before is not None and np.isfinite(drawn.before).all():
+        before = view(drawn.before)
+    data = scene_data(now, before, error=("worst edge", "chi2"))
+    data["frustum"] /= 2
+    data["edges"] = {
+        "path": _pairs(drawn.path, step, len(points)),
+        "others": _pairs(drawn.others, step, len(points)),
+    }
+    section = scene_section(
+        now,
+        len(places),
+        is_solved=before is not None,
+        parts={"points": "poses", "cameras": "frames", "edges": "edges"},
+        nouns=("pose", "frame"),
+    )
+    return section, data
+
+
+def _worst_of_each(facts: GraphFacts, there: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Return the largest chi2 of the edges of each variable with a position."""
+    worst = np.zeros(len(facts.positions))
+    chi2 = np.nan_to_num(facts.chi2)
+    for end in (0, 1):
+        np.maximum.at(worst, facts.ends[:, end], chi2)
+    found: NDArray[np.float64] = worst[there]
+    return found
+
+
+def _pairs(edges: NDArray[np.int64], step: int, count: int) -> str:
+    """Return pairs of drawn points, packed; edges of points that are left out are left out."""
+    kept = edges[(edges % step == 0).all(axis=1)] // step
+    kept = kept[(kept < count).all(axis=1)]
+    return packed(kept[:: max(1, -(-len(kept) // MOST_LINES))].astype(float))

@@ -1,4 +1,4 @@
-"""Page of a problem: predicted cost of each method, with reasons."""
+"""Page of a problem: predicted cost of each method and of several processes, with reasons."""
 
 from __future__ import annotations
 
@@ -8,12 +8,15 @@ from dataclasses import replace
 from html import escape
 from pathlib import Path
 
+import numpy as np
+
 from bundle.base.arguments import check_type
 from bundle.base.paths import as_path
 from bundle.base.words import amount, format_size, plural, span
 from bundle.errors import InputError
 from bundle.figures.cost_figures import bar_figure, column_figure
 from bundle.figures.drawing import Figure
+from bundle.figures.marks import Line, logarithmic
 from bundle.figures.matplotlib.spy import (
     ORDERINGS,
     information_pattern,
@@ -31,16 +34,14 @@ from bundle.reports.page.elimination_player import (
     MOST_VARIABLES,
     elimination_data,
     elimination_section,
+    image_graph,
 )
 from bundle.reports.page.graph_page import write_graph
-from bundle.reports.page.matrices import matrix, orderings
 from bundle.reports.page.page import tag, write_page
-from bundle.reports.page.processes_section import processes_section
-from bundle.reports.page.section_markup import rendered
-from bundle.reports.page.subgraph import image_graph
-from bundle.reports.page.table import CONVENTION, Notes
+from bundle.reports.page.pictures import matrix, orderings
+from bundle.reports.page.table import CONVENTION, Notes, rendered
 from bundle.reports.sections import Section, Table
-from bundle.reports.terminal.inspect import factor_table, size_facts
+from bundle.reports.terminal.inspect import factor_table, rank_sections, size_facts
 
 STEPPED = ("natural", "minimum_degree")
 MOST_EDGES = 1500
@@ -261,3 +262,56 @@ def _matrices(problem: Problem, options: SolveOptions) -> list[Section | str]:
         Section(title="The information matrix", text=[arrow]),
         first,
     ]
+
+
+def processes_section(
+    predictions: Sequence[RankPrediction], network: tuple[float, float]
+) -> list[Section]:
+    """Return a table, and charts of step time and memory against the number of processes.
+
+    Args:
+        predictions: predictions of ``predict_ranks``; without any, nothing is drawn.
+        network: gigabits per second, and latency in microseconds.
+    """
+    rows = sorted(predictions, key=lambda row: row.num_processes)
+    figures = [_time(rows), _memory(rows)] if len(rows) > 1 else []
+    return [replace(section, figures=figures) for section in rank_sections(rows, network)]
+
+
+def _time(rows: Sequence[RankPrediction]) -> Figure:
+    counts = [float(row.num_processes) for row in rows]
+    parts = {
+        "a step": [row.time_per_step_in_seconds for row in rows],
+        "points, divided": [row.points_time_per_step_in_seconds for row in rows],
+        "the first process alone": [row.first_time_per_step_in_seconds for row in rows],
+        "messages": [row.network_time_per_step_in_seconds or float("nan") for row in rows],
+        "a step of one process / N": [
+            row.efficiency * row.time_per_step_in_seconds for row in rows
+        ],
+    }
+    return _figure("Time of a step, on a log scale", parts, counts, "seconds")
+
+
+def _memory(rows: Sequence[RankPrediction]) -> Figure:
+    counts = [float(row.num_processes) for row in rows]
+    parts = {
+        "the first process": [row.memory_of_first_in_bytes / 1e9 for row in rows],
+        "each of the others": [
+            row.memory_of_others_in_bytes / 1e9 if row.num_processes > 1 else float("nan")
+            for row in rows
+        ],
+    }
+    return _figure("Peak memory, on a log scale", parts, counts, "GB")
+
+
+def _figure(title: str, parts: dict[str, list[float]], counts: list[float], unit: str) -> Figure:
+    x = np.array(counts)
+    lines = tuple(
+        Line(name, x, np.array(values), colour=k, dash=k)
+        for k, (name, values) in enumerate(parts.items())
+    )
+    heights = [value for values in parts.values() for value in values]
+    return Figure(
+        name="processes", title=title, marks=lines, x=logarithmic(counts, "processes"),
+        y=logarithmic(heights, unit),
+    )  # fmt: skip

@@ -1,19 +1,29 @@
-"""Lens section: distortion and focal lengths of cameras of one kind, and their parameters."""
+"""Lenses and rolling shutters: distortion, focal lengths, parameters, readout, motions."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.analysis.uncertainty.covariance_result import Covariance
 from bundle.base.words import number, plural
 from bundle.figures.drawing import Figure
 from bundle.figures.lens_figures import LensCurve, focal_figure, lens_figure, most_observed_cameras
+from bundle.figures.twist_figures import twist_figures
 from bundle.model.cameras import camera_models, param_kinds
 from bundle.model.problem import Problem
 from bundle.reports.sections import Section, Table
+from bundle.reports.terminal.camera_tables import (
+    about_shutter,
+    shutter_fact,
+    solved_data,
+    solved_sentences,
+)
+from bundle.solving.result import Result
 
 MOST_LENSES = 200
 """Number of cameras whose curves and focal lengths are drawn."""
@@ -123,3 +133,41 @@ def _single(curve: LensCurve, before: LensCurve | None) -> Figure:
             f"The lens folds at {curve.fold_radius:.0f} px: nothing is imaged farther out."
         )
     return lens_figure(curves, f"Camera {curve.camera_id}, {curve.model}", " ".join(words))
+
+
+def shutter_section(
+    problem: Problem, result: Result | None, covariance: Covariance | None
+) -> list[Section]:
+    """Return the rolling shutters of a problem, or of a solve; empty without any.
+
+    Args:
+        problem: the problem, that of the result if there is one.
+        result: the solve.
+        covariance: covariance of the problem, for sigmas of refined readouts.
+    """
+    facts = shutter_fact(problem)
+    if not facts:
+        return []
+    sigmas = {} if covariance is None else covariance.readout_sigmas
+    words = [] if result is None else solved_sentences(result, sigmas)
+    return [
+        Section(
+            title="Rolling shutter",
+            text=[
+                *words,
+                "Each image moves while it is read. Its pose is that of the middle row. "
+                "Residuals by row are among the residuals over the image.",
+            ],
+            facts=facts,
+            figures=twist_figures(problem),
+        )
+    ]
+
+
+def shutter_data(
+    problem: Problem, result: Result | None, covariance: Covariance | None
+) -> dict[str, Any]:
+    """Return the same for programs; empty without rolling shutters."""
+    if result is None or not about_shutter(problem):
+        return about_shutter(problem)
+    return solved_data(result, {} if covariance is None else covariance.readout_sigmas)

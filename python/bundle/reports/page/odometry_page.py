@@ -12,7 +12,7 @@ from bundle.inertial.vio.odometry import OdometryResult
 from bundle.inertial.vio.trajectory_comparison import TrajectoryError
 from bundle.io.sequences.trajectory_files import Trajectory
 from bundle.reports.page.page import write_page
-from bundle.reports.page.section_markup import rendered
+from bundle.reports.page.table import rendered
 from bundle.reports.sections import Section, Table
 from bundle.reports.terminal.vio import odometry_facts
 

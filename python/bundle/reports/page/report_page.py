@@ -12,6 +12,7 @@ import numpy as np
 
 from bundle.analysis.statistics.description import Description, describe
 from bundle.analysis.uncertainty.covariance_by_input import covariance as compute_covariance
+from bundle.analysis.uncertainty.covariance_result import Covariance
 from bundle.base.arguments import check_type
 from bundle.base.paths import as_path
 from bundle.errors import InputError, shown
@@ -24,27 +25,36 @@ from bundle.figures.residual_figures import residual_histogram, worst_residuals
 from bundle.figures.scene_view import MOST_POINTS, scene_before, scene_view
 from bundle.figures.structure_figures import covisibility_graph, track_statistics
 from bundle.georeference.similarity import moved
-from bundle.interface.finding import Finding
+from bundle.interface.finding import Finding, one_list
 from bundle.interface.options import SolveOptions
 from bundle.io.files import Source, as_problem
+from bundle.judging.findings.find import find
 from bundle.judging.findings.measured import Measured
 from bundle.judging.findings.next_command import NextCommand
 from bundle.model.problem import Problem
 from bundle.model.reprojection import Residuals, residuals
-from bundle.reports.page.certainty_section import certainty_sections, scene_ellipsoids
-from bundle.reports.page.image_section import (
-    MOST_CLICKED,
-    Photographs,
-    image_data,
-    worst_section,
+from bundle.reports.page.certainty_section import (
+    certainty_sections,
+    projection_data,
+    scene_ellipsoids,
 )
-from bundle.reports.page.lens_section import MOST_LENSES, lens_sections
+from bundle.reports.page.lens_section import (
+    MOST_LENSES,
+    lens_sections,
+    shutter_data,
+    shutter_section,
+)
 from bundle.reports.page.overview_section import contents_of, residual_section, solve_sections
 from bundle.reports.page.page import tag, write_page
 from bundle.reports.page.placement_section import placement_sections
-from bundle.reports.page.projection_section import projection_data
-from bundle.reports.page.report_findings import report_findings
-from bundle.reports.page.residual_section import field_data, field_sections
+from bundle.reports.page.residual_section import (
+    MOST_CLICKED,
+    Photographs,
+    field_data,
+    field_sections,
+    image_data,
+    worst_section,
+)
 from bundle.reports.page.scene_section import (
     Shades,
     scene_data,
@@ -52,17 +62,14 @@ from bundle.reports.page.scene_section import (
     scene_section,
     upper_limit,
 )
-from bundle.reports.page.section_markup import findings_list, rendered
-from bundle.reports.page.shutter_section import shutter_data, shutter_section
 from bundle.reports.page.structure_section import structure_section
-from bundle.reports.page.table import rounded
+from bundle.reports.page.table import findings_list, rendered, rounded
 from bundle.reports.page.verdicts import Judged, Verdict, summarised, verdict_list, verdicts
 from bundle.reports.sections import Section, fields, plain
 from bundle.solving.headline import headline
 from bundle.solving.result import Result
 
 if TYPE_CHECKING:
-    from bundle.analysis.uncertainty.covariance_result import Covariance
     from bundle.georeference.georeferenced import Georeference
     from bundle.solving.constraints.rule_list import Constraints
     from bundle.solving.constraints.rules import Rule
@@ -349,3 +356,49 @@ def _rounded(curve: LensCurve) -> dict[str, Any]:
         name: rounded(value) if isinstance(value, np.ndarray) else value
         for name, value in fields(curve).items()
     }
+
+
+def report_findings(
+    problem: Problem,
+    result: Result | None,
+    suspicions: Iterable[Finding],
+    given: Iterable[Finding] | None,
+    *,
+    source: str,
+    covariance: Covariance | None,
+    no_covariance: str = "",
+    priors: Sequence[Any] = (),
+) -> tuple[Finding, ...]:
+    """Return all findings about a model, problems first.
+
+    Args:
+        problem: the model.
+        result: solve that made it, or None.
+        suspicions: possible errors from the description of the model.
+        given: findings of the caller; None finds them.
+        source: path of the model in commands.
+        covariance: covariance of the model, or None.
+        no_covariance: reason why the covariance is missing; "" if it is known.
+        priors: priors of the solve.
+    """
+    singular = Finding(
+        kind="no_covariance",
+        sentence=no_covariance,
+        command=NextCommand(source).other("diagnose"),
+        is_problem="full rank" in no_covariance,
+    )
+    undetermined = [singular] if no_covariance else []
+    warnings = () if result is None else dict.fromkeys(result.summary.warnings)
+    told = [Finding(kind="warning", sentence=words) for words in warnings]
+    usable = covariance is not None and covariance.scale == "sigma0"
+    if given is None:
+        given = find(
+            problem,
+            source=source,
+            options=None if result is None else result.options,
+            rounds=0 if result is None else len(result.rounds),
+            covariance=covariance if usable else None,
+            priors=priors,
+            is_minimum=result is not None and result.summary.termination_type == "CONVERGENCE",
+        )
+    return one_list(undetermined, told, suspicions, given)

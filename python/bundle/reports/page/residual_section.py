@@ -1,15 +1,26 @@
-"""Systematic patterns of residuals over each camera's image plane."""
+"""Systematic patterns of residuals over image planes, and images with the largest residuals."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from bundle.base.words import plural
+import numpy as np
+
+from bundle.base.words import pixels, plural
+from bundle.errors import shown
 from bundle.figures.residual_field import SIGNIFICANT, ResidualField, RowResiduals, row_figure
-from bundle.figures.residual_figures import field_figures
+from bundle.figures.residual_figures import (
+    ImageResiduals,
+    field_figures,
+    image_figure,
+    image_frame,
+    image_name,
+)
+from bundle.reports.page.pictures import Photograph, photograph
 from bundle.reports.page.table import rounded
-from bundle.reports.sections import Section
+from bundle.reports.sections import Section, Table
 
 FEW_IDS = 4
 
@@ -94,3 +105,128 @@ def _facts(field: ResidualField) -> str:
     if field.num_outside:
         facts += f"; {plural(field.num_outside, 'observation')} outside the grid left out"
     return facts + "."
+
+
+SHAPE = 0.02
+"""Relative difference up to which two aspect ratios count as equal."""
+
+NUM_WORST = 6
+MOST_CLICKED = 400
+"""Number of images whose residuals a click on their camera shows."""
+MOST_VECTORS = 16_000
+"""Number of residuals in the data of all images, at most 120 of an image."""
+WIDTHS = (520, 400, 320, 240, 180)
+BYTES_PER_PIXEL = 0.35
+"""Size of a photograph as a data: URI, roughly, per pixel of the square around it."""
+
+
+class Photographs:
+    """Photographs of images by id, at a size that lets all of them fit on a page.
+
+    Args:
+        images: images, the worst first; these have the largest photographs.
+        folder: folder of the photographs; None for a page without photographs.
+        room: size of all photographs together [bytes].
+
+    Attributes:
+        pictures: photograph by image id.
+        notes: sentences about photographs that are missing or have another shape.
+    """
+
+    def __init__(
+        self, images: Sequence[ImageResiduals], folder: str | os.PathLike[str] | None, room: float
+    ) -> None:
+        self.pictures: dict[int, Photograph] = {}
+        self.notes: list[str] = []
+        if folder is None:
+            return
+        most = room / (BYTES_PER_PIXEL * max(len(images), 1))
+        width = next((width for width in WIDTHS if width**2 <= most), WIDTHS[-1])
+        missing, misfits, size = [], [], 0
+        for place, image in enumerate(images):
+            if size > room:
+                break
+            found = photograph(folder, image.error.name, WIDTHS[0] if place < NUM_WORST else width)
+            if found is None:
+                missing.append(image_name(image))
+            elif not _fits(found, image):
+                misfits.append(f"{image_name(image)} ({found.size[0]} x {found.size[1]})")
+            else:
+                self.pictures[image.error.image_id] = found
+                size += len(found.address)
+        if missing:
+            self.notes.append(f"No photograph in {shown(str(folder))} for {_listed(missing)}.")
+        if misfits:
+            self.notes.append(
+                f"Photographs in another shape than their cameras: {_listed(misfits)}."
+            )
+
+
+def worst_section(images: Sequence[ImageResiduals], photographs: Photographs) -> list[Section]:
+    """Return the figures of the worst images, and their table."""
+    head = ["image", "camera", "observations", "RMSE [px]", "largest [px]"]
+    rows = [
+        [image_name(image), str(image.camera_id), f"{image.error.num_observations:,}",
+         pixels(image.error.rmse), pixels(image.error.max)]
+        for image in images
+    ]  # fmt: skip
+    figures = []
+    for image in images[:NUM_WORST]:
+        picture = photographs.pictures.get(image.error.image_id)
+        figures.append(image_figure(image, picture=picture and picture.address))
+    words = "Lines go from the measurement to the projection, longer by the factor given."
+    table = Table.of(head, rows, most=20)
+    return [
+        Section(title="Worst images", text=[words], notes=photographs.notes, is_warning=True,
+                figures=figures),
+        Section(title="Images by RMSE", tables=[table], is_detail=True),
+    ]  # fmt: skip
+
+
+def image_data(
+    images: Sequence[ImageResiduals], photographs: Photographs, sigmas: Mapping[int, float]
+) -> list[dict[str, Any]]:
+    """Return the largest residuals of images for the page's script.
+
+    The photographs of the worst images are in their figures, which the data name.
+
+    Args:
+        images: images, those with the largest RMSE first.
+        photographs: their photographs.
+        sigmas: standard deviation of the position by image id.
+    """
+    most = min(max(MOST_VECTORS // max(len(images), 1), 20), 120)
+    data = []
+    for place, image in enumerate(images):
+        picture = photographs.pictures.get(image.error.image_id)
+        is_drawn = picture is not None and place < NUM_WORST
+        box, factor = image_frame(image)
+        vectors = np.concatenate([image.xy, image.residual], axis=1)[:most]
+        data.append(
+            {
+                "id": image.error.image_id,
+                "name": image_name(image),
+                "box": box.tolist(),
+                "factor": factor,
+                "count": image.error.num_observations,
+                "rmse": image.error.rmse,
+                "sigma": sigmas.get(image.error.image_id),
+                "vectors": rounded(np.round(vectors, 2)),
+                "figure": f"residuals of {image_name(image)}" if is_drawn else None,
+                "photograph": None if is_drawn or picture is None else picture.address,
+            }
+        )
+    return data
+
+
+def _fits(picture: Photograph, image: ImageResiduals) -> bool:
+    """Tell whether a photograph has the aspect ratio of its camera's images."""
+    if min(image.size) <= 0:
+        return False
+    ratio = picture.size[0] / picture.size[1] * image.size[1] / image.size[0]
+    return abs(ratio - 1.0) < SHAPE
+
+
+def _listed(names: Sequence[str]) -> str:
+    more = f" and {len(names) - 3} more" if len(names) > 3 else ""
+    return ", ".join(names[:3]) + more

@@ -14,7 +14,7 @@ from bundle.judging.evaluation.evaluation_result import Evaluation
 from bundle.planning.comparison.comparison_result import Comparison
 from bundle.planning.comparison.graph_comparison import GraphComparison
 from bundle.reports.page.page import tag, write_page
-from bundle.reports.page.section_markup import findings_list, rendered
+from bundle.reports.page.table import findings_list, rendered
 from bundle.reports.sections import Report
 from bundle.reports.terminal.compare import compared
 from bundle.reports.terminal.evaluate import evaluated

@@ -13,7 +13,7 @@ from bundle.model.problem import Problem
 from bundle.model.sequence.sequence import Sequence
 from bundle.model.unobserved import unobserved
 from bundle.reports.sections import Report, Section
-from bundle.reports.terminal.camera_edit_rows import edit_data, edit_rows
+from bundle.reports.terminal.camera_tables import edit_data, edit_rows, shutter_data, shutter_moves
 from bundle.reports.terminal.inputs import (
     about_graph,
     about_problem,
@@ -25,7 +25,6 @@ from bundle.reports.terminal.inputs import (
     problem_facts,
     written,
 )
-from bundle.reports.terminal.shutter_tables import shutter_data, shutter_moves
 from bundle.reports.terminal.tracking import tracking_headline, tracking_section
 
 if TYPE_CHECKING:

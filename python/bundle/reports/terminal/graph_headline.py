@@ -1,4 +1,4 @@
-"""Headline of a refined pose graph: chi2 before and after, rejected closures, movement.
+"""Headline of a refined pose graph: chi2 before and after, closures, certificate.
 
 "Before" is the graph as given. If the solve began at other poses, which it composed from the edges,
 a sentence has their chi2. chi2 per degree of freedom is about 1 if the information matrices of the
@@ -7,13 +7,34 @@ edges state their errors.
 
 from __future__ import annotations
 
+import math
+import shlex
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 
+from bundle.analysis.diagnosis.chi2_kinds import (
+    Chi2Kind,
+    chi2_kinds,
+    information_sentence,
+    kinds_data,
+)
 from bundle.base.words import number, plural, rounded
-from bundle.graphs.pose_graphs.pose_graph_result import ESCAPES, PoseGraphResult
+from bundle.graphs.pose_graphs.pose_graph_result import (
+    CERTIFIED,
+    CHORDAL_MINIMUM,
+    ESCAPES,
+    NOT_CERTIFIED,
+    STAIRCASE,
+    Certificate,
+    PoseGraphResult,
+    Staircase,
+)
+from bundle.interface.finding import Finding
 from bundle.interface.summary import short_outcome
 from bundle.model.pose_graph_arrays import PoseGraph
-from bundle.reports.terminal.certificate_facts import certificate_sentences
+from bundle.reports.sections import Column, Section, fields
 
 
 def degrees_of_freedom(graph: PoseGraph) -> int:
@@ -80,3 +101,164 @@ def _movement(solved: PoseGraphResult) -> list[str]:
     middle, most = float(np.median(moved)), rounded(float(moved.max()))
     share = f"; {rounded(100 * middle / extent)} % of the graph" if extent > 0 else ""
     return [f"Poses moved by {rounded(middle)} (median{share}), at most {most}."]
+
+
+MOST_FLOPS = 2e10
+"""Flops of a factorisation above which chi2 has no expectation by kind: it takes some seconds."""
+
+KINDS = (
+    Column("edges", "kind"),
+    Column("number", "count"),
+    Column("chi2", "chi2", number),
+    Column("degrees of freedom", "degrees", number),
+    Column("expected (99.9 %)", lambda one: f"{number(one.low)} to {number(one.high)}"),
+    Column("information times", lambda one: number(one.scale)),
+    Column("", lambda one: one.verdict.replace("-", " ")),
+)
+
+
+def kinds_of(solved: PoseGraphResult) -> tuple[Chi2Kind, ...]:
+    """Return chi2 by kind of edge; () without a solution, or if it takes longer than the solve."""
+    summary = solved.summary
+    if not summary.is_solution_usable or (summary.factor_flops or 0.0) > MOST_FLOPS:
+        return ()
+    return chi2_kinds(solved)
+
+
+def about_information(path: str, kinds: Sequence[Chi2Kind]) -> list[Finding]:
+    """Return the finding that chi2 contradicts the information; empty if it agrees."""
+    sentence = information_sentence(kinds)
+    if not sentence:
+        return []
+    is_large = any(one.verdict == "too-large" for one in kinds)
+    return [
+        Finding(
+            kind="information",
+            sentence=sentence,
+            command=shlex.join(["bundle", "diagnose", path]) if is_large else "",
+            evidence={"kinds": kinds_data(kinds)},
+        )
+    ]
+
+
+# Certificate in the report of `bundle refine` on a pose graph: sentences, facts and JSON.
+#
+# The sentences keep two statements apart. The verdict is about the chordal cost F, at the critical
+# point next to the solution. The bound of chi2 is about the solution itself.
+
+
+def certificate_sentences(solved: PoseGraphResult) -> list[str]:
+    """Return the verdict and the bound of chi2; empty without a certificate."""
+    found = solved.certificate
+    if found is None:
+        return []
+    return [_verdict(found, solved.summary.init), *_bound(solved, found)]
+
+
+def _verdict(found: Certificate, init: str) -> str:
+    stairs = found.staircase
+    if init == STAIRCASE and stairs is not None:
+        was = "not certified" if found.verdict == NOT_CERTIFIED else "not a minimum"
+        return (
+            f"The first solution was {was} (eigenvalue {found.min_eigenvalue:.6g}, F "
+            f"{number(found.cost)}). A relaxation of rank {stairs.rank} led to this one. "
+            f"{_of_staircase(stairs, found)}"
+        )
+    moved = f"{number(found.initial_cost)} -> {number(found.cost)}"
+    if init == CHORDAL_MINIMUM:
+        return (
+            f"Not certified: the first solution (chi2 {number(found.chi2)}) was not optimal. A "
+            f"solve from the minimum of the chordal cost F next to it ({moved}) led to this one."
+        )
+    if found.verdict == CERTIFIED:
+        return _optimal(found.gap, found.cost, found)
+    if found.verdict == NOT_CERTIFIED:
+        return (
+            f"Not certified: eigenvalue {found.min_eigenvalue:.6g}. The chordal cost F is "
+            f"{number(found.cost)} here and at least {number(_best_bound(found))} at any poses"
+            f"{_without_escape(found)}."
+        )
+    if not found.is_settled:
+        return (
+            "No certificate: the poses are not a minimum. Continue the solve "
+            "(--max-iterations), then certify."
+        )
+    return (
+        "No certificate: the solve has converged, but the chordal cost F has no minimum here: "
+        f"Newton's method moves the poses away from it (F {moved})."
+    )
+
+
+def _optimal(gap: float, cost: float, found: Certificate) -> str:
+    limit = "" if found.is_isotropic else " for isotropic weights"
+    return (
+        f"Certified{limit}: the minimum of the chordal cost here (F {number(cost)}) is globally "
+        f"optimal within {number(gap)}."
+    )
+
+
+def _of_staircase(stairs: Staircase, found: Certificate) -> str:
+    if stairs.verdict == CERTIFIED:
+        return _optimal(stairs.gap, stairs.cost, found)
+    least = number(max(stairs.lower_bound, 0.0))
+    return f"Not certified: F {number(stairs.cost)}, at least {least} at any poses."
+
+
+def _best_bound(found: Certificate) -> float:
+    of_stairs = found.staircase.lower_bound if found.staircase is not None else 0.0
+    return max(found.lower_bound, of_stairs, 0.0)
+
+
+def _without_escape(found: Certificate) -> str:
+    if found.staircase is None:
+        return ""
+    return f"; a relaxation up to rank {found.staircase.rank} led to no lower chi2"
+
+
+def _bound(solved: PoseGraphResult, found: Certificate) -> list[str]:
+    if not math.isfinite(found.chi2_lower_bound):
+        return ["chi2 has no lower bound: the information of an edge is singular."]
+    here, least = solved.summary.chi2_final, found.chi2_lower_bound
+    if not least > 0:
+        return []
+    more = 100 * max(here - least, 0.0) / least
+    return [
+        f"chi2 of any poses is at least {number(least)}, and here {number(here)} "
+        f"({number(more)} % more)."
+    ]
+
+
+def certificate_section(solved: PoseGraphResult) -> list[Section]:
+    """Return the facts of a certificate."""
+    found = solved.certificate
+    if found is None:
+        return []
+    facts = [
+        ("certificate", found.verdict),
+        ("chordal cost", f"{found.cost:.9g} ({found.initial_cost:.9g} at the first solution)"),
+        ("lower bound", f"{found.lower_bound:.9g}"),
+        ("gap", f"{found.gap:.3g}"),
+        ("eigenvalue", f"{found.min_eigenvalue:.6g}; next {found.eigenvalues[0]:.6g}"),
+        ("Newton", plural(found.num_steps, "step")),
+    ]
+    stairs = found.staircase
+    if stairs is not None:
+        facts += [
+            ("staircase", f"{stairs.verdict} at rank {stairs.rank}"),
+            ("", f"F {stairs.cost:.9g}, relaxation {stairs.relaxed_cost:.9g}"),
+            ("", f"gap {stairs.gap:.3g}, eigenvalue {stairs.min_eigenvalue:.6g}"),
+        ]
+    return [Section(facts=facts)]
+
+
+def certificate_data(found: Certificate | None) -> dict[str, Any]:
+    """Return the entry "certificate" of JSON; empty without a certificate."""
+    if found is None:
+        return {}
+    stairs = found.staircase
+    data = _fields(found) | {"staircase": None if stairs is None else _fields(stairs)}
+    return {"certificate": data}
+
+
+def _fields(found: Certificate | Staircase) -> dict[str, Any]:
+    return {k: v for k, v in fields(found).items() if k != "problem"} | {"gap": found.gap}

@@ -17,10 +17,9 @@ from bundle.interface.finding import DETAILS, Finding
 from bundle.model.problem import Problem
 from bundle.model.pycolmap.problem_source import imported_source
 from bundle.reports.sections import Column, Report, Section, Table, fields
+from bundle.reports.terminal.camera_tables import rig_sections, shutter_fact
 from bundle.reports.terminal.inputs import about_problem, problem_facts
 from bundle.reports.terminal.refine import worst_sections
-from bundle.reports.terminal.rig_tables import rig_sections
-from bundle.reports.terminal.shutter_tables import shutter_fact
 
 CAMERAS = (
     Column("camera model", "model"),

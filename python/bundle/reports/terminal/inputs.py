@@ -10,7 +10,7 @@ from bundle.base.words import contents, format_name, pixels, plural
 from bundle.errors import shown
 from bundle.model.problem import Problem
 from bundle.model.pycolmap.problem_source import imported_source
-from bundle.reports.terminal.shutter_tables import about_shutter, shutter_fact
+from bundle.reports.terminal.camera_tables import about_shutter, shutter_fact
 
 if TYPE_CHECKING:
     from bundle.model.pose_graph_arrays import PoseGraph

@@ -22,12 +22,23 @@ from bundle.interface.pose_graph_options import POSE_ERRORS, PoseGraphOptions
 from bundle.model.content_digests import content_digests
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.reports.sections import Column, Report, Section, Table, records
-from bundle.reports.terminal.certificate_facts import certificate_data, certificate_section
-from bundle.reports.terminal.graph_headline import degrees_of_freedom, graph_headline
-from bundle.reports.terminal.graph_information import KINDS, about_information, kinds_of
+from bundle.reports.terminal.graph_headline import (
+    KINDS,
+    about_information,
+    certificate_data,
+    certificate_section,
+    degrees_of_freedom,
+    graph_headline,
+    kinds_of,
+)
 from bundle.reports.terminal.inputs import about_graph, contents_of_graph, graph_facts, written
-from bundle.reports.terminal.solve_data import factor_fact, solve_options
-from bundle.reports.terminal.timing import WallTime, environment_data, wall_section
+from bundle.reports.terminal.solve_data import (
+    WallTime,
+    environment_data,
+    factor_fact,
+    solve_options,
+    wall_section,
+)
 
 MOST_REJECTED = 20
 """Number of rejected edges shown."""

@@ -14,12 +14,23 @@ from bundle.model.content_digests import content_digests
 from bundle.model.problem import Problem
 from bundle.model.reprojection import ImageError
 from bundle.reports.sections import Column, Report, Section, Table
-from bundle.reports.terminal.camera_edit_rows import edit_data, edit_rows
+from bundle.reports.terminal.camera_tables import (
+    edit_data,
+    edit_rows,
+    sensor_sections,
+    solved_data,
+    solved_sentences,
+)
 from bundle.reports.terminal.inputs import about_problem, problem_facts, rig_fact, written
-from bundle.reports.terminal.rig_tables import sensor_sections
-from bundle.reports.terminal.shutter_tables import solved_data, solved_sentences
-from bundle.reports.terminal.solve_data import ERRORS, ROUNDS, factor_fact, result_data
-from bundle.reports.terminal.timing import WallTime, environment_data, wall_section
+from bundle.reports.terminal.solve_data import (
+    ERRORS,
+    ROUNDS,
+    WallTime,
+    environment_data,
+    factor_fact,
+    result_data,
+    wall_section,
+)
 from bundle.solving.headline import edit_facts, headline
 from bundle.solving.parameter_changes import CameraChange, camera_changes, sensor_changes
 from bundle.solving.result import Result
@@ -172,7 +183,7 @@ def _facts(
 
 
 def _loops(closed: LoopClosing) -> list[Section]:
-    from bundle.reports.terminal.loop_tables import loops_section  # most solves close no loops
+    from bundle.reports.terminal.solve_tables import loops_section  # most solves close no loops
 
     return [loops_section(closed)]
 
@@ -230,7 +241,7 @@ def _places(georeference: Georeference | None) -> tuple[list[str], list[str]]:
 def _constraints(solved: Result) -> list[Section]:
     if not solved.constraints:
         return []
-    from bundle.reports.terminal.constraint_tables import constraint_sections  # most have none
+    from bundle.reports.terminal.solve_tables import constraint_sections  # most have none
 
     return constraint_sections(solved.constraints)
 
@@ -263,7 +274,7 @@ def _part(solved: Result) -> list[tuple[str, str]]:
 def _processes(record: ProcessRecord | None) -> list[Section]:
     if record is None:
         return []
-    from bundle.reports.terminal.process_tables import process_sections  # only under mpirun
+    from bundle.reports.terminal.solve_tables import process_sections  # only under mpirun
 
     return process_sections(record)
 

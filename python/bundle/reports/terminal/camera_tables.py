@@ -1,18 +1,68 @@
-"""Rolling shutters in reports: facts about a model, and observations moved to a global shutter."""
+"""Rigs, rolling shutters and changed cameras in reports."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from bundle.base.words import number, pixels, plural
 from bundle.model.problem import Problem
-from bundle.solving.parameter_changes import shutter_gain
+from bundle.reports.sections import Column, Section, Table
+from bundle.solving.parameter_changes import SensorChange, shutter_gain
 
 if TYPE_CHECKING:
+    from bundle.analysis.statistics.rig_summary import RigSummary
+    from bundle.editing.edit_record import CameraEdits
     from bundle.editing.rolling_shutters import GlobalShutterModel
     from bundle.solving.result import Result
+
+MOST_ROWS = 20
+"""Number of listed sensors."""
+
+MOST_SENSORS = 8
+"""Number of sensors whose changes are shown."""
+
+
+SENSORS = (
+    Column("sensor", lambda change: f"{change.rig_id}:{change.camera_id}"),
+    Column("baseline before", "baseline_before", "{:.6g}".format),
+    Column("after", "baseline_after", "{:.6g}".format),
+    Column("turned [deg]", "rotation", "{:.3g}".format),
+)
+
+
+def rig_sections(rigs: Sequence[RigSummary]) -> list[Section]:
+    """Return the sensors of every rig; empty without rigs."""
+    if not rigs:
+        return []
+    cells = [
+        (
+            f"{rig.rig_id} ({plural(rig.num_frames, 'frame')})" if index == 0 else "",
+            f"{sensor.camera_id}",
+            "reference" if sensor.is_reference else number(sensor.baseline),
+            str(sensor.num_images),
+            str(sensor.num_observations) if sensor.num_observations else "unobserved",
+        )
+        for rig in rigs
+        for index, sensor in enumerate(rig.sensors)
+    ]
+    head = ("rig", "camera", "baseline", "images", "observations")
+    table = Table.of(
+        head, cells, keys=2, most=MOST_ROWS,
+        others=lambda count: f"and {plural(count, 'more sensor')}; --json FILE lists all",
+    )  # fmt: skip
+    return [Section(tables=[table])]
+
+
+def sensor_sections(changes: Sequence[SensorChange]) -> list[Section]:
+    """Return the motion of sensors on their rigs; empty if no sensor moved."""
+    table = Table(
+        SENSORS, changes, most=MOST_SENSORS,
+        others=lambda count: f"{plural(count, 'other sensor')} moved less; --json FILE lists all",
+    )  # fmt: skip
+    return [Section(tables=[table])] if changes else []
 
 
 def shutter_fact(problem: Problem) -> list[tuple[str, str]]:
@@ -133,3 +183,49 @@ def solved_sentences(solved: Result, readout_sigma: dict[int, float]) -> list[st
     if solved.options.twists == "hard":
         words += " (hard twists: standard deviations are too small)"
     return [f"{words}."]
+
+
+MOST_IDS = 8
+
+
+def edit_rows(edits: CameraEdits | None) -> list[tuple[str, str]]:
+    """Return rows of facts; empty without changes."""
+    if edits is None:
+        return []
+    sentences = [*_models(edits)]
+    for group in edits.shared_groups:
+        ids = ", ".join(map(str, group[:MOST_IDS]))
+        more = len(group) - MOST_IDS
+        and_more = f" and {more} more" if more > 0 else ""
+        sentences.append(f"{ids}{and_more} become camera {group[0]}")
+    if edits.num_copies is not None:
+        sentences.append(f"one for each image: {plural(edits.num_copies, 'new camera')}")
+    if edits.before.num_observations:
+        sentences.append(
+            f"reprojection RMSE {pixels(edits.before.rmse)} -> {pixels(edits.after.rmse)} px"
+        )
+    return [("cameras" if not row else "", text) for row, text in enumerate(sentences)]
+
+
+def edit_data(edits: CameraEdits | None) -> dict[str, Any]:
+    """Return the entries for programs; empty without changes."""
+    return {} if edits is None else {"camera_edits": edits.asdict()}
+
+
+def _models(edits: CameraEdits) -> list[str]:
+    if edits.model is None:
+        return []
+    if not edits.changes:
+        return [f"all were {edits.model} before"]
+    fitted = [change for change in edits.changes if not change.exact]
+    model = edits.changes[0].new_model
+    exact = len(edits.changes) - len(fitted)
+    sentences = [f"{plural(exact, 'camera')} became {model}, the same lens"] if exact else []
+    if fitted:
+        worst = max(fitted, key=lambda change: change.max)
+        rms = max(change.rms for change in fitted)
+        sentences.append(
+            f"{plural(len(fitted), 'camera')} became {model} by a fit: off by up to "
+            f"{pixels(worst.max)} px (camera {worst.camera_id}), rms up to {pixels(rms)} px"
+        )
+    return sentences
