@@ -61,3 +61,28 @@ def test_nothing_stands_outside_the_lists() -> None:
     assert {path.name for path in (CPP / "core").iterdir() if path.is_dir()} == set(LAYERS)
     assert {p.name for p in PACKAGE.iterdir()} - {"__pycache__", "include"} == {*RANKS, *ROOT_FILES}
     assert not set(RANKS) & {name for name in bundle.__all__ if callable(getattr(bundle, name))}
+
+
+BUDGETS = {
+    room: (int(lines.replace(",", "")), int(files))
+    for room, lines, files in re.findall(
+        r"^\| \[(\w+)\]\(python/.*\| ([\d,]+) \| (\d+) \|$",
+        (ROOT / "CONTRIBUTING.md").read_text(),
+        re.MULTILINE,
+    )
+}
+"""Most lines and files of each room, from the table of rooms."""
+
+
+def test_every_room_has_a_budget() -> None:
+    assert list(BUDGETS) == RANKS
+
+
+@pytest.mark.parametrize("room", RANKS)
+def test_rooms_stay_within_their_budgets(room: str) -> None:
+    """A budget that is far above its room would hold nothing: lower it with the room."""
+    files = [path.read_text() for path in (PACKAGE / room).rglob("*.py")]
+    lines = sum(text.count("\n") for text in files)
+    most_lines, most_files = BUDGETS[room]
+    assert 0.95 * most_lines <= lines <= most_lines
+    assert 0.9 * most_files <= len(files) <= most_files
