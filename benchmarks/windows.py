@@ -25,7 +25,7 @@ from bundle import _core
 from bundle.inertial.vio.odometry import run_odometry
 from bundle.inertial.vio.sequence_images import SequenceImages
 from bundle.inertial.vio.sliding_window import SlidingWindow
-from bundle.inertial.vio.window_contents import window_arrays
+from bundle.inertial.vio.window_telemetry import window_arrays
 from bundle.interface.window_options import WindowOptions
 from bundle.io.sequences.sequence_folder import read_track_csv
 from bundle.model.rigid_motions import rotation_matrices

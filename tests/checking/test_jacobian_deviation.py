@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bundle.checking.jacobian_deviation import JacobianDeviation
-from bundle.interface.check_options import TOLERANCE
+from bundle.interface.analysis_options import TOLERANCE
 
 SMALL_ROW = 1e-9
 

@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.base.records import dataclass
-from bundle.interface.check_options import TOLERANCE
+from bundle.interface.analysis_options import TOLERANCE
 
 Array = NDArray[np.float64]
 

@@ -20,7 +20,7 @@ from bundle.checking.model_check import ModelCheck
 from bundle.checking.step_curve import CheckDetails, Line, make_details, walk
 from bundle.checking.tally import CHECKER_PRECISION, Worst, make_report, undecided_points
 from bundle.errors import InputError
-from bundle.interface.check_options import SAMPLES_PER_IMAGE, TOLERANCE
+from bundle.interface.analysis_options import SAMPLES_PER_IMAGE, TOLERANCE
 from bundle.interface.option_fields import number
 from bundle.io.files import Source, as_problem
 from bundle.model.cameras import camera_models, project

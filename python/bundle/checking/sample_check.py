@@ -21,7 +21,7 @@ from bundle.checking.residual_blocks import Block, Column, Layout, ManifoldLike,
 from bundle.checking.step_curve import CheckDetails, make_details
 from bundle.checking.tally import Tally, make_report, undecided_points
 from bundle.errors import InputError, brief
-from bundle.interface.check_options import TOLERANCE
+from bundle.interface.analysis_options import TOLERANCE
 from bundle.interface.option_fields import number
 
 SAME_RESIDUAL = 1e-9

@@ -20,7 +20,7 @@ from bundle.checking.gradient_report import (
 )
 from bundle.checking.jacobian_deviation import Array, JacobianDeviation
 from bundle.checking.residual_blocks import Column
-from bundle.interface.check_options import TOLERANCE
+from bundle.interface.analysis_options import TOLERANCE
 
 EDGES = (0.0, *(10.0**exponent for exponent in range(-14, 2)), np.inf)
 """Limits of the histogram's bins."""

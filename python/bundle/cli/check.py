@@ -13,7 +13,7 @@ from bundle.cli.output import publish
 from bundle.cli.progress import Progress
 from bundle.cli.standard_streams import complain
 from bundle.errors import shown
-from bundle.interface.check_options import CheckOptions
+from bundle.interface.analysis_options import CheckOptions
 from bundle.io.open import load
 from bundle.reports.terminal.check import checked
 

@@ -23,7 +23,7 @@ from bundle.graphs.factors.factor_graph import FactorGraph
 from bundle.graphs.factors.factor_report import FactorCheck
 from bundle.graphs.factors.factors import Factor
 from bundle.graphs.factors.problem_factors import check_factors
-from bundle.interface.check_options import CheckOptions
+from bundle.interface.analysis_options import CheckOptions
 from bundle.interface.pose_graph_options import PoseGraphOptions
 from bundle.io.g2o_files import load_g2o
 from bundle.io.python_objects import load_object, user_error

@@ -19,8 +19,8 @@ from bundle.cli.output import publish
 from bundle.cli.problem_edits import rules_as_options, rules_of
 from bundle.cli.progress import Progress
 from bundle.errors import shown
+from bundle.interface.analysis_options import CovarianceOptions
 from bundle.interface.camera_edit_options import RuleOptions
-from bundle.interface.covariance_options import CovarianceOptions
 from bundle.interface.options import INFORMATION, SolveOptions
 from bundle.io.open import load
 from bundle.reports.terminal.covariance import uncertainties

@@ -13,7 +13,7 @@ from bundle.cli.option_flags import naming_flags, options_given
 from bundle.cli.output import publish
 from bundle.cli.progress import Progress
 from bundle.errors import shown
-from bundle.interface.covariance_options import CovarianceOptions
+from bundle.interface.analysis_options import CovarianceOptions
 from bundle.interface.pose_graph_options import PoseGraphOptions
 from bundle.io.g2o_files import load_g2o
 from bundle.reports.terminal.covariance import uncertainties_of_graph

@@ -11,10 +11,10 @@ import importlib
 from bundle.interface.option_class import Options
 
 OPTION_CLASSES = {
-    "CheckOptions": "check_options",
+    "CheckOptions": "analysis_options",
     "CheckpointOptions": "round_options",
     "CompareOptions": "planning_options",
-    "CovarianceOptions": "covariance_options",
+    "CovarianceOptions": "analysis_options",
     "EvaluateOptions": "judging_options",
     "FlightOptions": "scene_options",
     "GeoreferenceOptions": "georeference_options",

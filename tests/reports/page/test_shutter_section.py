@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import bundle
-from bundle.figures.twist_figures import twist_figures
+from bundle.figures.residual_field import twist_figures
 from bundle.reports.page.report_page import write_report
 from bundle.solving.parameter_changes import shutter_gain
 from tests.campaigns.rolling_shutter import make

@@ -35,7 +35,6 @@ from bundle.reports.terminal import align as align_report
 from bundle.reports.terminal import check, compare, convert, info, refine, synth
 from bundle.reports.terminal import evaluate as evaluate_report
 from bundle.reports.terminal import inspect as inspect_report
-from bundle.reports.terminal import inspect_graph as inspect_graph_report
 from bundle.reports.terminal import validate as validate_report
 from bundle.reports.terminal.screen import laid_out
 from bundle.reports.terminal.solve_data import WallTime
@@ -89,7 +88,7 @@ def inspected(_):
 
 
 def eliminated(_):
-    return inspect_graph_report.inspected(
+    return inspect_report.inspected_steps(
         "cycle.txt", inspect_graph([(i, (i + 1) % 6) for i in range(6)], 6), 0.0
     )
 

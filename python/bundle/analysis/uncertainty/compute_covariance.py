@@ -24,7 +24,7 @@ from bundle.base.arrays import freeze
 from bundle.base.records import dataclass
 from bundle.base.words import not_converged, plural
 from bundle.errors import InputError, brief
-from bundle.interface.covariance_options import GAUGES, ROBUST, SCALES, one_of, parts_of
+from bundle.interface.analysis_options import GAUGES, ROBUST, SCALES, one_of, parts_of
 from bundle.interface.options import SolveOptions
 from bundle.io.files import Source, as_problem
 from bundle.model.problem import Problem

@@ -14,7 +14,7 @@ from bundle.analysis.uncertainty.covariance_result import (
     GraphCovariance,
 )
 from bundle.graphs.factors.factor_graph import FactorGraph
-from bundle.interface.covariance_options import PARTS
+from bundle.interface.analysis_options import PARTS
 from bundle.interface.option_class import takes_options
 from bundle.interface.options import SolveOptions
 from bundle.interface.pose_graph_options import PoseGraphOptions

@@ -41,7 +41,7 @@ from bundle.graphs.factors.null_space import NullSpace, find_null_space
 from bundle.graphs.factors.same_problem import AsPoseGraph, pose_graph_of
 from bundle.graphs.factors.variables import Key, Variable, as_list, variable_name
 from bundle.graphs.pose_graphs.lie_groups import adjoint_between, adjoints
-from bundle.interface.covariance_options import SCALES, one_of
+from bundle.interface.analysis_options import SCALES, one_of
 from bundle.model.rigid_motions import rotation_matrices
 
 FROM_WORLD = (PositionFactor, RelativePoseFactor, ReprojectionFactor)

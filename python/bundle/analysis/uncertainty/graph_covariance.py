@@ -22,7 +22,7 @@ from bundle.graphs.pose_graphs.edge_weights import (
     weighted_graph,
 )
 from bundle.graphs.pose_graphs.joints import find_joints
-from bundle.interface.covariance_options import SCALES, one_of
+from bundle.interface.analysis_options import SCALES, one_of
 from bundle.interface.pose_graph_options import PoseGraphOptions
 from bundle.model.pose_graph_arrays import PoseGraph
 

@@ -25,7 +25,7 @@ from bundle.graphs.factors.factor_graph import FactorGraph
 from bundle.graphs.factors.factor_report import FactorCheck
 from bundle.graphs.factors.factors import Factor, FunctionFactor
 from bundle.graphs.factors.variables import Array, Key, Variable
-from bundle.interface.check_options import SAMPLES_PER_IMAGE, TOLERANCE
+from bundle.interface.analysis_options import SAMPLES_PER_IMAGE, TOLERANCE
 from bundle.interface.option_fields import choice, number
 from bundle.interface.pose_graph_options import POSE_ERRORS
 from bundle.io.files import Source

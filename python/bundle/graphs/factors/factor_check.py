@@ -34,7 +34,7 @@ from bundle.graphs.factors.factors import Factor, FunctionFactor
 from bundle.graphs.factors.spot_check import code_of
 from bundle.graphs.factors.tangent_conventions import TANGENTS, other_coordinates, tangent_of
 from bundle.graphs.factors.variables import Array, Variable
-from bundle.interface.check_options import TOLERANCE
+from bundle.interface.analysis_options import TOLERANCE
 from bundle.interface.option_fields import choice, number
 
 _SETTINGS = {

@@ -28,9 +28,8 @@ from bundle.inertial.vio.landmark_table import (
     landmark_table,
 )
 from bundle.inertial.vio.marginal_prior import MarginalPrior, start_prior, steady_speed
-from bundle.inertial.vio.window_contents import window_arrays
 from bundle.inertial.vio.window_frame import ImuInterval, WindowFrame, repropagate
-from bundle.inertial.vio.window_telemetry import WindowTelemetry
+from bundle.inertial.vio.window_telemetry import WindowTelemetry, window_arrays
 from bundle.interface.option_class import takes_options
 from bundle.interface.option_keywords import WindowKeywords
 from bundle.interface.window_options import WindowOptions

@@ -13,7 +13,7 @@ from bundle.analysis.uncertainty.covariance_result import Covariance
 from bundle.base.words import number, plural
 from bundle.figures.drawing import Figure
 from bundle.figures.lens_figures import LensCurve, focal_figure, lens_figure, most_observed_cameras
-from bundle.figures.twist_figures import twist_figures
+from bundle.figures.residual_field import twist_figures
 from bundle.model.cameras import camera_models, param_kinds
 from bundle.model.problem import Problem
 from bundle.reports.sections import Section, Table

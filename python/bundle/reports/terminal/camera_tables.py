@@ -13,7 +13,7 @@ from bundle.reports.sections import Column, Section, Table
 from bundle.solving.parameter_changes import SensorChange, shutter_gain
 
 if TYPE_CHECKING:
-    from bundle.analysis.statistics.rig_summary import RigSummary
+    from bundle.analysis.statistics.description import RigSummary
     from bundle.editing.edit_record import CameraEdits
     from bundle.editing.rolling_shutters import GlobalShutterModel
     from bundle.solving.result import Result

@@ -67,7 +67,7 @@ def rig_fact(problem: Problem) -> Facts:
     if problem.num_frames == 0:
         return []
     # Import late: most problems have no rigs, and this import takes time.
-    from bundle.analysis.statistics.rig_summary import rig_summaries
+    from bundle.analysis.statistics.description import rig_summaries
 
     rigs = rig_summaries(problem)
     counts = [len(rig.sensors) for rig in rigs]

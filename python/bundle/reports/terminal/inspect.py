@@ -1,9 +1,9 @@
-"""Report of `bundle inspect` on a problem."""
+"""Reports of `bundle inspect`: a problem, numbers (`--shape`), a small graph (`--graph`)."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from bundle.base.words import amount, duration, format_size, number, plural
@@ -12,8 +12,10 @@ from bundle.interface.options import SolveOptions
 from bundle.model.problem import Problem
 from bundle.planning.comparison.recommendation import recommended_command
 from bundle.planning.inspection.elimination_costs import CONVENTION
+from bundle.planning.inspection.graph_inspection import GraphInspection
 from bundle.planning.inspection.inspection_result import Inspection, MethodInspection
 from bundle.planning.inspection.peak_memory import ON_DISK
+from bundle.planning.inspection.problem_needs import ProblemNeeds, SchurCounts
 from bundle.planning.inspection.rank_prediction import RankPrediction, find_rank_limit
 from bundle.reports.sections import Column, Report, Section, Table, fields
 from bundle.reports.terminal.inputs import about_problem, problem_facts
@@ -262,3 +264,138 @@ def _rank_data(ranks: Sequence[RankPrediction], network: tuple[float, float]) ->
         "ranks": ranks,
         "rank_limit": find_rank_limit(ranks),
     }
+
+
+def inspected_shape(
+    shape: Mapping[str, int], counts: SchurCounts, needs: ProblemNeeds, wall_time: float
+) -> Report:
+    """Return the report.
+
+    Args:
+        shape: num_cameras, num_points and track_length.
+        counts: flops of a step.
+        needs: memory and disk of a solve.
+        wall_time: seconds.
+    """
+    cameras, points, track = shape.values()
+    terms = [
+        ("invert V_p", "27 per point", counts.points),
+        ("W V^-1 W^T", f"162 for each of {counts.num_block_products} products", counts.products),
+        ("factorise S", f"n^3 / 3, n = 6 x {cameras} = {counts.num_reduced_unknowns}",
+         counts.reduced),
+        ("together", "points eliminated first", counts.schur),
+        ("all at once", f"n^3 / 3, n = {counts.num_unknowns}", counts.dense),
+    ]  # fmt: skip
+    rows = [(name, formula, number(flops)) for name, formula, flops in terms]
+    ratio = counts.dense / counts.schur
+    return Report(
+        command="inspect",
+        headline=[
+            f"{plural(cameras, 'camera')} and {plural(points, 'point')}, each seen by {track}: "
+            f"{number(counts.schur)} flops per step with the points eliminated first, "
+            f"{number(counts.dense)} without ({number(ratio)} times as many)."
+        ],
+        sections=[
+            Section(
+                tables=[Table.of(("term", "formula", "flops"), rows, left=2)],
+                notes=[
+                    "A textbook estimate, with a dense S. `bundle inspect INPUT` counts the "
+                    "work of a solver on your problem."
+                ],
+            ),
+            _needs(needs),
+        ],
+        data={
+            "shape": dict(shape),
+            **fields(counts),
+            "schur": counts.schur,
+            "needs": needs,
+            "wall_time": {"total": wall_time},
+        },
+    )
+
+
+def _needs(needs: ProblemNeeds) -> Section:
+    submaps = plural(needs.num_submaps, "submap")
+    system = format_size(needs.system_in_bytes)
+    facts = [
+        ("observations", f"{needs.num_observations:,}"),
+        ("in memory", f"{format_size(needs.memory_in_bytes)} and S with its factor, {system} or "
+                      "more"),
+        ("out of core", f"{submaps} of {format_size(needs.disk_in_bytes)} of disk and "
+                        f"{format_size(needs.resident_in_bytes)} of memory or more"),
+        ("processor", f"{number(needs.processor_seconds_per_step)} s per step, as measured with "
+                      "500 million observations"),
+    ]  # fmt: skip
+    notes = ["`bundle refine INPUT -o OUTPUT --out-of-core DIR` keeps observations and points on "
+             "a disk."]  # fmt: skip
+    if needs.num_submaps > 1:
+        notes.append(
+            "One solve has at most 1,073,741,823 observations, so submaps share images, their "
+            "separators. `refine --only-images --rest marginal` eliminates all else exactly. The "
+            f"dense system of {needs.most_separator_images:,} images fits into the free memory."
+        )
+    return Section(facts=facts, notes=notes)
+
+
+# Largest number of steps, and of members of a step, that a terminal shows.
+MOST_STEPS, MOST_MEMBERS = 100, 8
+
+SHORT = 12
+"""Number of steps up to which they are shown without --verbose."""
+
+
+def inspected_steps(path: str, graph: GraphInspection, wall_time: float) -> Report:
+    """Return the report; wall_time in seconds."""
+    sizes = f"{plural(graph.num_variables, 'variable')}, {plural(len(graph.edges), 'edge')}"
+    counts = " ".join(map(str, graph.column_counts[:MOST_STEPS]))
+    more = " ..." if len(graph.column_counts) > MOST_STEPS else ""
+    sums = [
+        ("column counts", counts + more),
+        ("fill", str(graph.fill)),
+        ("flops", f"{graph.flops} (CHOLMOD's own count: {number(graph.cholmod_flops)})"),
+        ("nonzeros", f"{graph.nnz} of the matrix, {graph.nnz_factor} of its factor L"),
+        ("", CONVENTION),
+        ("tree height", str(graph.tree_height)),
+    ]
+    missing = "Too many neighbours to record the steps of the elimination."
+    return Report(
+        command="inspect",
+        headline=[
+            f"{sizes}, eliminated in {graph.ordering} order: fill {graph.fill}, {graph.nnz_factor} "
+            f"nonzeros of the factor L, {graph.flops} flops, tree height {graph.tree_height}."
+        ],
+        sections=[
+            Section(tables=[_steps(graph)], is_detail=len(graph.steps) > SHORT)
+            if graph.steps
+            else Section(text=[missing]),
+            Section(facts=[("graph", shown(path)), *sums], is_detail=True),
+        ],
+        data={
+            "graph": path,
+            **fields(graph),
+            "nonzeros": CONVENTION,
+            "wall_time": {"total": wall_time},
+        },
+    )
+
+
+def _steps(graph: GraphInspection) -> Table:
+    names = graph.names
+    columns = (
+        Column("eliminated", lambda step: names[step.variable]),
+        Column("neighbours", lambda step: _members([names[k] for k in step.neighbours])),
+        Column("fill", lambda step: _members([f"{names[a]}-{names[b]}" for a, b in step.fill])),
+        Column("flops", "flops"),
+        Column("fill so far", "total_fill"),
+        Column("so far", "total_flops"),
+    )
+    cells = Table(columns, graph.steps[:MOST_STEPS]).cells()
+    if len(graph.steps) > MOST_STEPS:
+        cells.append((f"... {len(graph.steps) - MOST_STEPS} more", "", "", "", "", ""))
+    return Table.of([column.title for column in columns], cells, left=3)
+
+
+def _members(members: Sequence[str]) -> str:
+    more = f" +{len(members) - MOST_MEMBERS}" if len(members) > MOST_MEMBERS else ""
+    return " ".join(members[:MOST_MEMBERS]) + more

@@ -1,7 +1,8 @@
-"""Options of a covariance, with the choices of :func:`bundle.covariance`."""
+"""Options of a covariance, and of a check of Jacobians."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from typing import Any
 
@@ -90,3 +91,45 @@ def parts_of(name: str, value: str | Iterable[str]) -> tuple[str, ...]:
     if not named:
         raise InputError(f"{name}: expected at least one of {', '.join(PARTS)}, found ''")
     return tuple(part for part in PARTS if part in named)
+
+
+SAMPLES_PER_IMAGE = 100
+"""Number of observations to check per image."""
+TOLERANCE = 1e-7
+"""Relative error above which an entry is wrong."""
+
+
+@documented
+@dataclass(frozen=True, kw_only=True, repr=False)
+class CheckOptions(Options):
+    """Options of ``bundle check``.
+
+    Raises:
+        InputError: an option has a value outside its range; the message names option and value.
+    """
+
+    samples_per_image: int = option(
+        SAMPLES_PER_IMAGE,
+        "--samples",
+        "number of observations to check for each image and its camera; of a graph, of factors "
+        "with the same code and the same kinds of variables",
+        minimum=1,
+        maximum=math.inf,
+        metavar="N",
+    )
+    seed: int = option(0, "--seed", "of the sampling", minimum=0, maximum=math.inf, metavar="N")
+    tolerance: float = option(
+        TOLERANCE,
+        "--tolerance",
+        "relative error above which an entry is wrong",
+        metavar="X",
+        late=True,
+    )
+    num_threads: int = option(
+        0,
+        "--threads",
+        "number of threads, at most one per core; 0: all cores",
+        minimum=0,
+        maximum=math.inf,
+        metavar="N",
+    )
