@@ -64,7 +64,7 @@ def _comments(lines: list[str], sign: str, *, code_seen: bool) -> Iterator[Comme
             text = [re.sub(rf"^{sign}/? ?", "", line) for line in lines[begin:at]]
             if sign == "#":  # the blank lines of the formatter stand between
                 following = next(filter(None, lines[at:]), "")
-            above = "" if head else following.rstrip(" {;(,").strip()
+            above = "" if head else following.rstrip(" {:;(,").strip()
             yield Comment(begin + 1, text, above)
 
 
