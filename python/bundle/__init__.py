@@ -137,25 +137,19 @@ __all__ = sorted({*_MODULES, *_MODULE_OF})  # noqa: PLE0605 (the stub has a list
 
 
 class _PublicModules:
-    """Finder of public modules by their public names, such as ``import bundle.losses``."""
+    """Finder of public modules and of those below them (``import bundle.losses``).
 
-    @staticmethod
-    def find_spec(name: str, *_: object) -> Any:
-        if not name.startswith("bundle."):
-            return None
-        from bundle.base.public_modules import spec_of
-
-        return spec_of(name, _MODULES)
-
-
-class _BelowPublicNames:
-    """Finder of submodules of public modules; without it, Python would load them a second time."""
+    It comes first: Python would load modules below a second time.
+    """
 
     @staticmethod
     def find_spec(name: str, *_: object) -> Any:
         place = _MODULES.get(name[7:].partition(".")[0]) if name.startswith("bundle.") else None
-        is_below = place is not None and not f"{name}.".startswith(f"bundle.{place}.")
-        return _PublicModules.find_spec(name) if is_below else None
+        if place is None or f"{name}.".startswith(f"bundle.{place}."):
+            return None
+        from bundle.base.public_modules import spec_of
+
+        return spec_of(name, _MODULES)
 
 
 def __getattr__(name: str) -> Any:
@@ -181,11 +175,10 @@ def __dir__() -> list[str]:
     return sorted({*globals(), *__all__})
 
 
-def _install_finders() -> None:
+def _install_finder() -> None:
     import sys
 
-    sys.meta_path.insert(0, _BelowPublicNames)
-    sys.meta_path.append(_PublicModules)
+    sys.meta_path.insert(0, _PublicModules)
 
 
-_install_finders()
+_install_finder()

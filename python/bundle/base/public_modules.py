@@ -10,17 +10,15 @@ from types import ModuleType
 
 
 def spec_of(name: str, public_modules: dict[str, str]) -> ModuleSpec | None:
-    """Return the spec of a public module or of a module below it; None for other names.
+    """Return the spec of a public module or of a module below it; None if there is none below.
 
     Args:
         name: module name, as in an import.
         public_modules: location of each public module, without the package's name.
     """
     public, _, below = name.removeprefix("bundle.").partition(".")
-    if public not in public_modules:
-        return None
     place = ".".join(filter(None, ("bundle", public_modules[public], below)))
-    if place == name or (below and find_spec(place) is None):
+    if below and find_spec(place) is None:
         return None
     return ModuleSpec(name, _SameModule(place))
 
