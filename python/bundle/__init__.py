@@ -163,9 +163,9 @@ def __getattr__(name: str) -> Any:
         raise AttributeError(f"module 'bundle' has no attribute {name!r}")
     module = _MODULE_OF[name]
     if module not in _WITHOUT_LIBRARIES:
-        from bundle.base import blas_threads
+        from bundle.base import own_process
 
-        blas_threads.load_libraries()
+        own_process.load_libraries()
     value = getattr(importlib.import_module(f"bundle.{module}"), name)
     globals()[name] = value
     return value

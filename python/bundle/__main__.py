@@ -8,16 +8,14 @@ from bundle.cli import startup
 def run() -> int:
     """Run the command that the process was started with; return its exit code."""
     startup.begin()
-    from bundle.base import address_space
+    from bundle.base import own_process
 
     try:
-        address_space.require("bundle with its libraries", address_space.LIBRARIES)
+        own_process.require_memory("bundle with its libraries", own_process.LIBRARIES)
     except MemoryError as error:
         sys.stderr.write(f"error: not enough memory: {error}\n")
         return 2
-    from bundle.base import blas_threads
-
-    blas_threads.begin()
+    own_process.load_core()
     from bundle.solving.ranks import launch
 
     launch.begin()

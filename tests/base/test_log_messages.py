@@ -7,7 +7,7 @@ import sys
 import pytest
 
 import bundle
-from bundle.base.log_messages import log
+from bundle.base.own_process import log
 from tests.scenes import make_problem
 
 
@@ -41,7 +41,7 @@ def test_warnings_of_a_solve(problem, caplog):
 @pytest.mark.parametrize("first", ["", "import logging; "])
 def test_without_a_handler_nothing_is_printed_and_logging_is_not_imported(first):
     script = f"""{first}import sys, bundle
-from bundle.base.log_messages import log
+from bundle.base.own_process import log
 from tests.scenes import make_problem
 problem = make_problem(num_images=3, num_points=12)
 bundle.solve(problem, linear_solver_type="dense_schur", preconditioner_type="schur_jacobi")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import bundle
-from bundle.base.arguments import as_integers
+from bundle.base.arrays import as_integers
 from bundle.cli.main import COMMANDS, command_parser
 from bundle.errors import brief
 from tests.cli.conftest import command, environment

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from bundle.checking import block_signatures as block
 from bundle.checking import column_signatures as column
-from bundle.checking import rotation_signatures as rotation
 from bundle.checking import row_signatures as row
 from bundle.checking.evidence import KNOWN, Evidence, Finding
 from bundle.checking.jacobian_deviation import Array, JacobianDeviation, norm
@@ -60,8 +59,8 @@ FINE = 1e-4
 """Largest error of columns that are wrong in their last digits."""
 
 SIGNATURES: tuple[Callable[[Evidence], None], ...] = (
-    rotation.conventions,
-    rotation.quaternion_order,
+    row.conventions,
+    row.quaternion_order,
     block.swapped_blocks,
     block.adjoint,
     column.swapped,
@@ -73,8 +72,8 @@ SIGNATURES: tuple[Callable[[Evidence], None], ...] = (
     column.column_major,  # zeros make some of its columns constant factors
     column.factors,
     column.transposed,  # the negative of a skew matrix is its transpose: a sign is likelier
-    rotation.rotation_vectors,
-    rotation.turned,
+    row.rotation_vectors,
+    row.turned,
     column.order,
     column.parameter_factors,
     column.varying_factors,

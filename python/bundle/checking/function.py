@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 import bundle._core as _core
-from bundle.base.arguments import as_array
+from bundle.base.arrays import as_array
 from bundle.base.records import dataclass
 from bundle.base.words import plural
 from bundle.checking.classify import rounds_to_single

@@ -10,7 +10,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bundle.base.arguments import as_array, as_flag
+from bundle.base.arrays import as_array, as_flag
 from bundle.base.words import plural
 from bundle.checking.classify import classify, float_precision, is_single, stale
 from bundle.checking.evidence import EXPLAINED, Evidence, Finding, join_names

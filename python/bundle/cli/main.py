@@ -13,7 +13,7 @@ from functools import partial
 from typing import Any
 
 from bundle import __version__
-from bundle.base import blas_threads
+from bundle.base import own_process
 from bundle.cli import startup
 from bundle.cli.completion import SHELLS, PrintCompletion
 from bundle.cli.dispatch import COMMANDS, find_handler, kind_of_input
@@ -121,7 +121,7 @@ def command_parser() -> Parser:
 
 def _declare(name: str, parser: Parser) -> None:
     """Declare the arguments of a command."""
-    blas_threads.load_numpy()
+    own_process.load_numpy()
     from bundle.cli.commands import ARGUMENTS, add_common  # late, for fast --version and --help
     from bundle.cli.path_checks import check_paths
 

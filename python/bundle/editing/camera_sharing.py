@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.base.arguments import as_integers
+from bundle.base.arrays import as_integers
 from bundle.errors import InputError
 from bundle.io.files import Source, as_problem
 from bundle.model.cameras import camera_models, param_kinds

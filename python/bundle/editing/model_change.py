@@ -11,7 +11,7 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.base.arguments import as_integers
+from bundle.base.arrays import as_integers
 from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
 from bundle.base.words import pixels, plural

@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.base.arguments import check_type
+from bundle.base.arrays import check_type
 from bundle.base.records import dataclass
 from bundle.errors import InputError, brief, first_line, shown
 from bundle.model.cameras import camera_models

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.analysis.statistics.covisibility import shared_points
-from bundle.base.arguments import check_type
+from bundle.base.arrays import check_type
 from bundle.base.records import dataclass
 from bundle.base.words import amount, plural
 from bundle.figures.drawing import Figure

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from bundle.base.arguments import as_array
+from bundle.base.arrays import as_array
 from bundle.errors import InputError, brief
 from bundle.georeference.alignment_result import Alignment, ImageError, as_triple
 from bundle.georeference.control_point import (

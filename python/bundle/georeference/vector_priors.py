@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bundle.base.arguments import as_array
-from bundle.base.arrays import FrozenArrays, freeze
+from bundle.base.arrays import FrozenArrays, as_array, freeze
 from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
 from bundle.errors import InputError, brief

@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle._core import __version__
-from bundle.base.cache_folder import cache_folder, write_cached
+from bundle.base.paths import cache_folder, write_cached
 from bundle.base.records import dataclass
 from bundle.base.words import amount, number
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 import bundle._core as _core
-from bundle.base.arguments import as_array, as_flag
+from bundle.base.arrays import as_array, as_flag
 from bundle.errors import InputError
 from bundle.interface.option_fields import choice
 

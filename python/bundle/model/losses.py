@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 import bundle._core as _core
-from bundle.base.arguments import as_array
+from bundle.base.arrays import as_array
 from bundle.errors import InputError, brief
 from bundle.interface.option_fields import choice, number
 from bundle.interface.options import LOSSES

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from bundle.base.arguments import check_type
+from bundle.base.arrays import check_type
 from bundle.base.paths import as_path
 from bundle.graphs.factors.factor_graph import GraphResult
 from bundle.graphs.pose_graphs.edge_weights import densest_set

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.base.log_messages import log
 from bundle.base.optional_packages import require_pycolmap
+from bundle.base.own_process import log
 from bundle.base.records import dataclass
 from bundle.interface.colmap_options import ColmapAdjustment, colmap_adjustment
 from bundle.interface.options import SolveOptions

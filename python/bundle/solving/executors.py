@@ -6,8 +6,8 @@ import dataclasses
 from typing import TYPE_CHECKING, Any
 
 import bundle._core as _core
-from bundle.base.arguments import check_function
-from bundle.base.log_messages import log, logged_iterations
+from bundle.base.arrays import check_function
+from bundle.base.own_process import log, logged_iterations
 from bundle.base.records import dataclass
 from bundle.interface.solve_record import Progress
 from bundle.solving.layout import refuse_shrinking

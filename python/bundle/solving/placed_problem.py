@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 
-from bundle.base.arguments import as_flag
+from bundle.base.arrays import as_flag
 from bundle.errors import InputError, brief
 from bundle.model.problem import Problem
 

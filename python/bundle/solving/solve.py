@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Unpack, overload
 
 from numpy.typing import ArrayLike
 
-from bundle.base.arguments import check_function
+from bundle.base.arrays import check_function
 from bundle.errors import InputError, brief
 from bundle.interface.option_class import takes_options
 from bundle.interface.options import SolveOptions

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 import bundle._core as _core
-from bundle.base.arguments import check_function
+from bundle.base.arrays import check_function
 from bundle.base.display import Display, Displayed
 from bundle.base.words import contents, plural
 from bundle.errors import InputError, brief, first_line

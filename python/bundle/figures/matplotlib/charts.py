@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bundle.base.arguments import check_type
+from bundle.base.arrays import check_type
 from bundle.figures.cost_figures import (
     bar_figure,
     breakdown_figure,

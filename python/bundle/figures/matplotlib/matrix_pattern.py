@@ -9,7 +9,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bundle.base.arguments import as_integers
+from bundle.base.arrays import as_integers
 from bundle.base.records import dataclass
 from bundle.errors import InputError, brief
 from bundle.interface.option_fields import number

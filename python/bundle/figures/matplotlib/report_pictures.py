@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bundle.base.arguments import check_type
+from bundle.base.arrays import check_type
 from bundle.errors import InputError
 from bundle.figures import lens_figures, placement_figures, residual_figures
 from bundle.figures.certainty import Certainty, correlation_figure

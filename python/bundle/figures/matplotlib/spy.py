@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 import bundle._core as _core
-from bundle.base.arguments import check_type
+from bundle.base.arrays import check_type
 from bundle.figures.matplotlib.draw import figure
 from bundle.figures.matplotlib.matrix_pattern import (
     Density,

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 from numpy.typing import ArrayLike
 
 import bundle._core as _core
-from bundle.base.arguments import check_function
+from bundle.base.arrays import check_function
 from bundle.checking.function import ResidualFunction
 from bundle.checking.gradient_report import GradientReport
 from bundle.checking.jacobians import check_problem

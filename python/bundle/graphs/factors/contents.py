@@ -9,7 +9,7 @@ from weakref import WeakKeyDictionary
 from numpy.typing import ArrayLike
 
 import bundle._core as _core
-from bundle.base.arguments import check_type
+from bundle.base.arrays import check_type
 from bundle.base.display import Displayed
 from bundle.base.words import plural
 from bundle.errors import InputError, brief, nearest

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 import bundle._core as _core
-from bundle.base.arguments import as_flag
+from bundle.base.arrays import as_flag
 from bundle.base.records import dataclass
 from bundle.checking.function import SamplePoint, UserFunction
 from bundle.checking.gradient_report import GradientReport

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import bundle._core as _core
-from bundle.base.arguments import as_flag, check_function
+from bundle.base.arrays import as_flag, check_function
 from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
 from bundle.base.words import change, plural, seconds

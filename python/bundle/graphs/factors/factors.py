@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bundle.base.arguments import as_array, as_flag
-from bundle.base.arrays import FrozenArrays, freeze
+from bundle.base.arrays import FrozenArrays, as_array, as_flag, freeze
 from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
 from bundle.base.words import plural

@@ -23,7 +23,7 @@ from typing import Any, Self
 import numpy as np
 
 import bundle._core as _core
-from bundle.base.arguments import as_flag
+from bundle.base.arrays import as_flag
 from bundle.errors import InputError
 from bundle.graphs.factors.contents import GraphContents
 from bundle.graphs.factors.linear_prior import LinearPrior, SquareRootPrior

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.base.arguments import check_type
+from bundle.base.arrays import check_type
 from bundle.errors import InputError, brief
 from bundle.graphs.factors.check_solve import spot_checked, time_for_checks
 from bundle.graphs.factors.factor_graph import FactorGraph

@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 import bundle._core as _core
-from bundle.base.arguments import as_array, as_integers
-from bundle.base.arrays import FrozenArrays, freeze
+from bundle.base.arrays import FrozenArrays, as_array, as_integers, freeze
 from bundle.base.records import dataclass
 from bundle.base.words import plural
 from bundle.errors import InputError, brief

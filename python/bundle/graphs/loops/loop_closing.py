@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from bundle.base.arguments import check_type
+from bundle.base.arrays import check_type
 from bundle.base.display import Display, Displayed
 from bundle.base.paths import as_path
 from bundle.base.records import dataclass

@@ -24,8 +24,7 @@ from numpy.typing import NDArray
 
 import bundle._core as _core
 from bundle.base import words
-from bundle.base.arguments import check_function, check_type
-from bundle.base.arrays import freeze
+from bundle.base.arrays import check_function, check_type, freeze
 from bundle.base.paths import as_path, is_path
 from bundle.base.records import dataclass
 from bundle.errors import InputError

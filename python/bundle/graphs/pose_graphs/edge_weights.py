@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import bundle._core as _core
-from bundle.base.arguments import check_type
+from bundle.base.arrays import check_type
 from bundle.base.paths import as_path, is_path
 from bundle.base.records import dataclass
 from bundle.base.words import distinct, plural

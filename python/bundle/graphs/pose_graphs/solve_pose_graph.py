@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import bundle._core as _core
-from bundle.base.arguments import check_function, check_type
+from bundle.base.arrays import check_function, check_type
 from bundle.base.words import plural
 from bundle.errors import InputError
 from bundle.graphs.pose_graphs.chi2_quantiles import ONE_IN_2000, ONE_IN_A_MILLION

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bundle.base.arguments import check_type
-from bundle.base.arrays import freeze
+from bundle.base.arrays import check_type, freeze
 from bundle.base.records import dataclass
 from bundle.errors import InputError
 from bundle.graphs.factors.factors import Factor

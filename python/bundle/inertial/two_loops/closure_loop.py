@@ -15,7 +15,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bundle.base.arguments import as_array, check_function, check_type
+from bundle.base.arrays import as_array, check_function, check_type
 from bundle.base.display import Display
 from bundle.base.paths import as_path
 from bundle.base.records import dataclass

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.base.arguments import check_type
+from bundle.base.arrays import check_type
 from bundle.inertial.two_loops.closure_loop import solved_on_one_thread
 from bundle.model.pose_graph_arrays import PoseGraph
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from bundle.base.arguments import check_function, check_type
+from bundle.base.arrays import check_function, check_type
 from bundle.base.display import Display
 from bundle.inertial.two_loops.closure_loop import Closure, ClosureLoop, Keyframe
 from bundle.inertial.two_loops.loop_thread import Ring, SolveLoop

@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bundle.base.arguments import check_type
+from bundle.base.arrays import check_type
 from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
 from bundle.inertial.vio.linear_start import LinearStart, Observations, solve_linear_start

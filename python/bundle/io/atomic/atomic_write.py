@@ -28,7 +28,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from bundle.base.interrupts import interrupts_deferred
+from bundle.base.own_process import interrupts_deferred
 from bundle.errors import InputError, shown
 from bundle.io.atomic import replacement
 from bundle.io.atomic.model_files import MODEL_FILES, missing_model_files

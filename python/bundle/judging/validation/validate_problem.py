@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.base.arguments import check_function
+from bundle.base.arrays import check_function
 from bundle.errors import InputError
 from bundle.interface.option_fields import choice, number
 from bundle.interface.options import LOSSES, SolveOptions

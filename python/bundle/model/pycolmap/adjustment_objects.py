@@ -15,7 +15,7 @@ from pycolmap import (
     Reconstruction,
 )
 
-from bundle.base.arguments import check_type
+from bundle.base.arrays import check_type
 from bundle.base.records import dataclass
 from bundle.errors import InputError
 

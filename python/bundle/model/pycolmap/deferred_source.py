@@ -14,9 +14,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import bundle._core as _core
-from bundle.base import address_space
-from bundle.base.interrupts import interrupts_deferred
 from bundle.base.optional_packages import require_pycolmap
+from bundle.base.own_process import PYCOLMAP, interrupts_deferred, require_memory
 from bundle.errors import InputError, first_line
 
 if TYPE_CHECKING:
@@ -85,7 +84,7 @@ class DeferredSource:
 def _read_by_pycolmap(model: _core.ColmapModel, folder: Path) -> pycolmap.Reconstruction:
     """Return the reconstruction that pycolmap builds from the bytes of the files in memory."""
     require_pycolmap("the source of a problem as a pycolmap.Reconstruction")
-    address_space.require("pycolmap", address_space.PYCOLMAP)
+    require_memory("pycolmap", PYCOLMAP)
     import tempfile  # slow to import
 
     with interrupts_deferred():  # the import of pycolmap cannot be interrupted

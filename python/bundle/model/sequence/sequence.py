@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bundle.base.arguments import as_array, check_type
-from bundle.base.arrays import immutable
+from bundle.base.arrays import as_array, check_type, immutable
 from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
 from bundle.errors import InputError, brief

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Unpack, overload
 
-from bundle.base.arguments import check_function
+from bundle.base.arrays import check_function
 from bundle.errors import InputError, check_keywords
 from bundle.graphs.factors.factor_graph import FactorGraph
 from bundle.graphs.factors.same_problem import options_of_graph, pose_graph_of, problem_of

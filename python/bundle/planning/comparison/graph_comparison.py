@@ -21,7 +21,7 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import bundle._core as _core
-from bundle.base.arguments import check_function, check_type
+from bundle.base.arrays import check_function, check_type
 from bundle.base.display import Display, Displayed
 from bundle.base.paths import as_path, is_path
 from bundle.base.records import dataclass

@@ -17,7 +17,7 @@ from dataclasses import field
 from pathlib import Path
 from typing import IO, Any
 
-from bundle.base.interrupts import interrupts_deferred
+from bundle.base.own_process import interrupts_deferred
 from bundle.base.records import dataclass
 from bundle.base.words import format_size
 from bundle.planning.comparison import process_memory

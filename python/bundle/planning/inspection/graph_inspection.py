@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import bundle._core as _core
-from bundle.base.arguments import as_flag, as_integers
+from bundle.base.arrays import as_flag, as_integers
 from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
 from bundle.base.words import plural

@@ -25,7 +25,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import bundle._core as _core
-from bundle.base.cache_folder import cache_folder, write_cached
+from bundle.base.paths import cache_folder, write_cached
 from bundle.errors import InputError
 from bundle.interface.options import SolveOptions
 from bundle.model.problem import Problem

@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import Any, Unpack, overload
 
 import bundle._core as _core
-from bundle.base.arguments import as_flag
+from bundle.base.arrays import as_flag
 from bundle.base.words import SHARE_OF_FREE_MEMORY
 from bundle.errors import InputError
 from bundle.graphs.factors.factor_graph import FactorGraph

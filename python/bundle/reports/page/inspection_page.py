@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bundle.base.arguments import check_type
+from bundle.base.arrays import check_type
 from bundle.base.paths import as_path
 from bundle.base.words import amount, format_size, plural, span
 from bundle.errors import InputError

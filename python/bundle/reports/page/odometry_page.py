@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 
-from bundle.base.arguments import check_type
+from bundle.base.arrays import check_type
 from bundle.base.paths import as_path
 from bundle.figures.odometry_figures import odometry_figures
 from bundle.inertial.vio.keyframe_record import alarms_by_kind

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from typing import Any
 
-from bundle.base.arguments import check_type
+from bundle.base.arrays import check_type
 from bundle.base.paths import as_path, is_path
 from bundle.errors import InputError
 from bundle.graphs.factors.factor_graph import FactorGraph, GraphResult

@@ -13,7 +13,7 @@ import numpy as np
 from bundle.analysis.statistics.description import Description, describe
 from bundle.analysis.uncertainty.covariance_by_input import covariance as compute_covariance
 from bundle.analysis.uncertainty.covariance_result import Covariance
-from bundle.base.arguments import check_type
+from bundle.base.arrays import check_type
 from bundle.base.paths import as_path
 from bundle.errors import InputError, shown
 from bundle.figures.certainty import Certainty, certainty, largest_eigenvalues

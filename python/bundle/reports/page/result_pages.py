@@ -6,7 +6,7 @@ import os
 from collections.abc import Sequence
 from html import escape
 
-from bundle.base.arguments import check_type
+from bundle.base.arrays import check_type
 from bundle.base.paths import as_path
 from bundle.errors import InputError, brief
 from bundle.judging.evaluation.check_points import CheckPointEvaluation

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.base.arguments import as_array
-from bundle.base.arrays import freeze
+from bundle.base.arrays import as_array, freeze
 from bundle.base.records import dataclass
 from bundle.errors import InputError, brief
 from bundle.model.cameras import camera_models
