@@ -254,11 +254,12 @@ def whole_ids(name: str, value: Any) -> tuple[int, ...]:
         if isinstance(value, str | bytes):
             raise TypeError  # the characters of a string are not ids
         given = list(value)
-        if any(isinstance(entry, bool) for entry in given):
+        if bool in set(map(type, given)):
             raise TypeError
-        ids = {operator.index(entry) for entry in given}
+        ids = sorted(set(map(operator.index, given)))
     except TypeError:
         raise InputError(f"{name}: expected whole numbers, found {brief(value)}") from None
-    for found in (entry for entry in ids if not -(2**63) <= entry < 2**63):
-        raise InputError(f"{name}: expected ids below 2^63, found {brief(found)}")
-    return tuple(sorted(ids))
+    for found in (*ids[:1], *ids[-1:]):
+        if not -(2**63) <= found < 2**63:
+            raise InputError(f"{name}: expected ids below 2^63, found {brief(found)}")
+    return tuple(ids)

@@ -12,17 +12,19 @@ from numpy.typing import NDArray
 from bundle.base.optional_packages import require_pycolmap
 from bundle.base.own_process import log
 from bundle.base.records import dataclass
-from bundle.interface.colmap_options import ColmapAdjustment, colmap_adjustment
 from bundle.interface.options import SolveOptions
 from bundle.interface.solve_record import Progress
 from bundle.interface.summary import Summary
+from bundle.model.cameras import camera_models
 from bundle.model.problem import Problem
 from bundle.model.rigid_motions import inverse_poses, multiply_poses, rotation_matrices
 from bundle.solving.constraints.applied import HELD_POSITION, HELD_ROTATION, Applied
 from bundle.solving.solve import solve
 
 if TYPE_CHECKING:
+    from bundle.interface.colmap_options import ColmapAdjustment
     from bundle.model.pycolmap.adjustment_objects import (
+        AdjustedFields,
         AdjustmentConfig,
         BundleAdjustmentConfig,
         BundleAdjustmentOptions,
@@ -73,23 +75,24 @@ def bundle_adjustment(
         a BundleAdjustmentSummary, as in pycolmap.
 
     Raises:
-        InputError: an option that bundle cannot honour, or an id that does not exist; the message
-            names it. The reconstruction is unchanged.
+        InputError: an option that bundle cannot honour, an id that does not exist, a track that
+            does not match the keypoints, or a point that was deleted during the solve; the message
+            names it. The reconstruction keeps its values.
     """
     require_pycolmap("bundle_adjustment")
     from bundle.model.pycolmap import adjustment_objects
-    from bundle.model.pycolmap.reconstruction import fields_of
 
-    given, defaults, places = adjustment_objects.options_of(options)
-    asked = colmap_adjustment(given, defaults, lambda name: places.get(name, name))
+    asked = adjustment_objects.options_of(options)
     if asked.asks_for_gpu:
-        log("warning", "%s: bundle has no GPU solver; it uses the CPU", places["use_gpu"])
+        log("warning", "options.ceres.use_gpu: bundle has no GPU solver; it uses the CPU")
     selected = adjustment_objects.config_of(reconstruction, config)
     if config is None:
         adjustment_objects.delete_observations_behind(reconstruction)
-    whole = Problem(**fields_of(reconstruction))
-    frames = adjustment_objects.frames_of_images(reconstruction, whole.image_ids)
-    part = adjusted_part(whole, frames, asked, selected)
+    part = adjusted_part(
+        adjustment_objects.adjusted_fields(reconstruction, selected, asked.min_track_length),
+        asked,
+        selected,
+    )
     if part.problem.num_observations == 0:
         return adjustment_objects.empty_summary()
     limits = _Limits(progress, cancellation_token, asked.max_seconds)
@@ -102,8 +105,10 @@ def bundle_adjustment(
     )
     if config is None:
         adjustment_objects.update_errors(reconstruction)
-    values = vars(summary) | limits.outcome(summary)
-    result = adjustment_objects.summary_of(values)
+    result = adjustment_objects.summary_of(
+        vars(summary) | limits.outcome(summary),
+        part.counts(),
+    )
     if asked.print_summary:
         print(f"Bundle adjustment report\n{result.brief_report()}", file=sys.stderr)
     return result
@@ -200,56 +205,64 @@ class AdjustedPart:
         parts |= dict.fromkeys(whole, HELD_ROTATION | HELD_POSITION)
         return Applied(rules=(), held_poses=parts)
 
+    def counts(self) -> dict[str, int]:
+        """Return the numbers of blocks, residuals and parameters that COLMAP hands to Ceres.
+
+        They include constant points and cameras. A pose on a rig consists of the blocks
+        sensor_from_rig and rig_from_world. A constant sensor_from_rig is no block, and without it a
+        constant rig_from_world is none either.
+        """
+        problem, options = self.problem, self.options
+        moves = ~self.constant_images & ("poses" in options.refine)
+        sensor = np.full(problem.num_images, -1)
+        if options.refine_sensor_from_rig and problem.num_frames:
+            pairs = zip(problem.sensor_rig_ids, problem.sensor_camera_ids, strict=True)
+            free = np.array([pair not in set(options.fixed_sensors) for pair in pairs], bool)
+            framed = problem.image_sensor >= 0
+            sensor[framed] = np.where(free, np.arange(len(free)), -1)[problem.image_sensor[framed]]
+        frames = self.frames[self.named & (moves | (sensor >= 0))]
+        poses = len(np.unique(frames)) + len(np.unique(sensor[self.named & (sensor >= 0)]))
+        params = sum(len(camera_models()[name]) for name in problem.camera_models)
+        return {
+            "num_residual_blocks": problem.num_observations,
+            "num_residuals": 2 * problem.num_observations,
+            "num_parameter_blocks": problem.num_cameras + problem.num_points + poses,
+            "num_parameters": params + 3 * problem.num_points + 7 * poses,
+        }
+
 
 def adjusted_part(
-    whole: Problem,
-    frames: NDArray[np.int64],
-    asked: ColmapAdjustment,
-    config: AdjustmentConfig,
+    read: AdjustedFields, asked: ColmapAdjustment, config: AdjustmentConfig
 ) -> AdjustedPart:
-    """Select the sub-problem of an adjustment.
+    """Return the sub-problem of an adjustment with its constant variables.
 
     Args:
-        whole: the problem with all registered images.
-        frames: (num_images,) frame id of each image.
+        read: the sub-problem as it was read.
         asked: options of the adjustment.
         config: images and points of the adjustment, and its constant variables.
     """
-    named = np.isin(whole.image_ids, list(config.images))
-    tracks = np.bincount(whole.observation_point, minlength=whole.num_points)
-    listed = np.isin(whole.point_ids, [*config.variable_points, *config.constant_points])
-    of_named = named[whole.observation_image]
-    observations = (of_named | listed[whole.observation_point]) & (
-        tracks[whole.observation_point] >= asked.min_track_length
-    )
-    images = _marked(whole.observation_image[observations], whole.num_images)
-    points = _marked(whole.observation_point[observations], whole.num_points)
-    cameras = _marked(whole.image_camera[images], whole.num_cameras)
-    selection = _without_frames_of(whole, ~named).select(
-        images=images, cameras=cameras, points=points, observations=observations
-    )
-    part = selection.problem
+    part = Problem(**read.fields)
+    named = np.isin(part.image_ids, list(config.images))
+    part = _without_frames_of(part, ~named)
     seen = np.bincount(part.observation_point, minlength=part.num_points)
-    constant_points = (tracks[points] > seen) | np.isin(
-        part.point_ids, list(config.constant_points)
-    )
-    constant_images = ~named[images] | np.isin(frames[images], list(config.constant_frames))
-    of_others = ~_marked(part.image_camera[named[images]], part.num_cameras)
+    constant_points = (read.tracks > seen) | np.isin(part.point_ids, list(config.constant_points))
+    constant_images = ~named | np.isin(read.frames, list(config.constant_frames))
+    of_others = ~_marked(part.image_camera[named], part.num_cameras)
     constant_cameras = of_others | np.isin(part.camera_ids, list(config.constant_cameras))
     sensors = zip(part.sensor_rig_ids.tolist(), part.sensor_camera_ids.tolist(), strict=True)
+    use_one_thread = 2 * part.num_observations < asked.min_residuals_for_threads
     options = asked.options.replace(
         gauge=config.gauge,
+        num_threads=1 if use_one_thread else asked.options.num_threads,
         fixed_camera_ids=part.camera_ids[constant_cameras].tolist(),
         fixed_point_ids=part.point_ids[constant_points].tolist(),
         fixed_sensors=[pair for pair in sensors if pair[1] in config.constant_sensors],
     )
-    if 2 * part.num_observations < asked.min_residuals_for_threads:
-        options = options.replace(num_threads=1)
     return AdjustedPart(
         problem=part,
         options=options,
-        named=named[images],
-        frames=frames[images],
+        named=named,
+        frames=read.frames,
         constant_images=constant_images,
         constant_points=constant_points,
         constant_rotations=asked.constant_rotations,

@@ -125,9 +125,9 @@ def weak_baseline(
     perspective within an image distinguishes the two. A solve can therefore move far along this
     direction for a small decrease of the cost.
     """
-    if not options.refine_sensor_from_rig or "focal" not in options.refine:
+    if not (options.refine_sensor_from_rig and "focal" in options.refine and last.num_sensors):
         return ""
-    framed = last.image_frame >= 0 if last.num_frames else np.zeros(last.num_images, bool)
+    framed = last.image_frame >= 0
     focal = (0.0, "")
     for camera in distinct(last.image_camera[framed]).tolist():
         for column, kind in enumerate(param_kinds(last.camera_models[camera])):

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import functools
+import operator
 from collections.abc import Mapping
+from itertools import compress
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,6 +22,18 @@ from pycolmap import (
 from bundle.base.arrays import check_type
 from bundle.base.records import dataclass
 from bundle.errors import InputError
+from bundle.interface.colmap_options import ColmapAdjustment, colmap_adjustment
+from bundle.model.pycolmap.reconstruction import (
+    Observations,
+    check_lengths,
+    fields_of,
+    fields_of_images,
+    ids_of_points,
+    is_valid,
+    lengths_of_tracks,
+    pixels_of,
+    positions_of,
+)
 
 if TYPE_CHECKING:
     from bundle.model.problem import Problem
@@ -96,41 +112,50 @@ def config_of(
     )
 
 
-def options_of(
-    options: BundleAdjustmentOptions | None,
-) -> tuple[dict[str, Any], dict[str, Any], dict[str, str]]:
-    """Return the options by name, their defaults, and the attribute of each.
-
-    Names of choices are in lower case. Options of the GPU backend are left out.
+def options_of(options: BundleAdjustmentOptions | None) -> ColmapAdjustment:
+    """Translate pycolmap's options; None: its defaults.
 
     Raises:
-        InputError: the options request the GPU backend.
+        InputError: an option requests the GPU backend, or no solve can honour it.
     """
     if options is None:
-        options = BundleAdjustmentOptions()
+        return _translated(())
     check_type("options", options, BundleAdjustmentOptions)
-    given, places = _flat(options.todict())
-    if given.pop("backend", "ceres") != "ceres":
+    return _translated(tuple(_flat(options.todict()).items()))
+
+
+@functools.lru_cache(maxsize=8)
+def _translated(given: tuple[tuple[str, Any], ...]) -> ColmapAdjustment:
+    """Translate options by attribute: most calls of a mapper have the options of another call."""
+    defaults = _flat(BundleAdjustmentOptions().todict())
+    values = dict(given) or defaults
+    if values.pop("options.backend", "ceres") != "ceres":
         raise InputError("options.backend: expected CERES, found CASPAR, which needs a GPU")
-    defaults, _ = _flat(BundleAdjustmentOptions().todict())
-    return given, defaults, places
+    places = {place.rpartition(".")[2]: place for place in values}
+    return colmap_adjustment(
+        {name: values[place] for name, place in places.items()},
+        {place.rpartition(".")[2]: value for place, value in defaults.items()},
+        lambda name: places.get(name, name),
+    )
 
 
-def summary_of(values: Mapping[str, Any]) -> pycolmap.CeresBundleAdjustmentSummary:
+def summary_of(
+    values: Mapping[str, Any], counts: Mapping[str, int]
+) -> pycolmap.CeresBundleAdjustmentSummary:
     """Return pycolmap's summary with the values of ours; fields without a value keep -1.
 
     Args:
         values: fields of :class:`bundle.Summary`, which have Ceres' names.
+        counts: fields that count what pycolmap hands to Ceres.
     """
     summary = pycolmap.CeresBundleAdjustmentSummary()
     ceres = summary.ceres_summary
-    for name, before in ceres.todict().items():
-        value = values.get(name)
-        if value is None:
-            continue
-        if hasattr(type(before), "__members__"):
-            value = type(before).__members__.get(value, before)
-        setattr(ceres, name, value)
+    for name, choices in _summary_fields().items():
+        value = counts.get(name, values.get(name))
+        if choices:
+            value = choices.get(str(value))
+        if value is not None:
+            setattr(ceres, name, value)
     # A solve has no constant parameters that count, and its steps have no superfluous numbers.
     ceres.num_effective_parameters = values["num_parameters"]
     ceres.num_effective_parameters_reduced = values["num_parameters_reduced"]
@@ -140,27 +165,30 @@ def summary_of(values: Mapping[str, Any]) -> pycolmap.CeresBundleAdjustmentSumma
     return summary
 
 
+@functools.cache
+def _summary_fields() -> dict[str, Mapping[str, Any]]:
+    """Return the fields of Ceres' summary, each with its choices by name."""
+    fields = pycolmap.CeresBundleAdjustmentSummary().ceres_summary.todict()
+    return {name: getattr(type(value), "__members__", {}) for name, value in fields.items()}
+
+
 def empty_summary() -> BundleAdjustmentSummary:
     """Return pycolmap's summary of a problem without observations."""
     return BundleAdjustmentSummary()
 
 
-def _flat(nested: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, str]]:
-    """Return values by name, and their attributes, without those of the GPU backend."""
+def _flat(nested: dict[str, Any], place: str = "options") -> dict[str, Any]:
+    """Return values by attribute, names of choices in lower case, without the GPU backend."""
     values: dict[str, Any] = {}
-    places: dict[str, str] = {}
-
-    def add(entries: Mapping[str, Any], place: str) -> None:
-        for name, value in entries.items():
-            if isinstance(value, Mapping):
-                if name != "caspar":
-                    add(value, f"{place}.{name}")
-                continue
-            values[name] = value.name.lower() if hasattr(value, "__members__") else value
-            places[name] = f"{place}.{name}"
-
-    add(nested, "options")
-    return values, places
+    for name, value in nested.items():
+        if type(value) in (bool, int, float, str):
+            values[f"{place}.{name}"] = value
+        elif not isinstance(value, dict):
+            is_choice = hasattr(value, "__members__")
+            values[f"{place}.{name}"] = value.name.lower() if is_choice else value
+        elif name != "caspar":
+            values |= _flat(value, f"{place}.{name}")
+    return values
 
 
 def _check_ids(place: str, what: str, given: Any, known: Any) -> None:
@@ -169,20 +197,114 @@ def _check_ids(place: str, what: str, given: Any, known: Any) -> None:
             raise InputError(f"{place}: expected {what} of the reconstruction, found {found}")
 
 
-# Changes of a ``pycolmap.Reconstruction`` in place: refined values, and bad observations.
+# Reading of a sub-problem.
 #
-# Only the values of variables are set; images, tracks, colours and all other records stay as they
-# are. pycolmap has no arrays of poses or points, so that each value is set alone.
+# A local adjustment has a few images of a large model. Only the observations of these images, the
+# other observations of named points (from their tracks), and the records of their points, images,
+# frames and cameras are read. Nothing is kept between calls: counts and ids of an edited
+# reconstruction may be equal, and a view of a deleted point later shows another one.
 
 _Mask = NDArray[np.bool_]
 
 
-def frames_of_images(
-    reconstruction: pycolmap.Reconstruction, image_ids: NDArray[np.int64]
-) -> NDArray[np.int64]:
-    """Return the frame id of each image."""
-    ids = (reconstruction.image(image_id).frame_id for image_id in image_ids.tolist())
-    return np.fromiter(ids, np.int64, len(image_ids))
+@dataclass(frozen=True, eq=False)
+class AdjustedFields:
+    """Sub-problem that a configuration selects.
+
+    Attributes:
+        fields: fields of the problem.
+        tracks: (num_points,) lengths of the points' tracks in the reconstruction.
+        frames: (num_images,) frame ids of the images in the reconstruction.
+    """
+
+    fields: dict[str, Any]
+    tracks: NDArray[np.int64]
+    frames: NDArray[np.int64]
+
+
+def adjusted_fields(
+    reconstruction: Reconstruction, config: AdjustmentConfig, min_track_length: int
+) -> AdjustedFields:
+    """Read the observations of named images and points, without points with shorter tracks.
+
+    Raises:
+        InputError: keypoints and tracks do not match, or a value is invalid.
+    """
+    observations = Observations.of([reconstruction.image(key) for key in sorted(config.images)])
+    listed = sorted(config.variable_points | config.constant_points)
+    is_whole = len(config.images) == reconstruction.num_reg_images()
+    if listed and not is_whole:
+        others = _other_observations(reconstruction, config.images, listed)
+        observations = observations.joined(others)
+    ids, rows = np.unique(observations.point_id, return_inverse=True)
+    point_ids = ids_of_points(ids.tolist())
+    try:
+        points = list(map(reconstruction.point3D, ids.tolist()))
+    except IndexError:
+        observations.points(ids_of_points(sorted(reconstruction.point3D_ids())))
+        raise
+    tracks = lengths_of_tracks(points)
+    seen = np.bincount(rows, minlength=len(points))
+    are_read = is_whole | np.isin(point_ids, listed)
+    check_lengths(point_ids, tracks, seen, (seen > tracks) | (are_read & (seen < tracks)))
+    if is_whole and not is_valid(reconstruction):
+        fields_of(reconstruction)  # names the fault
+    used = tracks >= min_track_length
+    observations = observations.where(used[rows])
+    images = observations.images
+    cameras = sorted({image.camera_id for image in images})
+    fields = fields_of_images(reconstruction, images, [*map(reconstruction.camera, cameras)])
+    fields |= observations.fields((np.cumsum(used) - 1)[rows[used[rows]]].astype(np.int32))
+    fields |= {"points": positions_of(points)[used], "point_ids": point_ids[used]}
+    frames = np.array([image.frame_id for image in images], np.int64)
+    return AdjustedFields(fields, tracks[used], frames)
+
+
+def _other_observations(
+    reconstruction: Reconstruction, images: frozenset[int], point_ids: list[int]
+) -> Observations:
+    """Return the observations of points in other images than these."""
+    points = list(map(reconstruction.point3D, point_ids))
+    elements = [element for point in points for element in point.track.elements]
+    rows = np.empty((len(elements), 3), np.int64)  # image, keypoint, point
+    rows[:, 0] = np.fromiter(map(attrgetter("image_id"), elements), np.int64, len(elements))
+    rows[:, 1] = np.fromiter(map(attrgetter("point2D_idx"), elements), np.int64, len(elements))
+    rows[:, 2] = np.repeat(np.array(point_ids, np.int64), lengths_of_tracks(points))
+    rows = rows[~np.isin(rows[:, 0], list(images))]
+    rows = rows[np.lexsort(rows.T[::-1])]
+    rows = rows[np.append(True, (rows[1:] != rows[:-1]).any(axis=1))[: len(rows)]]
+    _check_elements(rows, np.isin(rows[:, 0], reconstruction.reg_image_ids()))
+    image_ids, image = np.unique(rows[:, 0], return_inverse=True)
+    others = list(map(reconstruction.image, image_ids.tolist()))
+    counts = np.array([other.num_points2D() for other in others], np.int64)
+    _check_elements(rows, rows[:, 1] < counts[image])
+    seeing = [others[row] for row in image.tolist()]
+    keypoints = pycolmap.Point2DList(list(map(pycolmap.Image.point2D, seeing, rows[:, 1].tolist())))
+    found = np.fromiter(map(attrgetter("point3D_id"), keypoints), np.uint64, len(keypoints))
+    _check_elements(rows, found == rows[:, 2].astype(np.uint64))
+    return Observations(
+        images=others,
+        image=image.astype(np.int32),
+        keypoint=rows[:, 1].astype(np.int32),
+        point_id=found,
+        xy=pixels_of(keypoints),
+    )
+
+
+def _check_elements(elements: NDArray[np.int64], are_right: _Mask) -> None:
+    """Raise an InputError about the first wrong element (image, keypoint, point) of a track."""
+    if not are_right.all():
+        image_id, keypoint, point_id = elements[np.argmin(are_right)]
+        raise InputError(
+            f"point {point_id}: expected keypoints that refer to it in its track, found keypoint "
+            f"{keypoint} of image {image_id}"
+        )
+
+
+# Changes of a ``pycolmap.Reconstruction`` in place: refined values, and bad observations.
+#
+# Only the values of variables are set; images, tracks, colours and all other records stay as they
+# are. pycolmap has no arrays of poses or points, so that each value is set alone.
 
 
 def set_values(
@@ -199,12 +321,18 @@ def set_values(
         refined: the sub-problem with its new values.
         images: mask of its images whose poses are set, each with its frame.
         points: mask of its points that are set.
+
+    Raises:
+        InputError: a point was deleted during the solve; nothing is set.
     """
-    for camera_id, model, params in zip(
-        refined.camera_ids.tolist(), refined.camera_models, refined.camera_params, strict=True
-    ):
+    ids = refined.point_ids[points].tolist()
+    for point_id in compress(ids, map(operator.not_, map(reconstruction.exists_point3D, ids))):
+        raise InputError(
+            f"reconstruction: expected no changes during the solve, found that point {point_id} "
+            "was deleted"
+        )
+    for camera_id, params in zip(refined.camera_ids.tolist(), refined.camera_params, strict=True):
         camera = reconstruction.camera(camera_id)
-        assert camera.model.name == model
         camera.params = params[: len(camera.params)]
     alone = images if not refined.num_frames else images & (refined.image_frame < 0)
     for row in np.flatnonzero(alone).tolist():
@@ -220,9 +348,9 @@ def set_values(
     ):
         sensor = pycolmap.sensor_t(pycolmap.SensorType.CAMERA, camera_id)
         reconstruction.rig(rig_id).set_sensor_from_rig(sensor, _rigid(pose))
-    rows = np.flatnonzero(points)
-    for point_id, xyz in zip(refined.point_ids[rows].tolist(), refined.points[rows], strict=True):
-        reconstruction.point3D(point_id).xyz = xyz
+    positions = map(attrgetter("xyz"), map(reconstruction.point3D, ids))
+    for position, xyz in zip(positions, refined.points[points], strict=True):
+        position[:] = xyz
 
 
 def delete_observations_behind(reconstruction: pycolmap.Reconstruction) -> None:

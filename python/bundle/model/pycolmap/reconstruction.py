@@ -8,6 +8,7 @@
 from __future__ import annotations
 
 import tempfile
+from itertools import compress
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
@@ -43,12 +44,27 @@ def fields_of(reconstruction: pycolmap.Reconstruction) -> dict[str, Any]:
     reconstruction = pycolmap.Reconstruction(reconstruction)
     cameras = [camera for _, camera in sorted(reconstruction.cameras.items())]
     images = [reconstruction.image(image_id) for image_id in sorted(reconstruction.reg_image_ids())]
-    points = sorted(reconstruction.points3D.items())
+    ids = sorted(reconstruction.point3D_ids())
+    points = list(map(reconstruction.point3D, ids))
+    point_ids = ids_of_points(ids)
+    observations = Observations.of(images)
+    fields = fields_of_images(reconstruction, images, cameras) | dict(
+        points=positions_of(points),
+        point_ids=point_ids,
+        **observations.fields(observations.points(point_ids)),
+        source=reconstruction,
+    )
+    _check_tracks(reconstruction, points, fields)
+    return fields
+
+
+def fields_of_images(
+    reconstruction: pycolmap.Reconstruction,
+    images: list[pycolmap.Image],
+    cameras: list[pycolmap.Camera],
+) -> dict[str, Any]:
+    """Return the fields of images, of their rigs and of cameras, each in the order of ids."""
     camera_index = {camera.camera_id: index for index, camera in enumerate(cameras)}
-    point_ids = _ids_of_points([point_id for point_id, _ in points])
-    image_ids = np.array([image.image_id for image in images], np.int64)
-    observations = _observations(images, point_ids)
-    _check_tracks(reconstruction, points, image_ids, observations)
     rigs = rigs_of(reconstruction, images)
     poses = [
         np.zeros(7) if framed else _pose(image)
@@ -59,25 +75,19 @@ def fields_of(reconstruction: pycolmap.Reconstruction) -> dict[str, Any]:
             rigs.fields | {"cam_from_world": np.array(poses).reshape(-1, 7)}
         ),
         **rigs.fields,
-        image_ids=image_ids,
+        image_ids=np.array([image.image_id for image in images], np.int64),
         image_names=tuple(_name(image) for image in images),
         image_camera=np.array([camera_index[image.camera_id] for image in images], np.int32),
         camera_ids=np.array([camera.camera_id for camera in cameras], np.int64),
         camera_models=tuple(camera.model.name for camera in cameras),
         camera_params=_padded([_params(camera) for camera in cameras]),
         camera_sizes=np.array([_size(camera) for camera in cameras], np.int64).reshape(-1, 2),
-        points=np.array([point.xyz for _, point in points]).reshape(-1, 3),
-        point_ids=point_ids,
-        observation_image=observations.image,
-        observation_point=observations.point,
-        observation_xy=observations.xy,
-        observation_keypoint=observations.keypoint,
         format="colmap",
-        source=reconstruction,
     )
 
 
-def _ids_of_points(ids: list[int]) -> NDArray[np.int64]:
+def ids_of_points(ids: list[int]) -> NDArray[np.int64]:
+    """Return ascending ids of points as an array."""
     if ids and ids[-1] > MAX_POINT_ID:
         raise InputError(f"expected point ids below 2^63, found {ids[-1]}")
     return np.array(ids, np.int64)
@@ -124,73 +134,131 @@ def _padded(rows: list[NDArray[np.float64]]) -> NDArray[np.float64]:
 
 @dataclass(frozen=True)
 class Observations:
-    """Observations, sorted by point, image, keypoint.
+    """Keypoints that observe points, sorted by image and keypoint.
 
-    Images and points are given by their positions in the order of ids.
+    Attributes:
+        images: the images.
+        image: positions in `images`.
+        keypoint: indices in the image.
+        point_id: ids of points, unsigned.
+        xy: (n, 2) in pixels.
     """
 
+    images: list[pycolmap.Image]
     image: NDArray[np.int32]
-    point: NDArray[np.int32]
     keypoint: NDArray[np.int32]
+    point_id: NDArray[np.uint64]
     xy: NDArray[np.float64]
 
+    @staticmethod
+    def of(images: list[pycolmap.Image]) -> Observations:
+        """Return the observations of images."""
+        counts = np.array([image.num_points3D for image in images], np.int64)
+        total = int(counts.sum())
+        keypoint = np.empty(total, np.int32)
+        point_id = np.empty(total, np.uint64)
+        xy = np.empty((total, 2))
+        end = 0
+        for image, count in zip(images, counts.tolist(), strict=True):
+            start, end = end, end + count
+            points2d = image.get_observation_points2D()
+            keypoint[start:end] = image.get_observation_point2D_idxs()
+            xy[start:end] = pixels_of(points2d)
+            ids = map(attrgetter("point3D_id"), points2d)
+            point_id[start:end] = np.fromiter(ids, np.uint64, count)
+        image_index = np.repeat(np.arange(len(images), dtype=np.int32), counts)
+        return Observations(images, image_index, keypoint, point_id, xy)
 
-def _observations(images: list[pycolmap.Image], point_ids: NDArray[np.int64]) -> Observations:
-    counts = np.array([image.num_points3D for image in images], np.int64)
-    total = int(counts.sum())
-    keypoint = np.empty(total, np.int32)
-    point_id = np.empty(total, np.uint64)
-    xy = np.empty((total, 2))
-    end = 0
-    for image, count in zip(images, counts, strict=True):
-        start, end = end, end + count
-        points2d = list(image.get_observation_points2D())
-        keypoint[start:end] = image.get_observation_point2D_idxs()
-        xy[start:end, 0] = np.fromiter(map(pycolmap.Point2D.x, points2d), np.float64, count)
-        xy[start:end, 1] = np.fromiter(map(pycolmap.Point2D.y, points2d), np.float64, count)
-        ids = map(attrgetter("point3D_id"), points2d)
-        point_id[start:end] = np.fromiter(ids, np.uint64, count)
-
-    image_index = np.repeat(np.arange(len(images), dtype=np.int32), counts)
-    point = np.searchsorted(point_ids, point_id).astype(np.int32)
-    found = np.append(point_ids.astype(np.uint64), MAX_POINT_ID + 1)[point] == point_id
-    if not found.all():
-        bad = int(np.argmin(found))
-        raise InputError(
-            f"image {images[image_index[bad]].image_id}, keypoint {keypoint[bad]}: "
-            f"expected a point of the reconstruction, found point {point_id[bad]}"
+    def joined(self, others: Observations) -> Observations:
+        """Return these observations and those of other images."""
+        images = sorted([*self.images, *others.images], key=attrgetter("image_id"))
+        rows = {image.image_id: row for row, image in enumerate(images)}
+        image = np.concatenate(
+            [
+                np.array([rows[image.image_id] for image in part.images], np.int32)[part.image]
+                for part in (self, others)
+            ]
         )
-    order = np.argsort(point, kind="stable")  # images and keypoints ascend already
-    return Observations(image_index[order], point[order], keypoint[order], xy[order])
+        order = np.argsort(image, kind="stable")
+        return Observations(
+            images,
+            image[order],
+            np.concatenate([self.keypoint, others.keypoint])[order],
+            np.concatenate([self.point_id, others.point_id])[order],
+            np.concatenate([self.xy, others.xy])[order],
+        )
+
+    def where(self, mask: NDArray[np.bool_]) -> Observations:
+        """Return some of these observations, and their images."""
+        image = self.image[mask]
+        used = np.bincount(image, minlength=len(self.images)) > 0
+        return Observations(
+            list(compress(self.images, used.tolist())),
+            (np.cumsum(used, dtype=np.int32) - np.int32(1))[image],
+            self.keypoint[mask],
+            self.point_id[mask],
+            self.xy[mask],
+        )
+
+    def points(self, point_ids: NDArray[np.int64]) -> NDArray[np.int32]:
+        """Return the position of each observed point in `point_ids`, which ascend.
+
+        Raises:
+            InputError: an observed point is not among them.
+        """
+        rows = np.searchsorted(point_ids, self.point_id).astype(np.int32)
+        found = np.append(point_ids.astype(np.uint64), MAX_POINT_ID + 1)[rows] == self.point_id
+        if not found.all():
+            bad = int(np.argmin(found))
+            raise InputError(
+                f"image {self.images[self.image[bad]].image_id}, keypoint {self.keypoint[bad]}: "
+                f"expected a point of the reconstruction, found point {self.point_id[bad]}"
+            )
+        return rows
+
+    def fields(self, points: NDArray[np.int32]) -> dict[str, Any]:
+        """Return the fields of a problem with these points, sorted by point, image, keypoint."""
+        order = np.argsort(points, kind="stable")  # images and keypoints ascend already
+        return {
+            "observation_image": self.image[order],
+            "observation_point": points[order],
+            "observation_xy": self.xy[order],
+            "observation_keypoint": self.keypoint[order],
+        }
+
+
+def pixels_of(keypoints: pycolmap.Point2DList) -> NDArray[np.float64]:
+    """Return the pixels of keypoints, bit for bit.
+
+    pycolmap has no array of keypoints. The camera with f = 1 and its principal point at 0 returns
+    their pixels unchanged.
+    """
+    camera = pycolmap.Camera(model="SIMPLE_PINHOLE", width=1, height=1, params=[1, 0, 0])
+    return camera.cam_from_img(keypoints)
 
 
 def _check_tracks(
     reconstruction: pycolmap.Reconstruction,
-    points: list[tuple[int, pycolmap.Point3D]],
-    image_ids: NDArray[np.int64],
-    observations: Observations,
+    points: list[pycolmap.Point3D],
+    fields: dict[str, Any],
 ) -> None:
     """Check that tracks and the keypoints of registered images refer to each other.
 
     Otherwise pycolmap could not compute the errors of points and would write files that do not
     load.
     """
-    length = np.fromiter((point.track.length() for _, point in points), np.int64, len(points))
-    observed = np.bincount(observations.point, minlength=len(points))
-    if (length != observed).any():
-        bad = int(np.argmax(length != observed))
-        raise InputError(
-            f"point {points[bad][0]}: expected one track element for each keypoint that refers to "
-            f"it, found {length[bad]} elements and {observed[bad]} keypoints"
-        )
-    if _is_valid(reconstruction):
+    length, point_ids = lengths_of_tracks(points), fields["point_ids"]
+    observed = np.bincount(fields["observation_point"], minlength=len(points))
+    check_lengths(point_ids, length, observed, length != observed)
+    if is_valid(reconstruction):
         return
     ends = np.cumsum(observed)
-    for (point_id, point), start, end in zip(points, ends - observed, ends, strict=True):
+    images = fields["image_ids"][fields["observation_image"]]
+    for point_id, point, start, end in zip(point_ids, points, ends - observed, ends, strict=True):
         referring = set(
             zip(
-                image_ids[observations.image[start:end]].tolist(),
-                observations.keypoint[start:end].tolist(),
+                images[start:end].tolist(),
+                fields["observation_keypoint"][start:end].tolist(),
                 strict=True,
             )
         )
@@ -202,7 +270,33 @@ def _check_tracks(
                 )
 
 
-def _is_valid(reconstruction: pycolmap.Reconstruction) -> bool:
+def positions_of(points: list[pycolmap.Point3D]) -> NDArray[np.float64]:
+    """Return the (n, 3) positions of points."""
+    return np.frombuffer(b"".join(map(attrgetter("xyz"), points))).reshape(-1, 3)
+
+
+def lengths_of_tracks(points: list[pycolmap.Point3D]) -> NDArray[np.int64]:
+    """Return the number of elements of each point's track."""
+    tracks = map(attrgetter("track"), points)
+    return np.fromiter(map(pycolmap.Track.length, tracks), np.int64, len(points))
+
+
+def check_lengths(
+    point_ids: NDArray[np.int64],
+    length: NDArray[np.int64],
+    observed: NDArray[np.int64],
+    are_wrong: NDArray[np.bool_],
+) -> None:
+    """Raise an InputError about the first point with a wrong length of its track."""
+    if are_wrong.any():
+        bad = int(np.argmax(are_wrong))
+        raise InputError(
+            f"point {point_ids[bad]}: expected one track element for each keypoint that refers to "
+            f"it, found {length[bad]} elements and {observed[bad]} keypoints"
+        )
+
+
+def is_valid(reconstruction: pycolmap.Reconstruction) -> bool:
     """Run pycolmap's check, which is fast, without its log messages."""
     level = pycolmap.logging.minloglevel
     pycolmap.logging.minloglevel = 3  # fatal errors only
@@ -241,10 +335,10 @@ def rigs_of(reconstruction: pycolmap.Reconstruction, images: list[pycolmap.Image
         InputError: a frame has several images of one camera, or an image of a camera without
             sensor_from_rig.
     """
-    _check_frames(reconstruction, {image.image_id for image in images})
-    rigs = reconstruction.rigs
-    trivial = {rig_id: is_trivial(rig) for rig_id, rig in rigs.items()}
     frame_of = [reconstruction.frame(image.frame_id) for image in images]
+    _check_frames(frame_of, {image.image_id for image in images})
+    rigs = {rig_id: reconstruction.rig(rig_id) for rig_id in {frame.rig_id for frame in frame_of}}
+    trivial = {rig_id: is_trivial(rig) for rig_id, rig in rigs.items()}
     framed = [not trivial[frame.rig_id] for frame in frame_of]
     frames = {f.frame_id: f for f, inside in zip(frame_of, framed, strict=True) if inside}
     frame_row = {frame_id: row for row, frame_id in enumerate(sorted(frames))}
@@ -310,8 +404,8 @@ def _rows(poses: list[pycolmap.Rigid3d | None]) -> NDArray[np.float64]:
     return np.array([as_row(pose) for pose in poses if pose is not None]).reshape(-1, 7)
 
 
-def _check_frames(reconstruction: pycolmap.Reconstruction, image_ids: set[int]) -> None:
-    for frame_id, frame in sorted(reconstruction.frames.items()):
+def _check_frames(frames: list[pycolmap.Frame], image_ids: set[int]) -> None:
+    for frame_id, frame in sorted({frame.frame_id: frame for frame in frames}.items()):
         cameras = [datum.sensor_id.id for datum in frame.image_ids if datum.id in image_ids]
         for camera in cameras:
             if cameras.count(camera) > 1:
