@@ -21,7 +21,7 @@ seen, tasks = {}, {}
 state = lambda: {name: os.environ[name] for name in names if name in os.environ}
 class Note:
     def find_spec(self, name, path=None, target=None):
-        if name in ("bundle._core", "numpy", "bundle.cli.commands"):
+        if name in ("bundle._core", "numpy", "bundle.cli.declarations"):
             seen[name] = state()
             tasks[name] = len(os.listdir(TASKS)) if os.path.isdir(TASKS) else 0
 sys.meta_path.insert(0, Note())
@@ -55,17 +55,17 @@ def test_idle_threads_sleep_and_numpy_has_one_thread():
     seen, tasks = loaded()
     assert seen["bundle._core"] == {"OPENBLAS_THREAD_TIMEOUT": "20"}
     assert seen["numpy"] == {"OPENBLAS_THREAD_TIMEOUT": "20", "OPENBLAS_NUM_THREADS": "1"}
-    assert seen["bundle.cli.commands"] == seen["child"] == {}
-    assert tasks["bundle.cli.commands"] == tasks["numpy"]
+    assert seen["bundle.cli.declarations"] == seen["child"] == {}
+    assert tasks["bundle.cli.declarations"] == tasks["numpy"]
 
 
 @pytest.mark.parametrize("name", NUMBERS)
 def test_a_number_of_the_user_stays(name):
     seen, tasks = loaded(**{name: "2"})
     assert seen["numpy"] == {"OPENBLAS_THREAD_TIMEOUT": "20", name: "2"}
-    assert seen["bundle.cli.commands"] == seen["child"] == {name: "2"}
+    assert seen["bundle.cli.declarations"] == seen["child"] == {name: "2"}
     if Path("/proc/self/task").is_dir():
-        assert tasks["bundle.cli.commands"] - tasks["numpy"] == min(os.cpu_count() or 1, 2) - 1
+        assert tasks["bundle.cli.declarations"] - tasks["numpy"] == min(os.cpu_count() or 1, 2) - 1
 
 
 @pytest.mark.parametrize("name", SLEEPS)

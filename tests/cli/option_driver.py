@@ -11,7 +11,7 @@ import sys
 import numpy as np
 
 import bundle
-from bundle.cli.option_flags import add_options, options_given
+from bundle.cli.option_flags import add_fields, options_given
 from bundle.cli.parser import Parser
 from bundle.interface.options import SolveOptions
 from bundle.model.problem import Problem
@@ -62,7 +62,7 @@ SCENES = {
 
 def solve(problem: Problem, flags: list[str]) -> dict[str, object]:
     parser = Parser(prog="bundle refine")
-    add_options(parser, SolveOptions, "options")
+    add_fields(parser, SolveOptions)
     try:
         options = options_given(parser.parse_args(flags, argparse.Namespace()), SolveOptions)
         solved = bundle.solve(problem, options)

@@ -234,6 +234,6 @@ def test_out_of_memory_and_interruption_are_one_line():
 def test_a_bug_is_not_dressed_up_as_bad_input(model, monkeypatch):
     from bundle.cli.main import main
 
-    monkeypatch.setattr("bundle.cli.info.describe", lambda _: 1 // 0)
+    monkeypatch.setattr("bundle.analysis.statistics.description.describe", lambda _: 1 // 0)
     with pytest.raises(ZeroDivisionError):
         main(["info", str(model), "--quiet"])

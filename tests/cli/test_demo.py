@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import bundle
-from bundle.cli import demo
+from bundle.cli import scenes
 
 ROOT = Path(__file__).parents[2]
 
@@ -22,11 +22,11 @@ def here(tmp_path, monkeypatch):
 
 def test_the_scene_is_that_of_the_sources_and_small() -> None:
     source = ROOT / "data" / "street_colmap"
-    with zipfile.ZipFile(demo._SCENE) as packed:
+    with zipfile.ZipFile(scenes._SCENE) as packed:
         assert {n: packed.read(n) for n in packed.namelist()} == {
             path.name: path.read_bytes() for path in source.iterdir()
         }
-    assert demo._SCENE.stat().st_size < 1e6
+    assert scenes._SCENE.stat().st_size < 1e6
 
 
 def test_a_page_and_a_better_model_within_two_seconds(here, run) -> None:

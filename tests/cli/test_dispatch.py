@@ -4,28 +4,32 @@ from __future__ import annotations
 
 import pytest
 
-from bundle.cli.commands import ARGUMENTS
-from bundle.cli.dispatch import COMMANDS, FLIGHT, GRAPH_FILE, HANDLERS, SEVERAL, find_handler
+from bundle.cli.commands import COMMANDS, FLIGHT, GRAPH_FILE, resolve
 from bundle.cli.main import command_parser
 from bundle.io.recognition import Kind, recognize
 
+WAYS = [
+    pytest.param(way, id=f"{name} {kind}")
+    for name, row in COMMANDS.items()
+    for kind, way in row.ways.items()
+]
 
-def test_the_tables_name_the_same_commands():
-    assert list(ARGUMENTS) == list(COMMANDS)
-    assert {command for command, _ in HANDLERS} == set(COMMANDS)
 
-
-@pytest.mark.parametrize(("command", "kind"), HANDLERS)
-def test_every_handler_exists(command, kind):
-    handler = find_handler(command, kind)
-    assert callable(handler)
-    module, _, name = HANDLERS[command, kind].partition(":")
-    assert (handler.__module__, handler.__name__) == (f"bundle.cli.{module}", name)
+@pytest.mark.parametrize("way", WAYS)
+def test_every_function_of_a_row_exists(way):
+    names = [name for name in (way.call, way.run, way.main, way.report, way.page) if name]
+    assert names and all(callable(resolve(name)) for name in names)
+    for name in names:
+        module, _, function = name.partition(":")
+        found = resolve(name)
+        assert (found.__module__, found.__name__) == (f"bundle.{module}", function)
+    assert bool(way.report) != bool(way.run or way.main), "one function makes the report"
 
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_any_other_kind_goes_to_the_reader_of_reconstructions(command):
-    assert find_handler(command, "nothing") is find_handler(command, Kind.RECONSTRUCTION)
+    row = COMMANDS[command]
+    assert row.way("nothing") is row.ways[Kind.RECONSTRUCTION]
 
 
 @pytest.mark.parametrize(
@@ -33,7 +37,6 @@ def test_any_other_kind_goes_to_the_reader_of_reconstructions(command):
     [
         (("refine", "a.g2o", "-o", "b"), Kind.POSE_GRAPH),
         (("refine", "a.txt", "-o", "b"), Kind.RECONSTRUCTION),
-        (("info", "a.g2o", "b.txt"), SEVERAL),
         (("compare", "a.txt", "b.g2o"), Kind.POSE_GRAPH),
         (("compare", "a.txt", "b.txt"), Kind.RECONSTRUCTION),
         (("inspect", "a.g2o"), Kind.POSE_GRAPH),
@@ -45,7 +48,7 @@ def test_any_other_kind_goes_to_the_reader_of_reconstructions(command):
 def test_the_kind_of_a_command_line(words, kind, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     arguments = command_parser().parse_args(list(words))
-    assert (arguments.command, arguments.kind(arguments)) == (words[0], kind)
+    assert (arguments.command, COMMANDS[words[0]].kind(arguments)) == (words[0], kind)
 
 
 def test_kinds_are_told_by_content_and_pipes_are_left_alone(tmp_path):

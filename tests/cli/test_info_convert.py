@@ -116,7 +116,7 @@ def test_convert_recompresses_and_loses_nothing(run, model, tmp_path):
 
 def test_convert_says_what_is_lost(run, tmp_path, monkeypatch):
     shared = scene(kind="colmap", shared_camera=True, camera_sizes=[[640, 480]])
-    monkeypatch.setattr("bundle.cli.convert.load", lambda *_: shared)
+    monkeypatch.setattr("bundle.io.open.load", lambda *_: shared)
     code, out, _ = run("convert", "anything", tmp_path / "r.txt")
     assert code == 0
     lost = bundle.save(shared, tmp_path / "again.txt")

@@ -16,7 +16,7 @@ from tests.scenes import scene
 PARSER = command_parser()
 REQUIRED = {
     "output": "new", "input": "in", "inputs": "in", "a": "in", "b": "in2", "sequence": "in",
-    "reference": "in2", "old": "old.json", "new": "new.json",
+    "old": "old.json", "new": "new.json",
 }  # fmt: skip
 
 

@@ -9,7 +9,7 @@ import inspect
 import pytest
 
 from bundle.cli.main import command_parser
-from bundle.cli.option_flags import READERS, add_options, options_given
+from bundle.cli.option_flags import READERS, add_fields, options_given
 from bundle.cli.parser import Parser
 from bundle.errors import InputError
 from bundle.georeference.alignment import align
@@ -62,7 +62,7 @@ def test_every_option_of_a_class_is_a_flag_of_a_command():
 
 def given(kind, *words, **how):
     parser = Parser(prog="test")
-    add_options(parser, kind, "options")
+    add_fields(parser, kind)
     return options_given(parser.parse_args(words, argparse.Namespace()), kind, **how)
 
 

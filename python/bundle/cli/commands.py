@@ -1,344 +1,515 @@
-"""Arguments of every command: INPUT, OUTPUT and reports; options come from their classes.
+"""Table of the commands: each is a row, which ``bundle.cli.run`` runs.
 
-``ARGUMENTS`` maps each command to the function that declares its arguments. The function that runs
-the command is in ``bundle.cli.dispatch``.
+A row has the help, the arguments, and for each kind of INPUT the function of the API that is
+called and the function that makes its report. Functions are names, and arguments are declared
+when needed, so that a command imports only what it needs, and `bundle --help` next to nothing.
 """
 
 from __future__ import annotations
 
 import argparse
-import re
+import importlib
+from collections.abc import Callable, Mapping
+from typing import Any
 
-from bundle.cli.analysis_commands import (
-    add_check,
-    add_compare,
-    add_covariance,
-    add_diagnose,
-    add_info,
-    add_inspect,
-    add_report,
-    add_validate,
-)
-from bundle.cli.dispatch import FLIGHT
-from bundle.cli.flags_by_kind import add_flight_flags, add_pose_graph_flags
-from bundle.cli.inertial_flags import add_inertial_flags
-from bundle.cli.option_flags import add_fields, add_options
-from bundle.cli.path_checks import (
-    PathArgument,
-    a_path,
-    page_path,
-    reconstruction,
-    telemetry_path,
-    trajectory_path,
-)
-from bundle.cli.recording_flags import add_recording_flags
-from bundle.cli.shared_arguments import (
-    CONTROL_POINTS,
-    POSITIONS,
-    ROBUSTNESS,
-    add_common,
-    add_format,
-    add_georeference,
-    add_input,
-    add_input_format,
-    add_output,
-    add_rig_config,
-    add_rules,
-)
+from bundle.base.records import dataclass
+from bundle.io.recognition import Kind, recognize
 
-__all__ = ["ARGUMENTS", "add_common", "ground_truth_path", "path_beside"]
-
-Parser = argparse.ArgumentParser
+Name = str | Callable[..., Any]
+"""A function, or its name "module:function" within the package."""
 
 
-def _refine(parser: Parser) -> None:
-    parser.usage = "bundle refine INPUT -o OUTPUT [options]"
-    add_input(parser)
-    add_output(parser, "-o", "--output", required=True)
-    add_input_format(parser)
-    add_rig_config(parser)
-    add_options(parser, "SolveOptions", "options of the solve")
-    parser.add_argument(
-        "--colmap-options",
-        metavar="FILE",
-        type=a_path,
-        help="take options from the project.ini of `colmap bundle_adjuster`, with COLMAP's "
-        "defaults for options that the file lacks; flags replace them (default: none)",
-    )
-    add_pose_graph_flags(parser)
-    add_options(parser, "RoundOptions", "rounds of adjusting and filtering")
-    add_options(parser, "HoldOutOptions", "held-out observations")
-    add_rules(parser)
-    add_georeference(parser)
-    add_inertial_flags(parser)
-    add_options(parser, "LensOptions", "cameras of OUTPUT")
-    add_options(parser, "ShutterOptions", "rolling shutters")
-    add_fields(parser, "LocalOptions")
-    add_options(parser, "LoopOptions", "loops")
-    add_options(parser, "CheckpointOptions", "runs that may be killed")
-    add_options(parser, "OutOfCoreOptions", "problems that are larger than the memory")
-    parser.add_argument(
-        "--html",
-        metavar="FILE",
-        type=page_path(),
-        help="also write a report page, as `bundle report` does, with residuals before and after; "
-        "--images DIR has its photographs (default: none)",
-    )
-    parser.add_argument(
-        "--check-gradients",
-        action="store_true",
-        help=(
-            "first check the Jacobians on a sample, as `bundle check` does, and stop with its "
-            "report if one is wrong; an undecided check does not stop (default: off)"
+@dataclass(frozen=True, kw_only=True)
+class Way:
+    """Steps of a command on one kind of INPUT.
+
+    A way with ``call`` calls the API: ``call(input, options, **keywords)``. One with ``run`` does
+    so itself. Words are names of attributes of :class:`bundle.cli.run.Run`, separated by blanks.
+
+    Attributes:
+        call: function of the API.
+        stage: what the progress calls it.
+        reads: arguments that are paths, which the API opens itself; otherwise INPUT is opened.
+        options: option class of ``options``; "": there is none.
+        names: options that can be given and are reported, or a name of them; None: all.
+        keywords: option class whose values are keywords.
+        gives: keywords that are attributes of the run, in the form "keyword" or
+            "keyword=attribute".
+        accepts: arguments of other kinds of INPUT that this kind has, too, beside ``names``; None:
+            ``run`` refuses the others.
+        judges: True to search for findings after the call.
+        saves: True to write the result to --output by its ``save``.
+        page: function that writes the page of --html, if the report does not.
+        report: function that makes the report.
+        tells: attributes of the run that ``report`` gets.
+        code: exit code by the result; None: 0.
+        run: function of this room that gets the run and returns the report.
+        main: function of this room that gets the arguments and returns the exit code.
+    """
+
+    call: Name = ""
+    stage: str = ""
+    reads: str = ""
+    options: str | type[Any] = ""
+    names: str | tuple[str, ...] | None = None
+    keywords: str | type[Any] = ""
+    gives: str = ""
+    accepts: str | None = ""
+    judges: bool = False
+    saves: bool = False
+    page: Name = ""
+    report: Name = ""
+    tells: str = "source input found wall"
+    code: Callable[[Any], int] | None = None
+    run: Name = ""
+    main: Name = ""
+
+
+def _detected(arguments: argparse.Namespace) -> str:
+    """Detect the kind of INPUT; several inputs are pose graphs if one of them is."""
+    paths = [arguments.input] if "input" in arguments else getattr(arguments, "inputs", [])
+    kinds = {recognize(path) for path in paths}
+    if len(kinds) == 1:
+        return kinds.pop()
+    return Kind.POSE_GRAPH if Kind.POSE_GRAPH in kinds else Kind.RECONSTRUCTION
+
+
+@dataclass(frozen=True, kw_only=True)
+class Command:
+    """Row of the table.
+
+    Attributes:
+        help: what the command does.
+        usage: words after the name in the usage; "": argparse lists all flags.
+        arguments: function that gets ``bundle.cli.declarations`` and returns the declarations.
+        ways: its steps, by the kind of INPUT. Other kinds go to the reader of reconstructions,
+            whose error names the kind.
+        kind: function that returns the kind.
+        is_for_each: True to run on each of several inputs.
+    """
+
+    help: str
+    usage: str = ""
+    arguments: Callable[[Any], tuple[Any, ...]]
+    ways: Mapping[str, Way]
+    kind: Callable[[argparse.Namespace], str] = _detected
+    is_for_each: bool = False
+
+    def way(self, kind: str) -> Way:
+        """Return the steps on a kind of INPUT."""
+        return self.ways.get(kind) or self.ways[Kind.RECONSTRUCTION]
+
+
+def resolve(name: Name) -> Any:
+    """Import a function, class or constant by its name."""
+    if not isinstance(name, str):
+        return name
+    module, _, attribute = name.partition(":")
+    return getattr(importlib.import_module(f"bundle.{module}"), attribute)
+
+
+GRAPH_FILE = "file of a graph"
+SHAPE = "numbers of cameras and points"
+FLIGHT = "flight"
+
+
+def _kind_of_inspection(given: argparse.Namespace) -> str:
+    if given.shape is not None:
+        return SHAPE
+    return GRAPH_FILE if given.graph or not given.input else _detected(given)
+
+
+_OF_GRAPHS = ("error", "information", "loss", "loss_scale", "loss_on")
+"""Options that affect the information of a pose graph at its poses."""
+_OF_CHECKS = "samples_per_image all seed tolerance num_threads html"
+_KNOWN = " ".join(
+    ("calibration camera imu frame_times image_topic imu_topic",
+     "num_features max_backward_error max_epipolar_error")
+)  # fmt: skip
+"""Arguments of recordings, whose images are tracked."""
+
+COMMANDS: dict[str, Command] = {
+    "info": Command(
+        help="counts, cameras, tracks, reprojection errors [px], and warnings",
+        usage="INPUT... [options]",
+        arguments=lambda a: (
+            a.given_input("inputs", nargs="+"),
+            a.INPUT_FORMAT,
+            a.RIG_CONFIG,
+            a.RECORDING,
         ),
-    )
-
-
-def _align(parser: Parser) -> None:
-    parser.usage = "bundle align INPUT -o OUTPUT [--gcp FILE] [--gps exif|FILE] [options]"
-    add_input(parser)
-    add_output(parser, "-o", "--output", required=True)
-    add_options(parser, "GeoreferenceOptions", "ground control points", CONTROL_POINTS)
-    add_options(parser, "GeoreferenceOptions", "positions of images", POSITIONS)
-    group = parser.add_argument_group("another model")
-    group.add_argument(
-        "--reference",
-        metavar="MODEL",
-        type=reconstruction,
-        help="a model with images of the same names; INPUT is moved into its frame (default: none)",
-    )
-    add_options(parser, "GeoreferenceOptions", "robustness", ROBUSTNESS)
-
-
-def _merge(parser: Parser) -> None:
-    parser.usage = "bundle merge A B -o OUTPUT [options]"
-    parser.add_argument(
-        "a",
-        metavar="A",
-        type=reconstruction,
-        help="a COLMAP model, whose frame, poses and ids stay",
-    )
-    parser.add_argument(
-        "b",
-        metavar="B",
-        type=reconstruction,
-        help="a COLMAP model with some images of the same names",
-    )
-    add_output(parser, "-o", "--output", required=True, replaces=("a", "b"))
-    parser.add_argument(
-        "--max-error",
-        metavar="PX",
-        type=float,
-        default=8.0,
-        help=(
-            "two points at one keypoint are joined if their projections differ by at most this, in "
-            "pixels; the difference is the median over the images of both (default: 8)"
+        is_for_each=True,
+        ways={
+            Kind.RECONSTRUCTION: Way(run="cli.models:describe_model"),
+            Kind.POSE_GRAPH: Way(
+                report="reports.terminal.pose_graph_tables:described_graph", tells="source input"
+            ),
+            Kind.SEQUENCE: Way(run="cli.sequences:describe_sequence", accepts=_KNOWN),
+        },
+    ),
+    "inspect": Command(
+        help="predict nonzeros, fill-in, flops, memory and time per step of each solver",
+        usage="INPUT [options]\n       bundle inspect --graph FILE [options]",
+        arguments=lambda a: (
+            a.INSPECTED,
+            a.page("report", "also write a page with figures, which needs no network"),
+            a.RECALIBRATE,
+            a.options("SolveOptions", "what is refined", a.PATTERN),
+            a.options("RankOptions", "several processes (docs/mpi.md)"),
+            a.options("GraphFileOptions", "a graph in place of a problem"),
+            a.options("ShapeOptions", "numbers in place of a problem"),
         ),
-    )
-
-
-def _evaluate(parser: Parser) -> None:
-    parser.usage = "bundle evaluate A --reference B [options]"
-    parser.add_argument(
-        "a",
-        metavar="A",
-        type=reconstruction,
-        help="a COLMAP model, a BAL file, or a file of poses: TUM, EuRoC, KITTI, or a list with "
-        "lines of name qw qx qy qz tx ty tz; told by its content",
-    )
-    parser.add_argument(
-        "--reference",
-        metavar="B",
-        type=reconstruction,
-        required=True,
-        help="the truth or another model, in the same formats, or check points in ODM's "
-        "gcp_list.txt; errors are in its frame and its length unit",
-    )
-    add_options(parser, "EvaluateOptions", "options of the comparison")
-    parser.add_argument(
-        "--html",
-        metavar="FILE",
-        type=page_path(),
-        help="also write a page with errors per image, paths from above and lenses",
-    )
-
-
-def _triage(parser: Parser) -> None:
-    parser.usage = "bundle triage OLD.json NEW.json [options]"
-    for name, which in (("old", "earlier"), ("new", "later")):
-        parser.add_argument(
-            name,
-            metavar=f"{name.upper()}.json",
-            type=a_path,
-            help=f"the {which} report of bundle refine, vio or compare (--json FILE)",
-        )
-    add_options(parser, "TriageOptions", "noise")
-
-
-def _vio(parser: Parser) -> None:
-    parser.usage = "bundle vio SEQUENCE -o FILE.tum [options]"
-    parser.add_argument(
-        "sequence",
-        metavar="SEQUENCE",
-        type=reconstruction,
-        help="images and IMU samples: EuRoC's or TUM-VI's mav0 or its parent, a ROS 1 or 2 bag, or "
-        "a video with --imu; or tracks in place of images: a folder with imu.csv, tracks.csv and "
-        "calibration.yaml, or a table of both that bundle convert reads",
-    )
-    parser.add_argument(
-        "-o",
-        "--output",
-        metavar="FILE.tum",
-        type=trajectory_path,
-        required=True,
-        help=(
-            "poses world_from_imu of the solved images, one per line: timestamp in seconds, tx ty "
-            "tz, qx qy qz qw; z is up"
+        kind=_kind_of_inspection,
+        ways={
+            Kind.RECONSTRUCTION: Way(run="cli.costs:inspect_model"),
+            Kind.POSE_GRAPH: Way(
+                run="cli.costs:inspect_pose_graph",
+                accepts="ranks network num_threads recalibrate html",
+            ),
+            GRAPH_FILE: Way(run="cli.costs:inspect_graph_file", accepts=None),
+            SHAPE: Way(run="cli.costs:inspect_shape", accepts=None),
+        },
+    ),
+    "refine": Command(
+        help="bundle adjustment of a model, or optimisation of a pose graph (.g2o)",
+        usage="INPUT -o OUTPUT [options]",
+        arguments=lambda a: (
+            a.INPUT,
+            a.output("-o", "--output", required=True),
+            a.INPUT_FORMAT,
+            a.RIG_CONFIG,
+            a.options("SolveOptions", "options of the solve"),
+            a.COLMAP_OPTIONS,
+            a.pose_graph(),
+            a.options("RoundOptions", "rounds of adjusting and filtering"),
+            a.options("HoldOutOptions", "held-out observations"),
+            a.RULES,
+            a.georeference(),
+            a.IMU,
+            a.options("LensOptions", "cameras of OUTPUT"),
+            a.options("ShutterOptions", "rolling shutters"),
+            a.fields("LocalOptions"),
+            a.options("LoopOptions", "loops"),
+            a.options("CheckpointOptions", "runs that may be killed"),
+            a.options("OutOfCoreOptions", "problems that are larger than the memory"),
+            a.page(
+                "page",
+                "also write a report page, as `bundle report` does, with residuals before and "
+                "after; --images DIR has its photographs (default: none)",
+            ),
+            a.CHECK_GRADIENTS,
         ),
-    )
-    parser.add_argument(
-        "--ground-truth",
-        metavar="FILE",
-        type=a_path,
-        help="compare with it: EuRoC's csv or a TUM file",
-    )
-    parser.add_argument(
-        "--telemetry",
-        metavar="FILE.jsonl",
-        type=telemetry_path,
-        help="one line of JSON per keyframe, written when the keyframe is complete",
-    )
-    parser.add_argument(
-        "--html",
-        metavar="PAGE",
-        type=page_path(),
-        help="a page with the curves of the telemetry and the path, a single file",
-    )
-    loops = parser.add_argument_group("two loops")
-    loops.add_argument(
-        "--publish",
-        metavar="FILE.tum",
-        type=trajectory_path,
-        help=(
-            "a pose per IMU sample: the last solution of the window, propagated and corrected by "
-            "closures"
+        ways={
+            Kind.RECONSTRUCTION: Way(main="cli.refine:run"),
+            Kind.POSE_GRAPH: Way(
+                run="cli.models:refine_pose_graph", options="PoseGraphOptions", accepts="html"
+            ),
+        },
+    ),
+    "compare": Command(
+        help="solve from the same start with several solvers, and recommend one",
+        usage="INPUT... [options]",
+        arguments=lambda a: (
+            a.COMPARED,
+            a.options("CompareOptions", "what is compared: every combination of", a.METHODS),
+            a.EVERY_ORDER,
+            a.group(
+                "options of the comparison",
+                a.fields("CompareOptions", ("perturb", "seed", "repeat", "timeout", "memory_cap")),
+                a.page("page", "also write a page with plots"),
+            ),
+            a.options("SolveOptions", "options of every solve", without=a.compared_options()),
+            a.pose_graph(
+                ("error", "init", "information", "loss", "loss_on"),
+                "a pose graph (.g2o), of which backends and threads are compared too",
+            ),
         ),
-    )
-    loops.add_argument(
-        "--loops",
-        metavar="FILE",
-        type=a_path,
-        help="closures: csv of first_timestamp_ns, second_timestamp_ns, tx ty tz, qx qy qz qw of "
-        "the IMU at the second time in its frame at the first, sigmas in metres and degrees; or a "
-        "g2o file whose ids are the stamps",
-    )
-    loops.add_argument(
-        "--real-time",
-        action="store_true",
-        help="replay at the rate of the sensors and report how late the poses are",
-    )
-    add_recording_flags(parser)
-    add_options(parser, "WindowOptions", "the window")
-
-
-def _convert(parser: Parser) -> None:
-    add_input(parser)
-    add_output(parser, "output")
-    add_input_format(parser)
-    add_rig_config(parser)
-    add_recording_flags(parser)
-    add_options(parser, "LensOptions", "cameras of OUTPUT")
-    parser.add_argument(
-        "--global-shutter",
-        action="store_true",
-        help=(
-            "move the observations of a rolling shutter to where a global shutter would have read "
-            "them, for programs that know only global shutters"
+        ways={
+            Kind.RECONSTRUCTION: Way(run="cli.costs:compare_models"),
+            Kind.POSE_GRAPH: Way(
+                run="cli.costs:compare_pose_graph",
+                names=(
+                    *("error", "init", "information", "loss", "loss_scale", "loss_on"),
+                    *("max_num_iterations", "function_tolerance", "gradient_tolerance"),
+                    "parameter_tolerance",
+                ),
+                accepts="backends threads repeat timeout orders html",
+            ),
+        },
+    ),
+    "validate": Command(
+        help="cross-validate lens models, sharing of cameras and losses, and recommend one",
+        usage="INPUT [options]",
+        arguments=lambda a: (
+            a.INPUT,
+            a.options(
+                "ValidationOptions",
+                "candidates: every combination of",
+                ("camera_models", "share", "losses", "refine_sets"),
+            ),
+            a.group(
+                "options of the validation",
+                a.fields("ValidationOptions", ("num_folds", "seed")),
+                a.page("page", "also write a page with the curves"),
+            ),
+            a.RIG_CONFIG,
+            a.options("SolveOptions", "options of every solve", without=("loss", "refine")),
+            a.RULES,
+            a.georeference(
+                "Priors of every fit. The report has the errors at check points and at positions.",
+                "--gps exif",
+            ),
         ),
-    )
-
-
-def _synth(parser: Parser) -> None:
-    parser.add_argument(
-        "output",
-        metavar="OUTPUT",
-        type=PathArgument("output", is_data=True),
-        help=(
-            "output path of the start: NAME.txt, .txt.gz and .txt.bz2 are BAL files, other names "
-            "folders of COLMAP models; for a flight the folder of a sequence"
+        ways={
+            Kind.RECONSTRUCTION: Way(
+                call="judging.validation.validate_problem:validate",
+                stage="fitting the candidates",
+                options="SolveOptions",
+                keywords="ValidationOptions",
+                gives="priors constraints source flags progress=share",
+                report="reports.terminal.validate:validated",
+                tells="source input found settings",
+            )
+        },
+    ),
+    "check": Command(
+        help="check the analytic Jacobians of this problem, or of your own factors "
+        "(FILE.py:NAME), and name mistakes",
+        arguments=lambda a: (
+            a.INPUT,
+            a.group(
+                "options of the check",
+                a.either(a.fields("CheckOptions", ("samples_per_image",)), a.ALL),
+                a.fields("CheckOptions", ("seed", "tolerance", "num_threads")),
+                a.page(
+                    "page", "also write a page: wrong entries, and curves against the step size"
+                ),
+            ),
+            a.pose_graph(("error",), "pose graphs (.g2o)"),
         ),
-    )
-    add_format(parser)
-    parser.add_argument(
-        "--ground-truth",
-        metavar="PATH",
-        type=PathArgument("ground truth", is_data=True, otherwise=ground_truth_path),
-        help=(
-            "output path of the true solution, with the same observations (default: "
-            "OUTPUT_ground_truth, next to OUTPUT)"
+        ways={
+            Kind.RECONSTRUCTION: Way(run="cli.check:check_model"),
+            Kind.POSE_GRAPH: Way(run="cli.check:check_pose_graph", accepts=f"error {_OF_CHECKS}"),
+            Kind.PYTHON: Way(run="cli.check:check_object", accepts=_OF_CHECKS),
+        },
+    ),
+    "covariance": Command(
+        help="marginal covariances of poses, points and intrinsics, or of the poses of a "
+        "pose graph",
+        usage="INPUT -o FILE.npz [options]",
+        arguments=lambda a: (
+            a.INPUT,
+            a.ARRAYS,
+            a.options("CovarianceOptions", "what is wanted"),
+            a.options("SolveOptions", "what is refined, as in the solve", a.INFORMATION),
+            a.RULES,
+            a.georeference(
+                "The priors of the refine that made INPUT, by the same flags: in metres east, "
+                "north, up about the middle of the control points, or of the positions where there "
+                "are none, where it has put INPUT. Nothing is moved.",
+                "--gps exif",
+            ),
+            a.pose_graph(
+                ("error", "information", "loss", "loss_on"),
+                "pose graphs (.g2o), beside the loss",
+            ),
         ),
-    )
-    parser.add_argument(
-        "--overwrite",
-        action="store_true",
-        help="replace existing files at these paths (default: stop if a file exists)",
-    )
-    add_options(parser, "SceneOptions", "options of the scene")
-    add_flight_flags(parser)
-    parser.set_defaults(kind=lambda given: FLIGHT if given.scene == FLIGHT else "scene")
-
-
-def _demo(parser: Parser) -> None:
-    parser.usage = "bundle demo [FOLDER] [options]"
-    parser.add_argument(
-        "output",
-        metavar="FOLDER",
-        nargs="?",
-        default="bundle_demo",
-        type=a_path,
-        help="new or empty folder, or that of another demo (default: bundle_demo)",
-    )
-
-
-def ground_truth_path(arguments: argparse.Namespace) -> str | None:
-    """Return the path of a scene's true solution; None for a flight, whose folder contains it."""
-    if arguments.scene == FLIGHT:
-        return None
-    path: str = arguments.output
-    if arguments.ground_truth:
-        return str(arguments.ground_truth)
-    if path.endswith("/"):
-        return path.rstrip("/") + "_ground_truth/"
-    suffix = re.search(SUFFIX, path, re.I)
-    return path_beside(path, "ground_truth", "" if suffix is None else suffix.group())
-
-
-SUFFIX = r"(\.txt(\.gz|\.bz2)?)?$"
-"""Suffix of a BAL file."""
-
-
-def path_beside(path: str, what: str, suffix: str) -> str:
-    """Return the path next to an output, such as OUTPUT_gravity.txt."""
-    return f"{re.sub(SUFFIX, '', path.rstrip('/'), count=1, flags=re.I)}_{what}{suffix}"
-
-
-ARGUMENTS = {
-    "info": add_info,
-    "inspect": add_inspect,
-    "refine": _refine,
-    "compare": add_compare,
-    "validate": add_validate,
-    "check": add_check,
-    "covariance": add_covariance,
-    "diagnose": add_diagnose,
-    "align": _align,
-    "merge": _merge,
-    "evaluate": _evaluate,
-    "report": add_report,
-    "triage": _triage,
-    "vio": _vio,
-    "convert": _convert,
-    "synth": _synth,
-    "demo": _demo,
+        ways={
+            Kind.RECONSTRUCTION: Way(
+                call="analysis.uncertainty.covariance_by_input:covariance",
+                stage="inverting",
+                options="SolveOptions",
+                names="interface.options:INFORMATION",
+                keywords="CovarianceOptions",
+                gives="priors constraints",
+                saves=True,
+                report="reports.terminal.covariance:uncertainties",
+                tells="source input found asked target wall",
+            ),
+            Kind.POSE_GRAPH: Way(
+                call="analysis.uncertainty.graph_covariance:graph_covariance",
+                stage="inverting",
+                options="PoseGraphOptions",
+                names=_OF_GRAPHS,
+                keywords="CovarianceOptions",
+                accepts="relative gauge scale num_threads",
+                saves=True,
+                report="reports.terminal.covariance:uncertainties_of_graph",
+                tells="source input found asked target wall",
+            ),
+        },
+    ),
+    "diagnose": Command(
+        help="find undetermined parameters of a model or pose graph: rank, weak directions, "
+        "components, suspicious edges",
+        usage="INPUT [options]",
+        arguments=lambda a: (
+            a.INPUT,
+            a.RIG_CONFIG,
+            a.options("SolveOptions", "what would be refined", a.LINEARIZATION),
+            a.RULES,
+            a.georeference(
+                "What a refine with the same flags would be given; the model is looked at in "
+                "metres about the middle of the control points, or of the positions where there "
+                "are none.",
+                "--gps exif",
+            ),
+            a.pose_graph(
+                ("error", "information", "loss", "loss_on"),
+                "pose graphs (.g2o), beside loss and threads",
+            ),
+        ),
+        ways={
+            Kind.RECONSTRUCTION: Way(
+                call="analysis.diagnosis.diagnose_problem:diagnose",
+                stage="diagnosing",
+                options="SolveOptions",
+                names="interface.options:LINEARIZATION",
+                gives="priors constraints",
+                judges=True,
+                report="reports.terminal.diagnose:diagnosed",
+                tells="source input found asked wall findings",
+            ),
+            Kind.POSE_GRAPH: Way(
+                call="analysis.diagnosis.diagnose_graph:diagnose_graph",
+                stage="diagnosing",
+                options="PoseGraphOptions",
+                names=_OF_GRAPHS,
+                accepts="num_threads",
+                report="reports.terminal.diagnose:diagnosed_graph",
+                tells="source input found asked wall",
+            ),
+        },
+    ),
+    "align": Command(
+        help="georeference a model by GPS or control points, or align it to another model",
+        usage="INPUT -o OUTPUT [--gcp FILE] [--gps exif|FILE] [options]",
+        arguments=lambda a: (
+            a.INPUT,
+            a.output("-o", "--output", required=True),
+            a.options("GeoreferenceOptions", "ground control points", a.CONTROL_POINTS),
+            a.options("GeoreferenceOptions", "positions of images", a.POSITIONS),
+            a.group("another model", a.ALIGNED_TO),
+            a.options("GeoreferenceOptions", "robustness", a.ROBUSTNESS),
+        ),
+        ways={Kind.RECONSTRUCTION: Way(main="cli.align:run")},
+    ),
+    "merge": Command(
+        help="merge two models that share images",
+        usage="A B -o OUTPUT [options]",
+        arguments=lambda a: (
+            a.a_model("a", "a COLMAP model, whose frame, poses and ids stay"),
+            a.a_model("b", "a COLMAP model with some images of the same names"),
+            a.output("-o", "--output", required=True, replaces=("a", "b")),
+            a.MERGE_ERROR,
+        ),
+        ways={Kind.RECONSTRUCTION: Way(run="cli.models:merge_models")},
+    ),
+    "evaluate": Command(
+        help="errors of a model or trajectory A against a reference: truth, or another model",
+        usage="A --reference B [options]",
+        arguments=lambda a: (
+            a.EVALUATED,
+            a.TRUTH,
+            a.options("EvaluateOptions", "options of the comparison"),
+            a.page("page", "also write a page with errors per image, paths from above and lenses"),
+        ),
+        ways={
+            Kind.RECONSTRUCTION: Way(
+                call="judging.evaluation.evaluate_models:evaluate",
+                reads="a b",
+                stage="comparing",
+                options="EvaluateOptions",
+                report="reports.terminal.evaluate:evaluated",
+                tells="source found options",
+            )
+        },
+    ),
+    "report": Command(
+        help="write a page (HTML, no network) on a model or pose graph: verdicts, residuals, "
+        "worst images or edges, a 3-D view",
+        usage="INPUT -o FILE.html [options]",
+        arguments=lambda a: (
+            a.INPUT,
+            a.PAGE_OUTPUT,
+            a.RIG_CONFIG,
+            a.RULES,
+            a.georeference(
+                "The priors of the refine that made INPUT, by the same flags: how certain it is "
+                "depends on them. Nothing is moved.",
+                "--gps exif and residuals of the worst images on their photographs",
+            ),
+        ),
+        ways={
+            Kind.RECONSTRUCTION: Way(run="cli.report:report_model"),
+            Kind.POSE_GRAPH: Way(run="cli.report:report_pose_graph"),
+        },
+    ),
+    "triage": Command(
+        help="name the cause of the difference between two reports of one input: ordering, fill, "
+        "prior, Jacobian, machine, data, options or convergence",
+        usage="OLD.json NEW.json [options]",
+        arguments=lambda a: (
+            a.a_report("old", "earlier"),
+            a.a_report("new", "later"),
+            a.options("TriageOptions", "noise"),
+        ),
+        ways={
+            Kind.RECONSTRUCTION: Way(
+                call="judging.triage.triage_reports:triage",
+                reads="old new",
+                options="TriageOptions",
+                report="reports.terminal.triage:triaged",
+                tells="source found options",
+                code=lambda found: 0 if found.is_noise else 1,
+            )
+        },
+    ),
+    "vio": Command(
+        help="visual-inertial odometry from images, a recording or feature tracks, and IMU samples",
+        usage="SEQUENCE -o FILE.tum [options]",
+        arguments=lambda a: (
+            *a.ODOMETRY,
+            a.RECORDING,
+            a.options("WindowOptions", "the window"),
+        ),
+        ways={Kind.RECONSTRUCTION: Way(run="cli.sequences:run_vio")},
+    ),
+    "convert": Command(
+        help="convert between formats, and list what is lost",
+        arguments=lambda a: (
+            a.INPUT,
+            a.output("output"),
+            a.INPUT_FORMAT,
+            a.RIG_CONFIG,
+            a.RECORDING,
+            a.options("LensOptions", "cameras of OUTPUT"),
+            a.GLOBAL_SHUTTER,
+        ),
+        ways={
+            Kind.RECONSTRUCTION: Way(run="cli.models:convert_model"),
+            Kind.POSE_GRAPH: Way(run="cli.models:convert_pose_graph"),
+            Kind.SEQUENCE: Way(run="cli.sequences:convert_sequence", accepts=_KNOWN),
+        },
+    ),
+    "synth": Command(
+        help="make a seeded scene with ground truth, from toy to millions of observations",
+        arguments=lambda a: (
+            *a.SCENE_OUTPUTS,
+            a.options("SceneOptions", "options of the scene"),
+            a.FLIGHTS,
+        ),
+        kind=lambda given: FLIGHT if given.scene == FLIGHT else Kind.RECONSTRUCTION,
+        ways={
+            Kind.RECONSTRUCTION: Way(run="cli.scenes:make_scene"),
+            FLIGHT: Way(run="cli.scenes:make_flight", accepts=None),
+        },
+    ),
+    "demo": Command(
+        help="refine a small scene that comes with the package, and write a report page",
+        usage="[FOLDER] [options]",
+        arguments=lambda a: (a.DEMO_FOLDER,),
+        ways={Kind.RECONSTRUCTION: Way(main="cli.scenes:demo")},
+    ),
 }
-"""Functions that declare the arguments of the commands."""
+"""Commands in the order of the help."""

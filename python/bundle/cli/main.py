@@ -15,8 +15,8 @@ from typing import Any
 from bundle import __version__
 from bundle.base import own_process
 from bundle.cli import startup
+from bundle.cli.commands import COMMANDS
 from bundle.cli.completion import SHELLS, PrintCompletion
-from bundle.cli.dispatch import COMMANDS, find_handler, kind_of_input
 from bundle.cli.error_lines import (
     EXIT_BAD_INPUT,
     EXIT_DONE,
@@ -63,9 +63,11 @@ def _run(words: list[str]) -> int:
     try:
         if words:
             arguments = parser.parse_args(words)
-            run = find_handler(arguments.command, arguments.kind(arguments))
+            from bundle.cli.run import prepare  # late, for fast --version and --help
+
+            run = prepare(arguments)
             startup.done()
-            code = run(arguments)
+            code = run()
         else:
             startup.done()
             parser.print_help()
@@ -108,11 +110,11 @@ def command_parser() -> Parser:
         required=True,
         prog="bundle",  # otherwise argparse formats a usage, which takes milliseconds
     )
-    for name, help in COMMANDS.items():
+    for name, row in COMMANDS.items():
         commands.add_parser(
             name,
-            help=help,
-            description=help,
+            help=row.help,
+            description=row.help,
             declare=partial(_declare, name),
             explain=lambda found, name=name: unknown(found, name),
         )
@@ -122,13 +124,15 @@ def command_parser() -> Parser:
 def _declare(name: str, parser: Parser) -> None:
     """Declare the arguments of a command."""
     own_process.load_numpy()
-    from bundle.cli.commands import ARGUMENTS, add_common  # late, for fast --version and --help
+    from bundle.cli import declarations  # late, for fast --version and --help
     from bundle.cli.path_checks import check_paths
 
+    row = COMMANDS[name]
     parser.check = check_paths
-    parser.set_defaults(command=name, kind=kind_of_input)
-    ARGUMENTS[name](parser)
-    add_common(parser)
+    parser.set_defaults(command=name)
+    if row.usage:
+        parser.usage = f"bundle {name} {row.usage}"
+    declarations.add_all(parser, (*row.arguments(declarations), *declarations.COMMON))
     parser.set_defaults(flags=parser.flags_by_name(), taken=parser.taken)
 
 

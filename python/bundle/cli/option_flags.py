@@ -24,44 +24,55 @@ if TYPE_CHECKING:
 AnyOptions = TypeVar("AnyOptions", bound=Options)
 
 
-def add_options(
-    parser: argparse.ArgumentParser,
-    kind: type[Options] | str,
-    title: str,
-    names: Collection[str] | None = None,
-    description: str | None = None,
-    **helps: str,
-) -> None:
-    """Add a group with one flag for each field of an option class.
-
-    Args:
-        parser: parser of the command.
-        kind: option class or its name.
-        title: title of the group in the help.
-        names: names of the fields; None: all.
-        description: description of the group in the help.
-        **helps: help texts of fields with another meaning in this command.
-    """
-    group = parser.add_argument_group(title, description)
-    add_fields(group, kind, names, **helps)
-
-
 def add_fields(
     group: argparse._ActionsContainer,
     kind: type[Options] | str,
     names: Collection[str] | None = None,
+    without: Collection[str] = (),
     **helps: str,
 ) -> None:
-    """Add the flags of the fields of an option class to a group; see :func:`add_options`."""
-    for field in dataclasses.fields(option_class(kind) if isinstance(kind, str) else kind):  # type: ignore[arg-type]
-        if names is None or field.name in names:
+    """Add one flag for each field of an option class to a group.
+
+    Args:
+        group: parser of the command, or a group of it.
+        kind: option class or its name.
+        names: names of the fields; None: all.
+        without: names of fields that are left out.
+        **helps: help texts of fields with another meaning in this command.
+    """
+    for field in _fields(kind):
+        if (names is None or field.name in names) and field.name not in without:
             _add_option(group, field, helps.get(field.name, field.metadata["help"]))
+
+
+def widen(group: argparse._ActionsContainer, field: dataclasses.Field[Any], kind: str) -> None:
+    """Extend the flag of another option class by the choices of a field."""
+    action = group._option_string_actions.get(field.metadata["flag"])
+    if action is None or action.choices is None:
+        return
+    known = list(action.choices)
+    words = [choice_word(word) for word in field.metadata["choices"]]
+    added = [word for word in words if word not in known]
+    if added:
+        action.choices = [*known, *added]
+        action.help = f"{action.help}; for {kind} also {', '.join(added)}"
+
+
+def own_options(kind: str, other: str) -> list[str]:
+    """Return the names of the options of a class that another class does not have."""
+    shared = {field.name for field in _fields(other)}
+    return [field.name for field in _fields(kind) if field.name not in shared]
+
+
+def _fields(kind: type[Options] | str) -> tuple[dataclasses.Field[Any], ...]:
+    return dataclasses.fields(option_class(kind) if isinstance(kind, str) else kind)  # type: ignore[arg-type]
 
 
 def options_given(
     arguments: argparse.Namespace,
     kind: type[AnyOptions],
     *,
+    names: Collection[str] | None = None,
     names_follow: bool = False,
     beside: Collection[str] = (),
 ) -> AnyOptions:
@@ -70,6 +81,7 @@ def options_given(
     Args:
         arguments: parsed command line.
         kind: class of the options.
+        names: fields to read, if flags of others belong to another class; None: all.
         names_follow: leave out images given by name; :func:`with_named_images` adds them.
         beside: fields that also have an effect without the options that they usually require.
 
@@ -77,7 +89,7 @@ def options_given(
         InputError: a value is out of range, or an option requires another one; the message names
             the flag.
     """
-    fields = dataclasses.fields(kind)  # type: ignore[arg-type]
+    fields = [field for field in _fields(kind) if names is None or field.name in names]
     values = {field.name: getattr(arguments, field.name, None) for field in fields}
     flags = flags_of(kind)
     for field in fields:
@@ -277,6 +289,10 @@ def _parse_words(text: str) -> tuple[str, ...]:
     return tuple(name.strip() for name in text.split(",") if name.strip())
 
 
+def _parse_sets(text: str) -> tuple[tuple[str, ...], ...]:
+    return tuple(map(_parse_words, text.split("/")))
+
+
 def _parse_counts(text: str) -> tuple[int, ...]:
     parts = [part.strip() for part in text.split(",")]
     if not all(part.isascii() and part.isdigit() and len(part) < 9 for part in parts):
@@ -298,6 +314,7 @@ READERS: dict[str, tuple[Callable[[str], Any], str]] = {
     "pairs": (_parse_pairs, ""),
     "path": (a_path, ""),
     "resumed checkpoint": (PathArgument("checkpoint", replaces=("checkpoint",)), ""),
+    "sets": (_parse_sets, ""),
     "sensors": (parse_sensors, "RIG:CAMERA by ids, such as 1:2,1:3; "),
     "word": (choice_word, ""),
     "words": (_parse_words, ""),

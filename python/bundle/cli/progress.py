@@ -52,8 +52,6 @@ class Progress:
             )
 
     def __enter__(self) -> Self:
-        if self._live is not None:
-            self._live.start()
         return self
 
     def __exit__(
@@ -103,6 +101,8 @@ class Progress:
         )
 
     def _print(self, line: str) -> None:
+        if self._live is not None:
+            self._live.start()  # once; before the first stage, errors are printed without it
         if self._quiet or self._live is not None:
             return
         try:

@@ -14,7 +14,6 @@ from bundle.cli.carried_georeference import (
     write_georeference,
 )
 from bundle.cli.error_lines import EXIT_DONE, EXIT_NO_SOLUTION
-from bundle.cli.flags_by_kind import refuse_flags_of_graphs
 from bundle.cli.georeference_flags import (
     GEOREFERENCE_FLAGS,
     main_flag,
@@ -52,7 +51,6 @@ STAYED = "Refined again without positions, from where they had placed it."
 
 def run(arguments: argparse.Namespace) -> int:
     """Refine INPUT into OUTPUT."""
-    refuse_flags_of_graphs(arguments)
     started = perf_counter()
     asked = Refinement.of(arguments)
     with on_disk(asked), Progress(quiet=arguments.quiet) as progress:

@@ -12,12 +12,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bundle.base.records import dataclass
+from bundle.cli.declarations import read_options
 from bundle.cli.georeference_flags import georeference_given
 from bundle.cli.inertial_flags import InertialFiles, inertial_given
 from bundle.cli.next_run import repeated_flags
 from bundle.cli.option_flags import options_given
 from bundle.cli.problem_edits import rules_as_options, rules_of
-from bundle.cli.shared_arguments import read_options
 from bundle.cli.standard_streams import complain
 from bundle.errors import InputError, shown
 from bundle.interface.camera_edit_options import LensOptions, RuleOptions, ShutterOptions

@@ -22,7 +22,7 @@ ROBUST = ("weights", "sandwich")
 class CovarianceOptions(Options):
     """Options of ``bundle covariance``; a pose graph uses only pairs, gauge and scale."""
 
-    parts: str | None = option(
+    of: str | None = option(  # type: ignore[assignment]  # in place of Options.of
         None,
         "--of",
         "some of poses, points, intrinsics",
@@ -39,7 +39,7 @@ class CovarianceOptions(Options):
         value="pairs",
         late=True,
     )
-    covariance_gauge: str | None = option(
+    gauge: str | None = option(
         None,
         "--gauge",
         "how position, rotation and scale of the world are fixed. inner: by the constraints of "

@@ -164,12 +164,13 @@ class ValidationOptions(Options):
         value="words",
         unset="cauchy",
     )
-    refine_sets: str | None = option(
+    refine_sets: tuple[tuple[str, ...], ...] | None = option(
         None,
         "--refine",
         "sets of refined parameters, separated by /, such as "
         "poses,points,focal,extra/poses,points,focal,principal-point,extra",
         metavar="SETS",
+        value="sets",
         unset="poses,points,focal,extra",
     )
     num_folds: int = option(
@@ -183,14 +184,6 @@ class ValidationOptions(Options):
     seed: int = option(
         0, "--seed", "seed of the folds; another seed divides otherwise", minimum=0, metavar="N"
     )
-
-    @property
-    def refined(self) -> tuple[tuple[str, ...], ...]:
-        """Sets of refined parameters; () for the default."""
-        if self.refine_sets is None:
-            return ()
-        sets = self.refine_sets.split("/")
-        return tuple(tuple(name.strip() for name in one.split(",") if name.strip()) for one in sets)
 
 
 @documented

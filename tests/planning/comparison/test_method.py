@@ -5,7 +5,7 @@ import argparse
 import pytest
 
 from bundle import _core
-from bundle.cli.option_flags import add_options, options_given
+from bundle.cli.option_flags import add_fields, options_given
 from bundle.errors import InputError
 from bundle.interface.options import SolveOptions
 from bundle.planning.comparison.method import expand
@@ -79,5 +79,5 @@ def test_command_line_brings_the_options_back():
     begin, words = line.split(" -o out ")
     assert begin == "bundle refine 'a scene.txt'"
     parser = argparse.ArgumentParser()
-    add_options(parser, SolveOptions, "")
+    add_fields(parser, SolveOptions)
     assert options_given(parser.parse_args(words.split()), SolveOptions) == options

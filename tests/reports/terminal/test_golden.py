@@ -17,7 +17,7 @@ import pytest
 from bundle import _core
 from bundle.analysis.statistics.description import describe
 from bundle.base.tables import render
-from bundle.cli.synth import _tally
+from bundle.cli.scenes import _tally
 from bundle.georeference.alignment import align
 from bundle.graphs.factors.checks import check_jacobians
 from bundle.interface.finding import one_list

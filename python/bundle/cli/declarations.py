@@ -1,0 +1,604 @@
+"""Arguments of the commands, as the rows of ``bundle.cli.commands`` name them.
+
+INPUT, OUTPUT and other files are declared here; options come from their classes. A declaration
+is a function that adds it to a parser or a group.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import re
+from collections.abc import Callable, Collection, Iterable
+from typing import Any
+
+from bundle.base.words import FORMATS
+from bundle.cli.commands import FLIGHT
+from bundle.cli.inertial_flags import add_inertial_flags
+from bundle.cli.option_flags import add_fields, own_options, widen
+from bundle.cli.path_checks import (
+    PathArgument,
+    a_path,
+    page_path,
+    reconstruction,
+    report_path,
+    telemetry_path,
+    trajectory_path,
+)
+from bundle.errors import InputError
+from bundle.interface.option_classes import option_class
+from bundle.interface.options import INFORMATION, LINEARIZATION, PATTERN  # noqa: F401 (in rows)
+from bundle.interface.window_options import TrackingOptions
+from bundle.io.formats.read_options import ORIGINS, ReadOptions
+from bundle.io.georeference_file import GEOREFERENCE
+from bundle.io.recognition import OUTPUT_FORMATS
+
+Container = argparse._ActionsContainer
+Declaration = Callable[[Container], object]
+"""Adds arguments to a parser or a group."""
+
+
+def argument(*names: str, **settings: Any) -> Declaration:
+    """Declare one argument by the settings of ``add_argument``."""
+    return lambda to: to.add_argument(*names, **settings)
+
+
+def fields(kind: str | type, *which: Any, **helps: Any) -> Declaration:
+    """Declare the flags of an option class; see :func:`bundle.cli.option_flags.add_fields`."""
+    return lambda to: add_fields(to, kind, *which, **helps)
+
+
+def group(title: str, *parts: Any, description: str | None = None) -> Declaration:
+    """Declare arguments with a title in the help."""
+    return lambda to: add_all(to.add_argument_group(title, description), parts)
+
+
+def either(*parts: Declaration) -> Declaration:
+    """Declare arguments of which at most one can be given."""
+    return lambda to: add_all(to.add_mutually_exclusive_group(), parts)
+
+
+def add_all(to: Container, parts: Iterable[Any]) -> None:
+    """Declare arguments; tuples are arguments that belong together."""
+    for part in parts:
+        if isinstance(part, tuple):
+            add_all(to, part)
+        else:
+            part(to)
+
+
+def options(
+    kind: str | type,
+    title: str,
+    names: Collection[str] | None = None,
+    description: str | None = None,
+    without: Collection[str] = (),
+    **helps: str,
+) -> Declaration:
+    """Declare a group with one flag for each field of an option class.
+
+    Args:
+        kind: option class or its name.
+        title: title of the group in the help.
+        names: names of the fields; None: all.
+        description: description of the group in the help.
+        without: names of fields that are left out.
+        **helps: help texts of fields with another meaning in this command.
+    """
+    return group(title, fields(kind, names, without, **helps), description=description)
+
+
+def pose_graph(
+    names: Collection[str] | None = None,
+    title: str = "pose graphs (.g2o), beside backend, loss, trust region, tolerances and threads",
+) -> Declaration:
+    """Declare the options that only pose graphs have; extend the choices of shared options."""
+
+    def add(to: Container) -> None:
+        for field in dataclasses.fields(option_class("PoseGraphOptions")):  # type: ignore[arg-type]
+            if names is None or field.name in names:
+                widen(to, field, "pose graphs")
+        own = own_options("PoseGraphOptions", "SolveOptions")
+        options(
+            "PoseGraphOptions", title, [name for name in own if names is None or name in names]
+        )(to)
+
+    return add
+
+
+# Every command
+
+COMMON = (
+    argument(
+        "--json",
+        metavar="FILE",
+        type=report_path,
+        help="also write a report for programs; -: to standard output, which then has nothing else",
+    ),
+    argument("--quiet", action="store_true", help="no progress on standard error (default: shown)"),
+    argument(
+        "--verbose",
+        action="store_true",
+        help="show all tables and findings after the headline (default: off)",
+    ),
+)
+
+
+# INPUT
+
+
+def given_input(name: str = "input", **settings: Any) -> Declaration:
+    """Declare the argument INPUT."""
+    return argument(
+        name,
+        metavar="INPUT",
+        type=reconstruction,
+        help="the folder of a COLMAP model (binary or text), a BAL file, a Bundler, NVM or OpenMVG "
+        "file (all plain, .gz or .bz2), an OpenSfM project or, "
+        "for info, refine, compare, inspect, diagnose, covariance and convert, a pose graph "
+        "(g2o, plain, .gz or .bz2), or, for info and convert, the folder of a visual-inertial "
+        "sequence or of its images (mav0); the format is detected automatically",
+        **settings,
+    )
+
+
+def a_model(name: str, help: str) -> Declaration:
+    """Declare a positional argument for a model."""
+    return argument(name, metavar=name.upper(), type=reconstruction, help=help)
+
+
+def a_report(name: str, which: str) -> Declaration:
+    """Declare a positional argument for a report of a run."""
+    return argument(
+        name,
+        metavar=f"{name.upper()}.json",
+        type=a_path,
+        help=f"the {which} report of bundle refine, vio or compare (--json FILE)",
+    )
+
+
+INPUT = given_input()
+INSPECTED = argument(
+    "input",
+    metavar="INPUT",
+    type=reconstruction,
+    nargs="?",
+    help="a BAL file (plain, .gz or .bz2) or the folder of a COLMAP model (binary or text) or a "
+    "pose graph (g2o); the format is detected automatically",
+)
+COMPARED = argument(
+    "inputs",
+    metavar="INPUT",
+    type=reconstruction,
+    nargs="+",
+    help="BAL files (plain, .gz or .bz2) and folders of COLMAP models; several inputs also give "
+    "performance profiles; or one pose graph (g2o)",
+)
+EVALUATED = a_model(
+    "a",
+    "a COLMAP model, a BAL file, or a file of poses: TUM, EuRoC, KITTI, or a list with lines of "
+    "name qw qx qy qz tx ty tz; told by its content",
+)
+TRUTH = argument(
+    "--reference",
+    dest="b",
+    metavar="B",
+    type=reconstruction,
+    required=True,
+    help="the truth or another model, in the same formats, or check points in ODM's gcp_list.txt; "
+    "errors are in its frame and its length unit",
+)
+ALIGNED_TO = argument(
+    "--reference",
+    metavar="MODEL",
+    type=reconstruction,
+    help="a model with images of the same names; INPUT is moved into its frame (default: none)",
+)
+READING = ("input_format", "image_size", "image_list", "reconstruction", "pixel_origin")
+"""Destinations of the flags of ``INPUT_FORMAT``."""
+INPUT_FORMAT = group(
+    "INPUT of another program",
+    argument(
+        "--input-format",
+        metavar="FORMAT",
+        choices=FORMATS,
+        help=f"format of INPUT: {', '.join(FORMATS)} (default: by its content)",
+    ),
+    argument(
+        "--image-size",
+        metavar="W,H",
+        help="size of all images in pixels, where the file has no sizes (Bundler, NVM), or "
+        "unknown, or COLMAP's database.db, which has them by name (default: from the photographs)",
+    ),
+    argument(
+        "--image-list",
+        metavar="FILE",
+        type=a_path,
+        help="names of the images of a Bundler model (default: list.txt beside it or in the folder "
+        "above)",
+    ),
+    argument(
+        "--reconstruction",
+        metavar="N",
+        type=int,
+        help="number of the reconstruction in a file with several, from 0 (default: the only one)",
+    ),
+    argument(
+        "--pixel-origin",
+        choices=ORIGINS,
+        help="origin of the pixels of an NVM file: the center of the image, or the upper left "
+        f"corner, as COLMAP writes it (default: {ORIGINS[0]})",
+    ),
+)
+
+
+def read_options(given: argparse.Namespace) -> ReadOptions:
+    """Return the values of the flags of ``INPUT_FORMAT``.
+
+    Raises:
+        InputError: a value is invalid.
+    """
+    try:
+        return ReadOptions.of(
+            given.input_format,
+            given.image_size,
+            given.image_list,
+            given.reconstruction,
+            given.pixel_origin or ORIGINS[0],
+        )
+    except InputError as error:
+        raise InputError(f"--{str(error).replace('image_size', 'image-size')}") from None
+
+
+def given_of(arguments: argparse.Namespace, *names: str) -> tuple[str, ...]:
+    """Return flags with their values, for those of ``names`` that were given."""
+    values = {name: getattr(arguments, name) for name in names}
+    return tuple(
+        word
+        for name, value in values.items()
+        if value is not None
+        for word in (f"--{name.replace('_', '-')}", str(value))
+    )
+
+
+# OUTPUT, pages and arrays
+
+FORMAT = argument(
+    "--format", choices=OUTPUT_FORMATS, help="format of OUTPUT (default: by its name)"
+)
+
+
+def output(
+    *names: str, replaces: tuple[str, ...] = ("input",), **settings: Any
+) -> tuple[Declaration, ...]:
+    """Declare OUTPUT under the given names, and the flags --format and --overwrite.
+
+    Args:
+        *names: names of the argument.
+        replaces: destinations of the arguments that may name the same model.
+        **settings: arguments of ``add_argument``.
+    """
+    target = argument(
+        *names,
+        metavar="OUTPUT",
+        type=PathArgument("output", is_data=True, replaces=replaces),
+        help="output path, which may be INPUT; NAME.txt, .txt.gz and .txt.bz2 are BAL files, .out "
+        "Bundler, .nvm NVM, sfm_data.json OpenMVG, NAME/ and existing folders COLMAP models; "
+        "other names get the format of INPUT",
+        **settings,
+    )
+    overwrite = argument(
+        "--overwrite",
+        action="store_true",
+        help="replace a model of other images at OUTPUT (default: stop if it exists)",
+    )
+    return target, FORMAT, overwrite
+
+
+def page(written: str, help: str, metavar: str = "FILE") -> Declaration:
+    """Declare the flag --html."""
+    return argument("--html", metavar=metavar, type=page_path(written), help=help)
+
+
+PAGE_OUTPUT = argument(
+    "-o",
+    "--output",
+    metavar="FILE.html",
+    type=page_path(),
+    required=True,
+    help="the page to write, a single file",
+)
+ARRAYS = argument(
+    "-o",
+    "--output",
+    metavar="FILE.npz",
+    type=PathArgument("file", format="arrays for NumPy (.npz)", own=".npz"),
+    required=True,
+    help="arrays for NumPy: pose_ids, pose_covariance (n, 6, 6; rotation in radians, left "
+    "perturbation of cam_from_world, then translation), point_ids, point_covariance, "
+    "camera_ids, camera_covariance, sigma0, dof and others",
+)
+SUFFIX = r"(\.txt(\.gz|\.bz2)?)?$"
+"""Suffix of a BAL file."""
+
+
+def path_beside(path: str, what: str, suffix: str) -> str:
+    """Return the path next to an output, such as OUTPUT_gravity.txt."""
+    return f"{re.sub(SUFFIX, '', path.rstrip('/'), count=1, flags=re.I)}_{what}{suffix}"
+
+
+def ground_truth_path(arguments: argparse.Namespace) -> str | None:
+    """Return the path of a scene's true solution; None for a flight, whose folder contains it."""
+    if arguments.scene == FLIGHT:
+        return None
+    path: str = arguments.output
+    if arguments.ground_truth:
+        return str(arguments.ground_truth)
+    if path.endswith("/"):
+        return path.rstrip("/") + "_ground_truth/"
+    suffix = re.search(SUFFIX, path, re.I)
+    return path_beside(path, "ground_truth", "" if suffix is None else suffix.group())
+
+
+SCENE_OUTPUTS = (
+    argument(
+        "output",
+        metavar="OUTPUT",
+        type=PathArgument("output", is_data=True),
+        help="output path of the start: NAME.txt, .txt.gz and .txt.bz2 are BAL files, other names "
+        "folders of COLMAP models; for a flight the folder of a sequence",
+    ),
+    FORMAT,
+    argument(
+        "--ground-truth",
+        metavar="PATH",
+        type=PathArgument("ground truth", is_data=True, otherwise=ground_truth_path),
+        help="output path of the true solution, with the same observations (default: "
+        "OUTPUT_ground_truth, next to OUTPUT)",
+    ),
+    argument(
+        "--overwrite",
+        action="store_true",
+        help="replace existing files at these paths (default: stop if a file exists)",
+    ),
+)
+DEMO_FOLDER = argument(
+    "output",
+    metavar="FOLDER",
+    nargs="?",
+    default="bundle_demo",
+    type=a_path,
+    help="new or empty folder, or that of another demo (default: bundle_demo)",
+)
+
+
+# Knowledge besides the pixels
+
+RIG_CONFIG = argument(
+    "--rig-config",
+    metavar="FILE",
+    type=a_path,
+    help="make rigs by COLMAP's rig_config.json: images whose names differ only in their prefix "
+    "form a frame; missing poses of sensors are means over the frames (default: the rigs of INPUT)",
+)
+RULES = options(
+    "RuleOptions",
+    "constraints",
+    description="Knowledge in addition to the pixels, such as --set 'cameras *: f prior 2 %' or "
+    "--set 'camera 3: cx,cy fixed'. Focal lengths and the principal point are in pixels, positions "
+    "in the unit of the model (metres with --gps), rotations in degrees.",
+)
+MOVED = (
+    "The model is first moved into metres east, north, up about the middle of the control points, "
+    "or of the positions where there are none, and stays there. "
+    f"{GEOREFERENCE} in OUTPUT, or beside it if it is a file, says where that is."
+)
+POSITIONS = ("gps", "images", "gps_sigma", "gps_sigma_scale", "gps_offset", "antenna")
+CONTROL_POINTS = ("gcp", "gcp_sigma", "gcp_pixel_sigma", "check_points")
+ATTITUDES = (
+    *("gravity", "gravity_sigma", "gravity_sigma_scale"),
+    *("orientations", "orientation_sigma", "orientation_sigma_scale"),
+)
+VELOCITIES = ("velocities", "velocity_sigma")
+ROBUSTNESS = ("prior_loss", "prior_loss_scale")
+
+
+def georeference(
+    meaning: str = MOVED,
+    images_are_for: str = "--gps exif, --orientations xmp, --velocities xmp and --html",
+) -> tuple[Declaration, ...]:
+    """Declare flags for positions of images, control points and their loss.
+
+    Args:
+        meaning: purpose of the positions in this command.
+        images_are_for: uses of the folder of images.
+    """
+    images = f"folder of the images, for {images_are_for}"
+    kind = "GeoreferenceOptions"
+    adjusted = "They are adjusted with the model, and not written among its points."
+    turned = "A model without positions is first turned to them about the middle of its cameras."
+    rolling = "They need rolling shutters with free or tied twists, readouts and --frame-rate."
+    return (
+        options(kind, "positions of images", POSITIONS, meaning, images=images),
+        options(kind, "ground control points", CONTROL_POINTS, adjusted),
+        options(kind, "gravity, orientations and headings", ATTITUDES, turned),
+        options(kind, "velocities of images", VELOCITIES, rolling),
+        options(kind, "robustness of all of these", ROBUSTNESS),
+    )
+
+
+# Single commands
+
+COLMAP_OPTIONS = argument(
+    "--colmap-options",
+    metavar="FILE",
+    type=a_path,
+    help="take options from the project.ini of `colmap bundle_adjuster`, with COLMAP's "
+    "defaults for options that the file lacks; flags replace them (default: none)",
+)
+IMU = add_inertial_flags
+CHECK_GRADIENTS = argument(
+    "--check-gradients",
+    action="store_true",
+    help="first check the Jacobians on a sample, as `bundle check` does, and stop with its "
+    "report if one is wrong; an undecided check does not stop (default: off)",
+)
+RECALIBRATE = argument(
+    "--recalibrate",
+    action="store_true",
+    help="measure the rates of this machine again, which takes seconds (default: measured once, "
+    "then stored)",
+)
+METHODS = ("solvers", "backends", "preconditioners", "orderings", "trust_regions", "threads")
+EVERY_ORDER = argument(
+    "--ordering",
+    dest="orders",
+    choices=("all",),
+    help="compare every elimination order: of a pose graph natural, AMD and METIS, with flops, "
+    "nonzeros, predicted and measured times of the factorisations; of a model those of "
+    "--orderings",
+)
+
+
+def compared_options() -> Collection[str]:
+    """Return the options of a solve that a comparison varies."""
+    from bundle.interface.planning_options import COMPARED  # only for this command
+
+    return COMPARED
+
+
+ALL = argument(
+    "--all", action="store_true", help="check every observation, or every factor of a graph"
+)
+MERGE_ERROR = argument(
+    "--max-error",
+    metavar="PX",
+    type=float,
+    default=8.0,
+    help="two points at one keypoint are joined if their projections differ by at most this, in "
+    "pixels; the difference is the median over the images of both (default: 8)",
+)
+GLOBAL_SHUTTER = argument(
+    "--global-shutter",
+    action="store_true",
+    help="move the observations of a rolling shutter to where a global shutter would have read "
+    "them, for programs that know only global shutters",
+)
+
+
+def FLIGHTS(to: Container) -> None:  # noqa: N802 (a declaration as the others)
+    """Declare the scene "flight" and its own options."""
+    action = to._option_string_actions["--scene"]
+    action.choices = [*(action.choices or ()), FLIGHT]
+    action.help = (
+        f"{action.help}; {FLIGHT}: a visual-inertial sequence, samples of an IMU and tracks, with "
+        "ground_truth.csv in its folder"
+    )
+    title = f"options of --scene {FLIGHT}, beside --pixel-noise, --outlier-share and --seed"
+    options("FlightOptions", title, own_options("FlightOptions", "SceneOptions"))(to)
+
+
+# Visual-inertial sequences
+
+RECORDED = (
+    *("calibration", "camera", "imu", "frame_times", "image_topic", "imu_topic"),
+    *(field.name for field in dataclasses.fields(TrackingOptions)),
+)
+"""Destinations of the flags of ``RECORDING``, which inputs without images refuse."""
+RECORDING = group(
+    "images of a visual-inertial sequence",
+    argument(
+        "--calibration",
+        metavar="FILE",
+        type=a_path,
+        action="append",
+        help="calibration in place of that in the sequence: calibration.yaml, or Kalibr's "
+        "camchain-imucam.yaml and, given by a second --calibration or beside it, imu.yaml "
+        "(default: sensor.yaml of mav0, or dso/camchain.yaml beside it; bags and videos have none)",
+    ),
+    argument(
+        "--camera",
+        metavar="NAME",
+        help="camera whose images are tracked: a folder of mav0, an entry of a camchain (default: "
+        "cam0)",
+    ),
+    argument(
+        "--imu",
+        metavar="FILE",
+        type=a_path,
+        help="samples of the IMU for a video: a csv of stamp, angular rate x y z [rad/s], specific "
+        "force x y z [m/s^2]; stamps are integers of nanoseconds, or seconds with a decimal point",
+    ),
+    argument(
+        "--frame-times",
+        metavar="FILE",
+        type=a_path,
+        help="times of the frames of a video, one a line, on the clock of --imu (default: the "
+        "constant rate of the video, from 0)",
+    ),
+    *(
+        argument(
+            f"--{sensor}-topic",
+            metavar="TOPIC",
+            help=f"topic of the {name} in a ROS bag (default: the rostopic of the calibration, or "
+            "the only topic)",
+        )
+        for sensor, name in (("image", "images"), ("imu", "IMU samples"))
+    ),
+    fields("TrackingOptions"),
+)
+ODOMETRY = (
+    argument(
+        "sequence",
+        metavar="SEQUENCE",
+        type=reconstruction,
+        help="images and IMU samples: EuRoC's or TUM-VI's mav0 or its parent, a ROS 1 or 2 bag, or "
+        "a video with --imu; or tracks in place of images: a folder with imu.csv, tracks.csv and "
+        "calibration.yaml, or a table of both that bundle convert reads",
+    ),
+    argument(
+        "-o",
+        "--output",
+        metavar="FILE.tum",
+        type=trajectory_path,
+        required=True,
+        help="poses world_from_imu of the solved images, one per line: timestamp in seconds, tx ty "
+        "tz, qx qy qz qw; z is up",
+    ),
+    argument(
+        "--ground-truth",
+        metavar="FILE",
+        type=a_path,
+        help="compare with it: EuRoC's csv or a TUM file",
+    ),
+    argument(
+        "--telemetry",
+        metavar="FILE.jsonl",
+        type=telemetry_path,
+        help="one line of JSON per keyframe, written when the keyframe is complete",
+    ),
+    page("page", "a page with the curves of the telemetry and the path, a single file", "PAGE"),
+    group(
+        "two loops",
+        argument(
+            "--publish",
+            metavar="FILE.tum",
+            type=trajectory_path,
+            help="a pose per IMU sample: the last solution of the window, propagated and corrected "
+            "by closures",
+        ),
+        argument(
+            "--loops",
+            metavar="FILE",
+            type=a_path,
+            help="closures: csv of first_timestamp_ns, second_timestamp_ns, tx ty tz, qx qy qz qw "
+            "of the IMU at the second time in its frame at the first, sigmas in metres and "
+            "degrees; or a g2o file whose ids are the stamps",
+        ),
+        argument(
+            "--real-time",
+            action="store_true",
+            help="replay at the rate of the sensors and report how late the poses are",
+        ),
+    ),
+)

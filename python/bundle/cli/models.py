@@ -1,0 +1,184 @@
+"""Models and pose graphs as files: `bundle info`, `convert`, `merge`, and `refine` of a graph."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from time import perf_counter
+from typing import TYPE_CHECKING, Any
+
+from bundle.cli.carried_georeference import (
+    carry_georeference,
+    check_georeference,
+    georeference_at,
+)
+from bundle.cli.error_lines import EXIT_NO_SOLUTION
+from bundle.cli.option_flags import naming_flags
+from bundle.cli.output import check_replaced, same_images
+from bundle.cli.problem_edits import cameras_edited, with_rigs
+from bundle.errors import shown
+from bundle.interface.camera_edit_options import LensOptions
+from bundle.io.open import check_target, load, output_format, save
+from bundle.reports.sections import Report
+
+if TYPE_CHECKING:
+    from bundle.cli.run import Run
+    from bundle.editing.rolling_shutters import GlobalShutterModel
+    from bundle.model.pose_graph_arrays import PoseGraph
+    from bundle.model.problem import Problem
+
+
+def describe_model(run: Run) -> Report:
+    """Describe the reconstruction INPUT."""
+    from bundle.analysis.statistics.description import describe
+    from bundle.cli.declarations import READING, given_of
+    from bundle.interface.finding import one_list
+    from bundle.judging.findings.find import find
+    from bundle.reports.terminal.info import information
+
+    problem = run.load()
+    run.progress.stage("counting")
+    description = describe(problem)
+    given = given_of(run.arguments, "rig_config", *READING)
+    found = find(problem, source=run.source, given=given)
+    findings = one_list(description.suspicions, found)
+    return information(run.source, problem, description, findings)
+
+
+def convert_model(run: Run) -> Report:
+    """Write the reconstruction INPUT in another format."""
+    from bundle.reports.terminal.convert import converted
+
+    problem = run.load(rigs=False)
+    edits = cameras_edited(run.given(LensOptions), problem)
+    edited = problem if edits is None else edits.problem
+    edited = with_rigs(edited, run.arguments.rig_config)
+    moved = None
+    if run.arguments.global_shutter:
+        run.progress.stage("moving observations")
+        moved = _without_rolling_shutter(edited, run.source)
+        edited = moved.problem
+    output = _checked_output(run, edited)
+    place = georeference_at(run.source)
+    if place is not None:
+        check_georeference(**output)
+    check_replaced(run.target, [run.source], run.arguments.overwrite, same_images(edited))
+    lost = run.write(run.target, lambda _: save(edited, **output, progress=run.progress.text))
+    carry_georeference(place, **output)
+    return converted(run.source, problem, output, lost, edits, moved)
+
+
+def _checked_output(run: Run, problem: Problem, source: str = "") -> dict[str, str]:
+    """Return path and format of OUTPUT after checking that the problem can be written there."""
+    given = problem.format, run.target, run.arguments.format, source or run.source
+    output = {"path": run.target, "format": output_format(*given)}
+    check_target(problem, output["path"], output["format"])
+    return output
+
+
+def _without_rolling_shutter(problem: Problem, source: str) -> GlobalShutterModel:
+    from bundle.editing.rolling_shutters import to_global_shutter
+
+    with naming_flags(problem=f"--global-shutter: {shown(source)}"):
+        return to_global_shutter(problem)
+
+
+MERGED = "Merged with another model, in the frame of the first."
+
+
+def merge_models(run: Run) -> Report:
+    """Merge models A and B into OUTPUT."""
+    from bundle.editing.merge_models import merge
+    from bundle.reports.terminal.merge import merged_report
+
+    arguments = run.arguments
+    paths = (arguments.a, arguments.b)
+    with naming_flags(a="A", b="B", max_error="--max-error"):
+        problems = []
+        for path in paths:
+            run.progress.stage(f"reading {shown(path)}")
+            problems.append(load(path, run.progress.text))
+        a, b = problems
+        output = _checked_output(run, a, paths[0])
+        place = georeference_at(paths[0])
+        if place is not None:
+            check_georeference(**output)
+        check_replaced(run.target, paths, arguments.overwrite, same_images(a, b))
+        run.progress.stage("merging")
+        merged = merge(a, b, max_error=arguments.max_error)
+        problem = merged.problem
+        lost = run.write(run.target, lambda _: save(problem, **output, progress=run.progress.text))
+        carry_georeference(place, **output, changed=MERGED)
+    return merged_report(paths, (a, b), merged, output, lost)
+
+
+def convert_pose_graph(run: Run) -> Report:
+    """Write the pose graph INPUT with or without compression; compute missing poses."""
+    from bundle.io.g2o_files import check_g2o_target, save_g2o
+    from bundle.reports.terminal.convert import converted_graph
+
+    check_g2o_target(run.target)
+    graph = run.load()
+    _check_graph_replaced(run, graph)
+    lost = run.write(run.target, partial(save_g2o, graph))
+    return converted_graph(run.source, graph, {"path": run.target, "format": "g2o"}, lost)
+
+
+def refine_pose_graph(run: Run) -> Report:
+    """Refine the pose graph INPUT into OUTPUT."""
+    from bundle.base.waiting_time import Waiting, waiting_since
+    from bundle.cli.many_processes import note_alone
+    from bundle.graphs.pose_graphs.solve_pose_graph import solve_pose_graph
+    from bundle.interface.pose_graph_options import PoseGraphOptions
+    from bundle.io.g2o_files import check_g2o_target, save_g2o
+    from bundle.reports.terminal.pose_graph_tables import refined_graph
+    from bundle.reports.terminal.solve_data import WallTime
+
+    note_alone("refines the pose graph")
+    options = run.given(PoseGraphOptions)
+    check_g2o_target(run.target)
+    load_time, graph = _timed(run.load)
+    _check_graph_replaced(run, graph)
+    run.progress.stage("building the problem")
+    before = Waiting.now()
+    with naming_flags(PoseGraphOptions):
+        solved = solve_pose_graph(graph, options, progress=run.progress.iteration)
+    waiting = waiting_since(before)
+    is_done = solved.summary.is_solution_usable and not solved.summary.interrupted
+    is_saved = solved.summary.is_solution_usable or solved.summary.interrupted
+    save_time = 0.0
+    if is_saved:
+        save_time, _ = _timed(lambda: run.write(run.target, partial(save_g2o, solved.problem)))
+    page = run.arguments.html
+    if page is not None:
+        from bundle.reports.page.graph_report import write_graph_report  # only for --html
+
+        run.write(page, lambda _: write_graph_report(solved, page, name=str(run.source)))
+    wall = WallTime(
+        load=load_time,
+        build=solved.build_time_in_seconds,
+        solve=solved.solve_time_in_seconds,
+        save=save_time,
+        total=run.wall,
+    )
+    run.end(0 if is_done else EXIT_NO_SOLUTION, solved.outcome)
+    written = {"path": run.target, "format": "g2o"} if is_saved else None
+    return refined_graph(run.source, solved, wall, written, waiting)
+
+
+def _timed(work: Any) -> tuple[float, Any]:
+    """Return the seconds of some work, and its result."""
+    begun = perf_counter()
+    result = work()
+    return perf_counter() - begun, result
+
+
+def _check_graph_replaced(run: Run, graph: PoseGraph) -> None:
+    """Refuse to replace a pose graph with other poses."""
+    from bundle.io.g2o_files import load_g2o
+
+    def has_same_poses(path: Path) -> bool:
+        there = load_g2o(path)
+        return there.poses.shape == graph.poses.shape and sorted(there.ids) == sorted(graph.ids)
+
+    check_replaced(run.target, [run.source], run.arguments.overwrite, has_same_poses)

@@ -1,0 +1,334 @@
+"""One run of a command: check the arguments, open INPUT, call the API, report, write.
+
+The row of the command (``bundle.cli.commands``) says what differs. Where more than that differs,
+it names a function that gets the run, uses what it needs of it, and returns the report.
+"""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+from collections.abc import Callable, Collection, Iterable, Iterator
+from contextlib import contextmanager
+from time import perf_counter
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from bundle.cli.commands import COMMANDS, Command, Way, resolve
+from bundle.cli.declarations import RECORDED, read_options
+from bundle.cli.next_run import repeated_flags
+from bundle.cli.option_flags import (
+    flags_of,
+    naming_flags,
+    options_given,
+    own_options,
+    with_named_images,
+)
+from bundle.cli.output import publish
+from bundle.cli.problem_edits import rules_as_options, rules_of, with_rigs
+from bundle.cli.progress import Progress
+from bundle.cli.standard_streams import complain
+from bundle.errors import InputError, shown
+from bundle.interface.camera_edit_options import RuleOptions
+from bundle.interface.option_class import Options
+from bundle.interface.option_classes import option_class
+from bundle.io.recognition import Kind, recognize
+from bundle.reports.sections import Report, several
+
+if TYPE_CHECKING:
+    from bundle.interface.georeference_options import GeoreferenceOptions
+    from bundle.solving.constraints.rule_list import Constraints
+    from bundle.solving.placed_problem import Prior
+
+AnyOptions = TypeVar("AnyOptions", bound=Options)
+
+_OF_ALL = {
+    *("input", "inputs", "output", "json", "quiet", "verbose", "overwrite"),
+    *("command", "flags", "taken"),
+}
+
+
+def prepare(arguments: argparse.Namespace) -> Callable[[], int]:
+    """Import what a command line needs; return the function that runs it for its exit code."""
+    command = COMMANDS[arguments.command]
+    if command.is_for_each:
+        kinds = [(path, str(recognize(path))) for path in arguments.inputs]
+    else:
+        kinds = [(getattr(arguments, "input", None), command.kind(arguments))]
+    ways = [command.way(kind) for _, kind in kinds]
+    for way in ways:
+        for name in (way.call, way.run, way.main, way.report):
+            if name:
+                resolve(name)
+    if ways[0].main:
+        _refuse_others(command, kinds[0][1], arguments)
+        return lambda: int(resolve(ways[0].main)(arguments))
+    return lambda: _run(command, kinds, arguments)
+
+
+def _run(command: Command, kinds: list[tuple[Any, str]], arguments: argparse.Namespace) -> int:
+    with Progress(quiet=arguments.quiet) as progress:
+        runs = [Run(command, kind, arguments, progress, path) for path, kind in kinds]
+        reports = [run.report() for run in runs]
+    publish(reports[0] if len(reports) == 1 else several(arguments.command, reports), arguments)
+    run = runs[0]
+    if run.code and run.complaint and arguments.json == "-":  # standard output has only the JSON
+        complain(run.complaint)
+    return run.code
+
+
+class Run:
+    """One run of a command on one INPUT.
+
+    Attributes:
+        arguments: parsed command line.
+        progress: display of the stages.
+        source: path of INPUT, or the paths that the API reads.
+        target: path of OUTPUT, if the command has one.
+        options: options of the call, or None.
+        rules: rules as given.
+        constraints: the parsed rules.
+        georeference: options of positions and control points; None: the command has none.
+        input: INPUT once it is opened.
+        priors: priors of positions, control points, attitudes and velocities.
+        found: result of the call.
+        findings: findings about INPUT.
+        code: exit code.
+        complaint: what standard error says where standard output has only JSON.
+    """
+
+    def __init__(
+        self,
+        command: Command,
+        kind: str,
+        arguments: argparse.Namespace,
+        progress: Progress,
+        source: Any = None,
+    ) -> None:
+        self._started = perf_counter()
+        self._command, self._kind = command, kind if kind in command.ways else Kind.RECONSTRUCTION
+        self._way = command.way(kind)
+        self.arguments, self.progress, self.source = arguments, progress, source
+        self.target: str = getattr(arguments, "output", None) or ""
+        self.options: Any = None
+        self.rules = RuleOptions()
+        self.constraints: Constraints | tuple[()] = ()
+        self.georeference: GeoreferenceOptions | None = None
+        self.input: Any = None
+        self.priors: tuple[Prior, ...] = ()
+        self.found: Any = None
+        self.findings: Any = ()
+        self.code, self.complaint = 0, ""
+
+    def report(self) -> Report:
+        """Run all steps; return the report."""
+        way, arguments = self._way, self.arguments
+        _refuse_others(self._command, self._kind, arguments)
+        if way.run:
+            report: Report = resolve(way.run)(self)
+            return report
+        keywords = self.given(_class(way.keywords)).asdict() if way.keywords else {}
+        if way.options:
+            self.options = self.given(_class(way.options), _names(self._way))
+        self.check_knowledge(getattr(self.options, "refine", ()))
+        if way.reads:
+            self.source = tuple(getattr(arguments, name) for name in way.reads.split())
+        else:
+            self.open()
+        if way.call:
+            self._call(keywords)
+        if way.judges:
+            self.judge()
+        if way.saves:
+            self.write(self.target, self.found.save)
+        if way.page and arguments.html is not None:
+            self.write(arguments.html, lambda page: resolve(way.page)(self.found, page))
+        if way.code is not None:
+            self.code = way.code(self.found)
+        made: Report = resolve(way.report)(*(getattr(self, name) for name in way.tells.split()))
+        return made
+
+    # Check
+
+    def given(self, kind: type[AnyOptions], names: Collection[str] | None = None) -> AnyOptions:
+        """Return the options of a class from the command line; see ``options_given``."""
+        return options_given(self.arguments, kind, names=names, names_follow=True)
+
+    def check_knowledge(self, refined: Iterable[str] = (), *, page: bool = False) -> None:
+        """Read the flags of positions, control points and rules, as far as the command has them."""
+        if "gps" in self.arguments:
+            from bundle.cli.georeference_flags import georeference_given  # few commands need it
+
+            self.georeference = georeference_given(self.arguments, tuple(refined), page=page)
+        if "rules" in self.arguments:
+            self.rules = self.given(RuleOptions)
+            self.constraints = rules_of(self.rules)
+
+    # Open
+
+    def load(self, *, rigs: bool = True) -> Any:
+        """Read INPUT, with the rigs of the command line."""
+        self.progress.stage(f"reading {shown(self.source)}")
+        if self._kind == Kind.POSE_GRAPH:
+            from bundle.io.g2o_files import load_g2o  # for pose graphs only
+
+            self.input = load_g2o(self.source)
+        else:
+            from bundle.io.open import load
+
+            given = self.arguments
+            reading = (read_options(given),) if "input_format" in given else ()
+            self.input = load(self.source, self.progress.text, *reading)
+            if rigs and "rig_config" in given:
+                self.input = with_rigs(self.input, given.rig_config)
+        return self.input
+
+    def open(self) -> None:
+        """Read INPUT; find the images that options name, and the priors."""
+        self.load()
+        named = getattr(self.arguments, "fixed_image_ids", None)
+        if isinstance(named, str) and self._kind == Kind.RECONSTRUCTION:
+            self.options = with_named_images(self.options, named, self.input)
+        if self.georeference is not None:
+            from bundle.cli.georeference_flags import priors_of
+
+            known = priors_of(self.georeference, self.input)
+            self.priors = () if known is None else known.priors
+
+    # Call
+
+    def _call(self, keywords: dict[str, Any]) -> None:
+        way = self._way
+        for word in way.gives.split():
+            name, _, attribute = word.partition("=")
+            keywords[name] = getattr(self, attribute or name)
+        keywords = {name: value for name, value in keywords.items() if value is not None}
+        inputs = list(self.source) if way.reads else [self.input]
+        if way.stage:
+            paths = f" {' with '.join(map(shown, self.source))}" if way.reads else ""
+            self.progress.stage(f"{way.stage}{paths}")
+        options = [] if self.options is None else [self.options]
+        with self.naming():
+            self.found = resolve(way.call)(*inputs, *options, **keywords)
+
+    @contextmanager
+    def naming(self) -> Iterator[None]:
+        """Name flags in the place of keywords in errors."""
+        flags = {**flags_of(type(self.options))} if self.options is not None else {}
+        flags |= self.arguments.flags
+        if self.georeference is not None:
+            from bundle.cli.georeference_flags import GEOREFERENCE_FLAGS, main_flag
+
+            flags |= {**GEOREFERENCE_FLAGS, "priors": main_flag(self.georeference)}
+        with naming_flags(**flags):
+            yield
+
+    def judge(self, **known: Any) -> None:
+        """Search for findings about INPUT."""
+        from bundle.judging.findings.find import find
+
+        self.progress.stage("judging")
+        self.findings = find(
+            self.input,
+            source=self.source,
+            given=repeated_flags(self.arguments),
+            options=self.options,
+            priors=self.priors,
+            constraints=self.constraints,
+            **known,
+        )
+
+    # Report and write
+
+    def write(self, path: str, save: Callable[[str], Any]) -> Any:
+        """Write a file; return what the function that writes it returns."""
+        self.progress.stage(f"writing {shown(path)}")
+        return save(path)
+
+    def end(self, code: int, complaint: str = "") -> None:
+        """Set the exit code, and what standard error says where standard output has only JSON."""
+        self.code, self.complaint = code, complaint
+
+    @property
+    def wall(self) -> float:
+        """Seconds since the start of the run."""
+        return perf_counter() - self._started
+
+    @property
+    def asked(self) -> dict[str, Any]:
+        """Values of the options of this way, and the rules."""
+        named = {name: getattr(self.options, name) for name in _names(self._way) or ()}
+        return named | rules_as_options(self.rules)
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Values of all options, rules and priors."""
+        known = {} if self.georeference is None else self.georeference.changed()
+        return {**self.options.asdict(), **rules_as_options(self.rules), **known}
+
+    @property
+    def flags(self) -> str:
+        """Flags of rigs, positions, control points and rules, for `bundle refine`."""
+        words: list[str] = []
+        if self.arguments.rig_config is not None:
+            words += ["--rig-config", self.arguments.rig_config]
+        known = {} if self.georeference is None else self.georeference.changed()
+        for name, value in {**known, **self.rules.changed()}.items():
+            for one in value if isinstance(value, tuple | list) else (value,):
+                words += [self.arguments.flags[name], str(one)]
+        return shlex.join(words)
+
+    def share(self, done: int, count: int, *_: Any) -> None:
+        """Show how much of the call is done."""
+        self.progress.share(done / count)
+
+
+def _names(way: Way) -> tuple[str, ...] | None:
+    found: tuple[str, ...] | None = resolve(way.names) if isinstance(way.names, str) else way.names
+    return found
+
+
+def _class(kind: str | type[Options]) -> type[Options]:
+    return option_class(kind) if isinstance(kind, str) else kind
+
+
+def given_flags(arguments: argparse.Namespace, names: Iterable[str]) -> Iterator[str]:
+    """Yield the flags of these arguments that the command line has."""
+    for name in names:
+        if getattr(arguments, name, None) is not None:
+            yield arguments.flags[name]
+
+
+def _refuse_others(command: Command, kind: str, arguments: argparse.Namespace) -> None:
+    """Refuse flags of other kinds of INPUT.
+
+    Raises:
+        InputError: such a flag was given.
+    """
+    way = command.way(kind)
+    if way.accepts is None:
+        return
+    if way is not command.ways[Kind.RECONSTRUCTION]:
+        names = _names(way) or (_class(way.options).names() if way.options else ())
+        taken = {*_OF_ALL, *names, *way.accepts.split()}
+        for name, value in vars(arguments).items():
+            if name not in taken and value is not None and value is not False:
+                flag = arguments.flags[name]
+                raise InputError(f"{flag}: valid only with a reconstruction, found {kind}")
+        return
+    if "error" in arguments:  # the options of pose graphs
+        for flag in given_flags(arguments, own_options("PoseGraphOptions", "SolveOptions")):
+            raise InputError(f"{flag}: valid only with a pose graph, found a reconstruction")
+    if Kind.SEQUENCE in command.ways:
+        refuse_recording_flags(arguments)
+
+
+def refuse_recording_flags(arguments: argparse.Namespace) -> None:
+    """Refuse flags of images for other inputs.
+
+    Raises:
+        InputError: such a flag was given.
+    """
+    for flag in given_flags(arguments, RECORDED):
+        raise InputError(
+            f"{flag}: valid only with images of a visual-inertial sequence, found an input without"
+        )
