@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import bundle
-from bundle.analysis.diagnosis.diagnose_factor_graph import diagnose_factor_graph
+from bundle.analysis.factor_equations import diagnose_factor_graph
 from tests.analysis.uncertainty.test_factor_graph_covariance import landmarks, scene
 from tests.graphs.factors import both_ways
 from tests.graphs.pose_graphs import graphs

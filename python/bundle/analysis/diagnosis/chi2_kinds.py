@@ -20,8 +20,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-import bundle._core as _core
-from bundle.analysis.diagnosis.diagnose_graph import is_at_minimum
+from bundle.analysis.normal_equations import NormalEquations, PoseEquations
 from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
 from bundle.base.words import number
@@ -127,74 +126,48 @@ def _kinds_of_edges(
     weighted: WeightedGraph, factors: FactorGraph | None = None
 ) -> tuple[Chi2Kind, ...]:
     """Return the kinds of edges; if ``factors`` state the graph, the classes of factors."""
-    out = _core.graph_covariance(
-        weighted.graph, weighted.options.error, False, True, [], weighted.options.num_threads
-    )
-    if out["undetermined_pose"] >= 0:
-        return ()
     given, edges = weighted.given, weighted.edges
-    chi2 = _core.edge_chi2(weighted.graph, weighted.options.error)
     if factors is None:
         names = np.where(given.is_closure[edges], "closure", "odometry")
     else:
         names = np.array([type(factor).__name__ for factor in factors.factors])[edges]
-    weight = weighted.weights[edges]
     # left-out edges have no part in the solve: those that stay are a selection
     is_selected = len(edges) < given.num_edges
     return _summed(
-        names,
-        chi2,
-        out["edge_redundancy"],
-        (out["edge_test"], out["edge_rank"]),
-        (weight == 1) & (not is_selected),
-        is_at_minimum(float(out["predicted_decrease"]), 0.5 * float(chi2.sum())),
+        PoseEquations(weighted), names, (weighted.weights[edges] == 1) & (not is_selected)
     )
 
 
 def _kinds_of_factors(graph: FactorGraph) -> tuple[Chi2Kind, ...]:
-    from bundle.graphs.factors.null_space import find_null_space
+    from bundle.analysis.factor_equations import FactorEquations
 
-    space = find_null_space(graph)
-    if not space.is_exact or space.others.shape[1]:
-        return ()
-    held = space.held()
-    core = graph.core()
-    costs, squares, _ = _core.factor_costs(*core)
-    none = np.zeros((len(held), 0))
-    out = _core.factor_graph_certainty(*core, held, [], none, True, 0)
-    if out["undetermined"] >= 0:
+    equations = FactorEquations(graph)
+    if equations.open_blocks():
         return ()
     names = np.array([type(factor).__name__ for factor in graph.factors])
-    squares = np.asarray(squares)
-    has_no_loss = np.abs(2 * np.asarray(costs) - squares) <= 1e-9 * squares + 1e-300
-    return _summed(
-        names,
-        squares,
-        np.array(out["redundancy"]),
-        (np.array(out["test"]), np.array(out["rank"])),
-        has_no_loss,
-        is_at_minimum(float(out["predicted_decrease"]), float(np.sum(costs))),
-    )
+    squares = equations.squares
+    has_no_loss = np.abs(2 * equations.costs - squares) <= 1e-9 * squares + 1e-300
+    return _summed(equations, names, has_no_loss)
 
 
 def _summed(
-    names: NDArray[Any],
-    chi2: Floats,
-    redundancy: Floats,
-    tests: tuple[Floats, NDArray[np.int32]],
-    is_plain: NDArray[np.bool_],
-    at_minimum: bool,
+    equations: NormalEquations, names: NDArray[Any], is_plain: NDArray[np.bool_]
 ) -> tuple[Chi2Kind, ...]:
     """Return the sums of each kind in order of appearance, then those of all."""
+    inverse = equations.selected_inverse(with_tests=True)
+    if inverse.undetermined >= 0:
+        return ()
+    tests, at_minimum = inverse.tests, inverse.tests.is_at_minimum(equations.cost)
     kinds = list(dict.fromkeys(names.tolist()))
     masks = [(name, names == name) for name in kinds]
     if len(kinds) > 1:
         masks.append(("all", np.ones(len(names), bool)))
     found = []
     for name, rows in masks:
-        total, degrees = float(chi2[rows].sum()), float(np.nansum(redundancy[rows]))
+        total = float(equations.squares[rows].sum())
+        degrees = float(np.nansum(tests.redundancy[rows]))
         is_decided = at_minimum and bool(is_plain[rows].all()) and degrees >= LEAST_DEGREES
-        median = _median_scale(tests[0][rows], tests[1][rows])
+        median = _median_scale(tests.test[rows], tests.rank[rows])
         verdict, scale = _judge(total, degrees, median) if is_decided else ("undecided", np.nan)
         low, high = chi2_interval(degrees)
         found.append(
@@ -225,7 +198,7 @@ def _judge(chi2: float, degrees: float, median: float) -> tuple[str, float]:
     return "too-optimistic", 1 / ratio
 
 
-def _median_scale(test: Floats, rank: NDArray[np.int32]) -> float:
+def _median_scale(test: Floats, rank: NDArray[np.int64]) -> float:
     """Return the median of the tests, relative to the medians of their distributions."""
     known = np.isfinite(test) & (rank > 0)
     if not known.any():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,28 +15,21 @@ from bundle.analysis.diagnosis.diagnosis_result import (
     GraphWeakMode,
     SuspiciousEdge,
 )
+from bundle.analysis.normal_equations import NormalEquations, PoseEquations, Tests, Words
 from bundle.base.arrays import freeze
 from bundle.base.words import named, number, plural, sorted_ids
 from bundle.graphs.pose_graphs.chi2_quantiles import chi2_limit, chi2_median
 from bundle.graphs.pose_graphs.edge_weights import WeightedGraph, weighted_graph
-from bundle.graphs.pose_graphs.joints import Joint, Joints, find_joints
+from bundle.graphs.pose_graphs.joints import Joint, Joints
 from bundle.interface.finding import Finding
 from bundle.interface.pose_graph_options import PoseGraphOptions
 from bundle.model.pose_graph_arrays import PoseGraph
-
-AT_MINIMUM = 1e-4
-"""Relative decrease of the cost by one more step, below which a state counts as a minimum."""
 
 FEW_DIGITS = 4
 """Number of digits of a step below which the normal equations are a problem."""
 
 MOST_NAMED = 5
 """Number of suspicious edges that a sentence names."""
-
-REMEDIES = {
-    "edge": "refine with a loss for wrong closures (dcs, gnc-tls)",
-    "factor": "solve with a loss on it",
-}
 
 COORDINATES = {
     3: ("x", "y", "angle"),
@@ -56,84 +49,59 @@ def diagnose_graph(
 ) -> GraphDiagnosis:
     """Diagnose a pose graph; see :func:`bundle.diagnose`."""
     weighted = weighted_graph(source, options, changes, "diagnose")
-    graph, error = weighted.graph, weighted.options.error
-    threads = weighted.options.num_threads
-    held, _, for_gauge = _core.hold_poses(graph)
-    joints = find_joints(graph, held, error)
+    equations = PoseEquations(weighted)
+    graph, given, joints = weighted.graph, weighted.given, equations.joints
     components = _components(graph)
-    expected = graph.tangent_size * len(for_gauge)
-    spectrum = None
-    if not held.all():
-        spectrum = _core.graph_spectrum(graph, held, error, joints.directions, threads)
-    given = weighted.given
-    squares = _core.edge_chi2(graph, error)
+    tests = tests_of(equations, given.num_edges, weighted.edges)
     chi2 = np.full(given.num_edges, np.nan)
-    chi2[weighted.edges] = squares
-    tests = _tests(weighted, joints, threads)
+    chi2[weighted.edges] = equations.squares
 
-    def edge(k: int) -> tuple[SuspiciousEdge, str]:
-        first, second = given.ids[given.edges[k]].tolist()
-        line = int(given.edge_lines[k]) or None
-        return suspicious_edge((first, second), line, chi2, tests, k), " ".join(given.ends_of(k))
+    def edge(k: int) -> tuple[tuple[int, ...], int | None, str]:
+        ends = tuple(given.ids[given.edges[k]].tolist())
+        return ends, int(given.edge_lines[k]) or None, " ".join(given.ends_of(k))
 
     return graph_diagnosis(
-        "edge",
+        equations,
         tests,
-        0.5 * float(squares.sum()),
+        chi2,
         edge,
-        spectrum,
         {
-            "nullity": expected + joints.num_open,
-            "expected_nullity": expected,
+            "nullity": equations.num_gauge + joints.num_open,
             "nullity_is_exact": joints.is_exact,
             "components": components,
-            "weak_modes": (
-                *_component_modes(graph, components),
-                *joint_modes(graph, joints),
-            ),
-            "held_pose_ids": tuple(int(graph.ids[pose]) for pose in for_gauge),
+            "weak_modes": (*_component_modes(graph, components), *joint_modes(graph, joints)),
+            "held_pose_ids": equations.held_ids,
         },
         notes=_about_unjudged(weighted, tests.redundancy, joints),
         last=_about_weights(weighted),
     )
 
 
-class EdgeTests(NamedTuple):
-    """Redundancy and test (m,) of edges or factors, NaN where unknown, with the test's degrees.
+def tests_of(
+    equations: NormalEquations, num_terms: int, terms: NDArray[np.int64] | slice = slice(None)
+) -> Tests:
+    """Return the tests of all given terms; unknown for terms of weight 0.
 
-    ``decrease`` is that of the cost by one more step.
+    ``terms``: positions of the terms of the equations.
     """
-
-    redundancy: Floats
-    test: Floats
-    rank: NDArray[np.int64]
-    decrease: float = 0.0
-
-    @classmethod
-    def unknown(cls, count: int) -> EdgeTests:
-        """Return tests of edges of which nothing is known."""
-        return cls(np.full(count, np.nan), np.full(count, np.nan), np.zeros(count, np.int64))
-
-
-def suspicious_edge(
-    ends: tuple[Any, ...], line: int | None, chi2: Floats, tests: EdgeTests, k: int
-) -> SuspiciousEdge:
-    """Return the record of the k-th edge or factor."""
-    return SuspiciousEdge(
-        edge=ends,
-        line=line,
-        chi2=float(chi2[k]),
-        test=float(tests.test[k]),
-        degrees=int(tests.rank[k]),
+    tests = Tests(
+        np.full(num_terms, np.nan), np.full(num_terms, np.nan), np.zeros(num_terms, np.int64)
     )
+    if equations.open_blocks():
+        return tests
+    found = equations.selected_inverse(with_tests=True)
+    if found.undetermined >= 0:
+        return tests
+    for all_terms, some in zip(tests[:3], found.tests[:3], strict=True):
+        all_terms[terms] = some
+    return tests._replace(decrease=found.tests.decrease)
 
 
 def graph_diagnosis(
-    noun: str,
-    tests: EdgeTests,
-    cost: float,
-    edge: Callable[[int], tuple[SuspiciousEdge, str]],
-    spectrum: dict[str, Any] | None,
+    equations: NormalEquations,
+    tests: Tests,
+    chi2: Floats,
+    edge: Callable[[int], tuple[tuple[Any, ...], int | None, str]],
     fields: dict[str, Any],
     *,
     notes: Iterable[Finding] = (),
@@ -141,36 +109,46 @@ def graph_diagnosis(
 ) -> GraphDiagnosis:
     """Return the diagnosis of a graph of either kind.
 
-    Modes without a dimension are notes, those of pose graphs never. ``edge`` returns a suspicious
-    edge and its name.
+    Modes without a dimension are notes, those of pose graphs never. ``chi2``: (m,) of the
+    given terms. ``edge`` returns the keys of a term, its line in a file, and its name.
     """
-    at_minimum = is_at_minimum(tests.decrease, cost)
+    words, cost = equations.words, equations.cost
+    at_minimum = tests.is_at_minimum(cost)
     # The test applies to errors of a fit only.
     test = tests.test if at_minimum else np.full(len(tests.test), np.nan)
     scale = noise_scale(test, tests.rank)
-    worst = [edge(k) for k in worst_first(test, tests.rank, scale)]
-    suspicious = tuple(one for one, _ in worst)
-    values = spectrum or {}
+    suspicious, names = [], []
+    for k in worst_first(test, tests.rank, scale):
+        ends, line, name = edge(k)
+        numbers: dict[str, Any] = {
+            "chi2": float(chi2[k]),
+            "test": float(test[k]),
+            "degrees": int(tests.rank[k]),
+        }
+        suspicious.append(SuspiciousEdge(edge=ends, line=line, **numbers))
+        names.append(name)
+    values = equations.spectrum or {}
     condition = float(values.get("condition_number", np.nan))
     said = [
         *(
-            (problem if mode.dimension or noun == "edge" else note)(mode.kind, mode.sentence)
+            (problem if mode.dimension or words.term == "edge" else note)(mode.kind, mode.sentence)
             for mode in fields["weak_modes"]
         ),
-        *_about_edges(suspicious, scale, [name for _, name in worst], noun),
+        *_about_edges(suspicious, scale, names, words),
         *_about_conditioning(condition),
         *(() if at_minimum else _about_minimum(tests.decrease, cost)),
-        *_about_unchecked(tests, noun),
+        *_about_unchecked(tests, words.term),
         *notes,
         *_about_noise(scale),
         *last,
     ]
     return GraphDiagnosis(
         **fields,
+        expected_nullity=equations.num_gauge,
         condition_number=condition,
         condition_number_unscaled=float(values.get("condition_number_unscaled", np.nan)),
         eigenvalues=freeze(np.array(values.get("eigenvalues", np.zeros(0)))),
-        suspicious_edges=suspicious,
+        suspicious_edges=tuple(suspicious),
         edge_redundancy=freeze(tests.redundancy),
         edge_test=freeze(test),
         noise_scale=scale,
@@ -194,25 +172,6 @@ def _components(graph: PoseGraph) -> tuple[GraphComponent, ...]:
     return tuple(sorted(parts, key=lambda part: -len(part.pose_ids)))
 
 
-def _tests(weighted: WeightedGraph, joints: Joints, threads: int) -> EdgeTests:
-    """Return the tests of the given edges; unknown for edges of weight 0."""
-    tests = EdgeTests.unknown(weighted.given.num_edges)
-    if joints.num_open:
-        return tests
-    out = _core.graph_covariance(weighted.graph, weighted.options.error, False, True, [], threads)
-    if out["undetermined_pose"] >= 0:
-        return tests
-    tests.redundancy[weighted.edges] = out["edge_redundancy"]
-    tests.test[weighted.edges] = out["edge_test"]
-    tests.rank[weighted.edges] = out["edge_rank"]
-    return tests._replace(decrease=float(out["predicted_decrease"]))
-
-
-def is_at_minimum(decrease: float, cost: float) -> bool:
-    """Tell whether one more step would hardly lower the cost."""
-    return not (decrease > AT_MINIMUM * cost and decrease > 1e-9)
-
-
 def worst_first(test: NDArray[np.float64], rank: NDArray[np.int64], scale: float) -> list[int]:
     """Return the positions of edges that others contradict, the worst first."""
     limit = np.array([chi2_limit(degrees) for degrees in rank.tolist()])
@@ -231,11 +190,12 @@ def noise_scale(test: NDArray[np.float64], rank: NDArray[np.int64]) -> float:
 
 
 def _about_edges(
-    suspicious: Sequence[SuspiciousEdge], scale: float, names: Sequence[str], noun: str
+    suspicious: Sequence[SuspiciousEdge], scale: float, names: Sequence[str], words: Words
 ) -> list[Finding]:
     """Return the finding about edges or factors, the worst first, that the others contradict."""
     if not suspicious:
         return []
+    noun = words.term
     listed = [
         f"{name}{f' (line {one.line})' if one.line else ''}: {number(one.test)} on {one.degrees}"
         for name, one in zip(names[:MOST_NAMED], suspicious, strict=False)
@@ -248,7 +208,7 @@ def _about_edges(
             f"{plural(len(suspicious), noun)} with an error that one right {noun} in a million has "
             f"(chi2 of the test on degrees of freedom{against}): {'; '.join(listed)}{more}. A "
             f"wrong {noun} spoils its neighbours' errors, too: look at the first, or "
-            f"{REMEDIES[noun]}.",
+            f"{words.doubt}.",
         )
     ]
 
@@ -294,7 +254,7 @@ def _about_noise(scale: float) -> list[Finding]:
     ]
 
 
-def _about_unchecked(tests: EdgeTests, noun: str) -> list[Finding]:
+def _about_unchecked(tests: Tests, noun: str) -> list[Finding]:
     unchecked = int((np.isfinite(tests.redundancy) & (tests.rank == 0)).sum())
     if not unchecked:
         return []

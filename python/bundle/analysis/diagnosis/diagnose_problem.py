@@ -19,7 +19,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 import bundle._core as _core
-from bundle.analysis.diagnosis.diagnose_factor_graph import diagnose_factor_graph, with_keys
 from bundle.analysis.diagnosis.diagnose_graph import diagnose_graph
 from bundle.analysis.diagnosis.diagnosis_result import (
     CollapsedCluster,
@@ -32,6 +31,7 @@ from bundle.analysis.diagnosis.modes import component_modes, null_modes, rotatio
 from bundle.analysis.diagnosis.shutter_modes import shutter_modes
 from bundle.analysis.diagnosis.track_table import FEW_SHARED, TrackTable
 from bundle.analysis.diagnosis.unknowns import EquationCounts, Unknowns
+from bundle.analysis.factor_equations import diagnose_factor_graph, with_keys
 from bundle.analysis.statistics.depths import collapsed_observations, depths_of_observations
 from bundle.base.records import dataclass
 from bundle.base.words import sorted_ids

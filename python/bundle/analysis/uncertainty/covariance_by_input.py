@@ -164,7 +164,7 @@ def covariance(
     from bundle.graphs.pose_graphs.edge_weights import is_graph, refuse_for_graphs
 
     if isinstance(problem, FactorGraph):
-        from bundle.analysis.uncertainty.factor_graph_covariance import factor_graph_covariance
+        from bundle.analysis.factor_equations import factor_graph_covariance
 
         refuse_for_graphs(
             options=options,
@@ -184,7 +184,7 @@ def covariance(
             num_threads=SolveOptions.of(None, changes, "covariance").num_threads,
         )
     if is_graph(problem):
-        from bundle.analysis.uncertainty.graph_covariance import graph_covariance
+        from bundle.analysis.normal_equations import graph_covariance
 
         refuse_for_graphs(
             of=None if of is PARTS else of,

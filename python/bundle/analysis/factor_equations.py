@@ -1,0 +1,438 @@
+"""Normal equations of a factor graph, by its Jacobian; ``factor_graph_certainty.cpp`` derives them.
+
+The gauge and the undetermined directions are those of ``graphs/factors/null_space.py``.
+
+A relative variable B = X_a^-1 X_b moves by B Exp(d_b - Ad d_a) with Ad = Ad(X_b^-1 X_a), the
+identity on a Euclidean space, so that its covariance is
+
+    C = G_bb - Ad G_ab - G_ab^T Ad^T + Ad G_aa Ad^T.
+
+Poses that a factor uses as cam_from_world have the relative pose B = X_b X_a^-1 in its place, which
+a motion of the world does not change. It moves by B Exp(Ad(X_a) (d_b - d_a)).
+
+A weak mode has an eigenvalue below ``WEAK``, and the next one is ``GAP`` times as large. The
+eigenvalues of a long chain grow by the squares of the whole numbers and have no such gap. A gauge
+that only a prior with a large sigma holds has one. Condition numbers are those with the gauge held.
+Factors are tested against all others as edges of a pose graph are.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import bundle._core as _core
+from bundle.analysis.diagnosis.diagnose_graph import (
+    MOST_MODES,
+    MOST_NAMED,
+    graph_diagnosis,
+    tests_of,
+)
+from bundle.analysis.diagnosis.diagnosis_result import (
+    GraphComponent,
+    GraphDiagnosis,
+    GraphWeakMode,
+)
+from bundle.analysis.normal_equations import (
+    GRAPH_GAUGES,
+    Floats,
+    Pairs,
+    SelectedInverse,
+    Tests,
+    Words,
+    graph_covariance,
+    selected_covariance,
+)
+from bundle.analysis.uncertainty.covariance_result import FactorGraphCovariance
+from bundle.base.arrays import freeze
+from bundle.base.words import named, number, plural
+from bundle.errors import InputError, brief
+from bundle.graphs.factors.contents import factor_name
+from bundle.graphs.factors.factor_graph import FactorGraph
+from bundle.graphs.factors.factors import PositionFactor, RelativePoseFactor, ReprojectionFactor
+from bundle.graphs.factors.null_space import NullSpace, find_null_space
+from bundle.graphs.factors.same_problem import AsPoseGraph, pose_graph_of
+from bundle.graphs.factors.variables import Key, as_list, variable_name
+from bundle.graphs.pose_graphs.lie_groups import adjoint_between, adjoints
+from bundle.interface.analysis_options import SCALES, one_of
+from bundle.model.rigid_motions import rotation_matrices
+
+FROM_WORLD = (PositionFactor, RelativePoseFactor, ReprojectionFactor)
+"""Factors whose poses are cam_from_world."""
+
+WEAK, GAP = 1e-6, 1e3
+
+SHARE = 0.1
+"""Share of the largest motion above which a sentence names a variable or a coordinate."""
+
+VARIABLES = Words(
+    *("variable", "factor", "constant variable", "bundle.diagnose"),
+    *("hold another variable constant", "solve with a loss on it"),
+)
+
+
+class FactorEquations:
+    """Normal equations of a factor graph; :class:`NormalEquations`."""
+
+    words = VARIABLES
+    num_floating = 0
+
+    def __init__(self, graph: FactorGraph, num_threads: int = 0) -> None:
+        self.graph, self._threads = graph, num_threads or _core.hardware_threads()
+        self.space = find_null_space(graph)
+        self.held = self.space.held()
+        self.num_gauge = self.space.gauge
+        self._core = graph.core()
+        self.costs, self.squares, sizes = _core.factor_costs(*self._core)
+        self.cost = float(self.costs.sum())
+        weights = np.ones(len(self.squares))
+        for k, factor in enumerate(graph.factors):
+            if factor.loss != "trivial":
+                square = float(self.squares[k])
+                weights[k] = _core.edge_loss(factor.loss, factor.loss_scale, square)[1]
+        self.weighted_squares = float((weights * self.squares).sum())
+        self.dof = int(sizes.sum()) - int((~self.held).sum())
+
+    def name(self, block: int) -> str:
+        """Return the name of a block."""
+        return brief(self.graph.keys[block])
+
+    def open_blocks(self) -> list[int]:
+        """Return the blocks that null directions beyond the gauge move, or may move."""
+        if not self.space.is_exact:
+            return list(range(len(self.graph.keys)))
+        others = self.space.others
+        return self.space.moving(others).tolist() if others.shape[1] else []
+
+    def separated(self, pairs: Pairs) -> tuple[int, int] | None:
+        """Return the first pair whose components move against each other."""
+        labels = self.space.labels.tolist()
+        for a, b in pairs:
+            if labels[a] != labels[b] and any(self.space.nullities.get(labels[k]) for k in (a, b)):
+                return a, b
+        return None
+
+    def selected_inverse(
+        self, is_inner: bool = False, pairs: Pairs = (), with_tests: bool = False
+    ) -> SelectedInverse:
+        """Return blocks of the inverse."""
+        space = self.space
+        seed = np.where((self.held & ~space.constant)[:, None], space.directions, 0.0)
+        out = _core.factor_graph_certainty(
+            *self._core,
+            self.held,
+            list(pairs),
+            seed if is_inner else seed[:, :0],
+            with_tests,
+            self._threads,
+        )
+        redundancy, test, rank = (np.array(out[name]) for name in ("redundancy", "test", "rank"))
+        tests = Tests(redundancy, test, rank, float(out["predicted_decrease"]))
+        found = (int(out["undetermined"]), float(out["inflation"]), tests)
+        return SelectedInverse(out["variables"], (), out["across"], *found)
+
+    @cached_property
+    def spectrum(self) -> dict[str, Any] | None:
+        """Spectrum of the determined part; None if directions are not known."""
+        if not self.space.is_exact:
+            return None
+        return _core.factor_graph_spectrum(*self._core, self.held, 0, self._threads)
+
+
+def factor_graph_covariance(
+    graph: FactorGraph,
+    *,
+    of: Iterable[Key] | None = None,
+    relative: Iterable[tuple[Key, Key]] = (),
+    gauge: str = "first",
+    scale: str = "unit",
+    num_threads: int = 0,
+) -> FactorGraphCovariance:
+    """Compute the covariances of the variables of a graph; see :func:`bundle.covariance`.
+
+    A graph of relative poses has those of the pose graph that it states, whose gauge is known
+    without a search for null directions.
+    """
+    gauge, scale = one_of("gauge", gauge, GRAPH_GAUGES), one_of("scale", scale, SCALES)
+    keys = graph.keys if of is None else _known(graph, "of", as_list("of", "keys", of))
+    pairs = [_pair(graph, pair, k) for k, pair in enumerate(as_list("relative", "pairs", relative))]
+    if (poses := pose_graph_of(graph)) is not None:
+        graph.check_free()
+        return _of_pose_graph(poses, keys, pairs, gauge=gauge, scale=scale, num_threads=num_threads)
+    equations = FactorEquations(graph, num_threads)
+    space = equations.space
+    if not space.is_exact:
+        raise InputError(
+            "graph: expected factors that determine all variables but for the gauge, found "
+            f"{space.nullity} free directions; bundle.diagnose says more"
+        )
+    if gauge == "none" and space.nullity and not space.others.shape[1]:
+        raise InputError(
+            f"gauge: none expects factors or constant variables that fix the gauge, found "
+            f"{plural(space.nullity, 'free direction')}; first holds a variable"
+        )
+    place = {key: k for k, key in enumerate(graph.keys)}
+    rows = [(place[a], place[b]) for a, b in pairs]
+    found, factor, facts = selected_covariance(equations, rows, gauge, scale)
+    blocks = [factor * block for block in found.blocks]
+    cross = [freeze(factor * block) for block in found.across]
+    relative_blocks = [
+        freeze(_relative_covariance(graph, pair, blocks[a], blocks[b], across))
+        for pair, (a, b), across in zip(pairs, rows, cross, strict=True)
+    ]
+    return FactorGraphCovariance(
+        covariances={key: freeze(blocks[place[key]]) for key in keys},
+        relative_covariances=dict(zip(pairs, relative_blocks, strict=True)),
+        cross_covariances=dict(zip(pairs, cross, strict=True)),
+        num_gauge_freedoms=space.gauge,
+        **facts,
+    )
+
+
+def _of_pose_graph(
+    poses: AsPoseGraph, keys: Iterable[Key], pairs: list[tuple[Key, Key]], **settings: Any
+) -> FactorGraphCovariance:
+    ids = dict(zip(poses.keys, poses.graph.ids.tolist(), strict=True))
+    place = {key: k for k, key in enumerate(poses.keys)}
+    found = graph_covariance(poses.graph, relative=[(ids[a], ids[b]) for a, b in pairs], **settings)
+    return FactorGraphCovariance(
+        covariances={key: freeze(found.pose_covariance[place[key]]) for key in keys},
+        relative_covariances=dict(zip(pairs, found.relative_covariance, strict=True)),
+        cross_covariances=dict(zip(pairs, found.cross_covariance, strict=True)),
+        num_gauge_freedoms=poses.graph.tangent_size * len(found.held_pose_ids),
+        **{name: getattr(found, name) for name in ("sigma0", "dof", "gauge", "scale", "notes")},
+    )
+
+
+def _known(graph: FactorGraph, argument: str, keys: Iterable[Any]) -> tuple[Key, ...]:
+    found = tuple(keys)
+    for key in found:
+        graph.variable(argument, key)
+    return found
+
+
+def _pair(graph: FactorGraph, pair: Any, k: int) -> tuple[Key, Key]:
+    if not isinstance(pair, tuple | list) or len(pair) != 2:
+        raise InputError(f"relative: expected pairs of keys, found {brief(pair)} at [{k}]")
+    a, b = _known(graph, "relative", pair)
+    if a == b:
+        raise InputError(f"relative: expected two different keys, found {brief(pair)} at [{k}]")
+    first, second = graph.variables[a], graph.variables[b]
+    if first.manifold != second.manifold or len(first.value) != len(second.value):
+        raise InputError(
+            f"relative: {variable_name(a)} and {variable_name(b)}: expected variables of one kind, "
+            f"found {first.manifold} ({len(first.value)}) and {second.manifold} "
+            f"({len(second.value)})"
+        )
+    return a, b
+
+
+def _relative_covariance(
+    graph: FactorGraph, pair: tuple[Key, Key], of_a: Floats, of_b: Floats, across: Floats
+) -> Floats:
+    """Return the covariance of a relative variable from G_aa, G_bb and G_ab, (t, t) each."""
+    first, second = (graph.variables[key] for key in pair)
+    if first.manifold == "se3" and any(
+        isinstance(factor, FROM_WORLD) and not set(pair).isdisjoint(factor.keys)
+        for factor in graph.factors
+    ):
+        adjoint = adjoints(first.value[None])[0]
+        return np.asarray(adjoint @ (of_b - across - across.T + of_a) @ adjoint.T)
+    if first.manifold in ("se2", "se3"):
+        adjoint = adjoint_between(second.value[None], first.value)[0]
+    elif first.manifold == "so3":
+        rotations = rotation_matrices(np.stack([first.value, second.value]))
+        adjoint = rotations[1].T @ rotations[0]
+    else:
+        adjoint = np.eye(len(first.coordinates))
+    moved = adjoint @ across
+    return np.asarray(of_b - moved - moved.T + adjoint @ of_a @ adjoint.T)
+
+
+def diagnose_factor_graph(graph: FactorGraph, num_threads: int = 0) -> GraphDiagnosis:
+    """Diagnose a factor graph by its Jacobian; see :func:`bundle.diagnose`."""
+    equations = FactorEquations(graph, num_threads)
+    space = equations.space
+    components = _components(graph, space)
+
+    def factor(k: int) -> tuple[tuple[Any, ...], None, str]:
+        return graph.factors[k].keys, None, factor_name(k, graph.factors[k])
+
+    return graph_diagnosis(
+        equations,
+        tests_of(equations, len(graph.factors)),
+        equations.squares,
+        factor,
+        {
+            "nullity": space.nullity,
+            "nullity_is_exact": space.is_exact,
+            "components": components,
+            "weak_modes": (
+                *_component_modes(graph, components, space),
+                *_open_modes(graph, space),
+                *_weak_modes(graph, space, equations.spectrum),
+            ),
+            "held_pose_ids": _held_keys(graph, space, equations.held),
+        },
+    )
+
+
+def with_keys(found: GraphDiagnosis, poses: AsPoseGraph) -> GraphDiagnosis:
+    """Return the diagnosis of a pose graph with the keys of its factor graph in place of ids."""
+    key_of = dict(zip(poses.graph.ids.tolist(), poses.keys, strict=True))
+
+    def edge(ends: tuple[Any, ...]) -> tuple[Any, ...]:
+        return tuple(key_of[end] for end in ends)
+
+    return replace(
+        found,
+        components=tuple(replace(part, pose_ids=edge(part.pose_ids)) for part in found.components),
+        held_pose_ids=edge(found.held_pose_ids),
+        weak_modes=tuple(
+            replace(mode, pose_ids=edge(mode.pose_ids), edges=tuple(map(edge, mode.edges)))
+            for mode in found.weak_modes
+        ),
+        suspicious_edges=tuple(replace(one, edge=edge(one.edge)) for one in found.suspicious_edges),
+    )
+
+
+def _held_keys(graph: FactorGraph, space: NullSpace, held: NDArray[np.bool_]) -> tuple[Any, ...]:
+    """Return the variables with coordinates that are held for the gauge."""
+    for_gauge = np.logical_or.reduceat(held & ~space.constant, space.begin[:-1])
+    return tuple(key for key, flag in zip(graph.keys, for_gauge, strict=True) if flag)
+
+
+def _components(graph: FactorGraph, space: NullSpace) -> tuple[GraphComponent, ...]:
+    """Return the components of free variables, the largest first."""
+    keys = graph.keys
+    is_free = ~np.logical_and.reduceat(space.constant, space.begin[:-1])
+    label = dict(zip(keys, space.labels.tolist(), strict=True))
+    free = {key for key, flag in zip(keys, is_free, strict=True) if flag}
+    counts: Counter[int] = Counter()
+    fixed: dict[int, set[Any]] = {}
+    for factor in graph.factors:
+        of = next((label[key] for key in factor.keys if key in free), None)
+        if of is not None:
+            counts[of] += 1
+            fixed.setdefault(of, set()).update(key for key in factor.keys if key not in free)
+    members: dict[int, list[Any]] = {}
+    for key in keys:
+        if key in free:
+            members.setdefault(label[key], []).append(key)
+    parts = [
+        GraphComponent(pose_ids=tuple(part), num_edges=counts[of], num_fixed=len(fixed.get(of, ())))
+        for of, part in members.items()
+    ]
+    return tuple(sorted(parts, key=lambda part: -len(part.pose_ids)))
+
+
+def _component_modes(
+    graph: FactorGraph, components: tuple[GraphComponent, ...], space: NullSpace
+) -> list[GraphWeakMode]:
+    """Return the components but the largest; those that float by themselves are a problem."""
+    label = dict(zip(graph.keys, space.labels.tolist(), strict=True))
+    modes = []
+    for part in components[1 : 1 + MOST_MODES]:
+        free = space.nullities.get(label[part.pose_ids[0]], 0)
+        state = f"it has {plural(free, 'null direction')}" if free else "its own factors hold it"
+        modes.append(
+            GraphWeakMode(
+                kind="component",
+                sentence=f"{_named(part.pose_ids)} ({plural(part.num_edges, 'factor')}): no factor "
+                f"joins this component with the largest, of "
+                f"{plural(len(components[0].pose_ids), 'variable')}; {state}.",
+                pose_ids=part.pose_ids,
+                edges=(),
+                eigenvalue=0.0,
+                dimension=free,
+            )
+        )
+    return modes
+
+
+def _open_modes(graph: FactorGraph, space: NullSpace) -> list[GraphWeakMode]:
+    """Return the directions that no factor determines, apart from the gauge."""
+    modes = []
+    for direction in space.others.T[:MOST_MODES]:
+        keys = _moving(graph, space, direction)
+        modes.append(
+            GraphWeakMode(
+                kind="open_direction",
+                sentence=f"{_named(keys)}: no factor determines {_motion(graph, space, direction)}"
+                ". Add a factor with information there, or hold it constant.",
+                pose_ids=keys,
+                edges=_factors_of(graph, keys),
+                eigenvalue=0.0,
+                dimension=1,
+            )
+        )
+    return modes
+
+
+def _weak_modes(
+    graph: FactorGraph, space: NullSpace, spectrum: dict[str, Any] | None
+) -> list[GraphWeakMode]:
+    """Return the modes below the last gap of the eigenvalues."""
+    if spectrum is None:
+        return []
+    values: Floats = np.asarray(spectrum["eigenvalues"])
+    gaps = np.flatnonzero((values[:-1] < WEAK) & (values[1:] > GAP * values[:-1]))
+    modes = []
+    for k in range(int(gaps[-1]) + 1 if len(gaps) else 0):
+        direction = spectrum["directions"][:, k]
+        keys = _moving(graph, space, direction)
+        inflation = number(float(1 / np.sqrt(max(values[k], 1e-300))))
+        modes.append(
+            GraphWeakMode(
+                kind="weak_direction",
+                sentence=f"{_named(keys)}: the factors determine "
+                f"{_motion(graph, space, direction)} weakly, with a sigma {inflation} times that "
+                "with all other coordinates known. Add a factor, or check the information of "
+                "these.",
+                pose_ids=keys,
+                edges=_factors_of(graph, keys),
+                eigenvalue=float(values[k]),
+                dimension=1,
+            )
+        )
+    return modes
+
+
+def _moving(graph: FactorGraph, space: NullSpace, direction: Floats) -> tuple[Any, ...]:
+    """Return the keys that a direction moves, those that move most first."""
+    largest = np.maximum.reduceat(np.abs(direction), space.begin[:-1])
+    order = np.argsort(-largest, kind="stable")
+    return tuple(graph.keys[k] for k in order if largest[k] >= SHARE * largest.max())
+
+
+def _motion(graph: FactorGraph, space: NullSpace, direction: Floats) -> str:
+    """Return the coordinates of the variable that moves most, such as "x, angle of 'x7'"."""
+    position = int(np.argmax(np.maximum.reduceat(np.abs(direction), space.begin[:-1])))
+    variable = graph.variables[graph.keys[position]]
+    part = np.abs(direction[space.begin[position] : space.begin[position + 1]])
+    chosen = [
+        name
+        for name, size in zip(variable.coordinates, part, strict=True)
+        if size >= SHARE * part.max()
+    ]
+    return f"{', '.join(chosen)} of {brief(variable.key)}"
+
+
+def _factors_of(graph: FactorGraph, keys: tuple[Any, ...]) -> tuple[Any, ...]:
+    """Return the keys of the factors that join moving variables with others."""
+    moving = set(keys)
+    return tuple(
+        factor.keys
+        for factor in graph.factors
+        if not moving.isdisjoint(factor.keys) and not moving.issuperset(factor.keys)
+    )[:MOST_NAMED]
+
+
+def _named(keys: tuple[Any, ...]) -> str:
+    return named("Variable", [brief(key) for key in keys])

@@ -1,0 +1,303 @@
+"""Normal equations of a graph at its values, with a named block for each pose or variable.
+
+Covariances, diagnosis and chi2 by kind are written once, on these blocks. A pose graph keeps its
+arrays and its elimination (``graph_covariance.cpp`` has the mathematics); ``factor_equations.py``
+has the normal equations of a factor graph. The terms are edges or factors.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from functools import cached_property
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+import bundle._core as _core
+from bundle.analysis.uncertainty.covariance_result import GraphCovariance, is_id
+from bundle.base.arrays import freeze
+from bundle.base.words import not_converged, number, plural
+from bundle.errors import InputError, brief
+from bundle.graphs.pose_graphs.edge_weights import (
+    WeightedGraph,
+    check_edges_exist,
+    weighted_graph,
+)
+from bundle.graphs.pose_graphs.joints import Joints, find_joints
+from bundle.interface.analysis_options import SCALES, one_of
+from bundle.interface.pose_graph_options import PoseGraphOptions
+from bundle.model.pose_graph_arrays import PoseGraph
+
+GRAPH_GAUGES = ("first", "inner", "none")
+
+AT_MINIMUM = 1e-4
+"""Relative decrease of the cost by one more step, below which a state counts as a minimum."""
+
+LOST = 1e10
+"""Inflation above which the variances have fewer than six digits."""
+
+Floats = NDArray[np.float64]
+Pairs = Sequence[tuple[int, int]]
+"""Positions of two blocks each."""
+
+
+class Words(NamedTuple):
+    """Nouns and remedies of a graph in sentences."""
+
+    block: str
+    term: str
+    held: str
+    command: str
+    shorten: str
+    doubt: str
+
+
+class Tests(NamedTuple):
+    """Redundancy and test (m,) of the terms, NaN where unknown, with the test's degrees.
+
+    ``decrease`` is that of the cost by one more step.
+    """
+
+    redundancy: Floats
+    test: Floats
+    rank: NDArray[np.int64]
+    decrease: float = 0.0
+
+    def is_at_minimum(self, cost: float) -> bool:
+        """Tell whether one more step would hardly lower the cost."""
+        return not (self.decrease > AT_MINIMUM * cost and self.decrease > 1e-9)
+
+
+class SelectedInverse(NamedTuple):
+    """Blocks (t, t) of the inverse: of each block, of X_a^-1 X_b of a pair, and across the pair.
+
+    ``undetermined``: position of a block that is not determined; -1 without one. ``inflation``:
+    largest ratio of a variance to that with all other blocks known.
+    """
+
+    blocks: Any
+    relative: Any
+    across: Any
+    undetermined: int
+    inflation: float
+    tests: Tests
+
+
+class NormalEquations(Protocol):
+    """J^T W J of a graph, with a block of t tangent coordinates for each key.
+
+    Attributes:
+        words: nouns of the input.
+        num_gauge: null directions in which whole components move.
+        num_floating: components of which each has covariances about itself alone.
+        squares: r^T W r of each term.
+        weighted_squares: their sum, with the weights of a loss.
+        cost: 1/2 sum rho.
+        dof: number of residuals minus free coordinates under the gauge.
+    """
+
+    words: Words
+    num_gauge: int
+    num_floating: int
+    squares: Floats
+    weighted_squares: float
+    cost: float
+    dof: int
+
+    def name(self, block: int) -> str:
+        """Return the name of a block for sentences."""
+
+    def open_blocks(self) -> list[int]:
+        """Return the blocks that null directions beyond the gauge move; empty if there are none."""
+
+    def separated(self, pairs: Pairs) -> tuple[int, int] | None:
+        """Return the first pair of blocks whose components move against each other."""
+
+    def selected_inverse(
+        self, is_inner: bool = False, pairs: Pairs = (), with_tests: bool = False
+    ) -> SelectedInverse:
+        """Return blocks of the inverse; ``is_inner``: of the pseudo-inverse."""
+
+    @property
+    def spectrum(self) -> dict[str, Any] | None:
+        """Eigenvalues and condition numbers of the determined part."""
+
+
+POSES = Words(
+    *("pose", "edge", "fixed pose", "bundle diagnose"),
+    "fix a pose in the middle, or split the graph",
+    "refine with a loss for wrong closures (dcs, gnc-tls)",
+)
+
+
+class PoseEquations:
+    """Normal equations of a pose graph; :class:`NormalEquations`."""
+
+    words = POSES
+
+    def __init__(self, weighted: WeightedGraph) -> None:
+        self.weighted, self.graph = weighted, weighted.graph
+        self._error, self._threads = weighted.options.error, weighted.options.num_threads
+        self.held, _, self.for_gauge = _core.hold_poses(self.graph)
+        self.squares = _core.edge_chi2(self.graph, self._error)
+        self.weighted_squares = float(self.squares.sum())
+        self.cost = 0.5 * self.weighted_squares
+        self.num_floating = len(self.for_gauge)
+        self.num_gauge = self.graph.tangent_size * self.num_floating
+        self.held_ids = tuple(int(self.graph.ids[pose]) for pose in self.for_gauge)
+        self.dof = self.graph.tangent_size * (self.graph.num_edges - int((~self.held).sum()))
+
+    @cached_property
+    def joints(self) -> Joints:
+        """Undetermined and weak directions."""
+        return find_joints(self.graph, self.held, self._error)
+
+    def name(self, block: int) -> str:
+        """Return the name of a block."""
+        return self.graph.pose_name(block)
+
+    def open_blocks(self) -> list[int]:
+        """Return the blocks that null directions beyond the gauge move."""
+        if not self.joints.num_open:
+            return []
+        moved = np.flatnonzero(self.joints.directions.any(axis=1)) // self.graph.tangent_size
+        poses = moved.tolist() or [int(joint.poses[0]) for joint in self.joints.opened]
+        return list(dict.fromkeys(poses))
+
+    def separated(self, pairs: Pairs) -> tuple[int, int] | None:
+        """Return the first pair whose components move against each other."""
+        component = np.asarray(_core.pose_components(self.graph.num_poses, self.graph.edges))
+        floating = set(component[self.for_gauge].tolist())
+        for a, b in pairs:
+            if component[a] != component[b] and {int(component[a]), int(component[b])} & floating:
+                return a, b
+        return None
+
+    def selected_inverse(
+        self, is_inner: bool = False, pairs: Pairs = (), with_tests: bool = False
+    ) -> SelectedInverse:
+        """Return blocks of the inverse."""
+        out = _core.graph_covariance(
+            self.graph, self._error, is_inner, with_tests, list(pairs), self._threads
+        )
+        redundancy, test, rank = (out[f"edge_{name}"] for name in ("redundancy", "test", "rank"))
+        tests = Tests(redundancy, test, rank, float(out["predicted_decrease"]))
+        found = (int(out["undetermined_pose"]), float(out["inflation"]), tests)
+        return SelectedInverse(out["poses"], out["relative"], out["across"], *found)
+
+    @property
+    def spectrum(self) -> dict[str, Any] | None:
+        """Spectrum of the determined part; None without a free pose."""
+        if self.held.all():
+            return None
+        directions = self.joints.directions
+        return _core.graph_spectrum(self.graph, self.held, self._error, directions, self._threads)
+
+
+def graph_covariance(
+    graph: Any,
+    options: PoseGraphOptions | None = None,
+    *,
+    relative: Iterable[tuple[int, int]] = (),
+    gauge: str = "first",
+    scale: str = "unit",
+    **changes: Any,
+) -> GraphCovariance:
+    """Compute the covariances of the poses of a graph; see :func:`bundle.covariance`."""
+    gauge, scale = one_of("gauge", gauge, GRAPH_GAUGES), one_of("scale", scale, SCALES)
+    weighted = weighted_graph(graph, options, changes, "covariance")
+    used = weighted.graph
+    if used.num_poses > 1:
+        check_edges_exist(used)
+    pairs = list(relative)
+    rows = _rows_of(used, pairs)
+    equations = PoseEquations(weighted)
+    if gauge == "none" and equations.for_gauge:
+        raise InputError(
+            "gauge: none expects a fixed pose in each component, found "
+            f"{plural(equations.num_floating, 'component')} without; first holds a pose in each"
+        )
+    is_plain = weighted.options.loss == "trivial"
+    found, factor, facts = selected_covariance(equations, rows, gauge, scale, is_plain)
+    return GraphCovariance(
+        pose_ids=used.ids,
+        pose_covariance=freeze(factor * found.blocks),
+        relative_ids=freeze(np.array(pairs, np.int64).reshape(-1, 2)),
+        relative_covariance=freeze(factor * found.relative),
+        cross_covariance=freeze(factor * found.across),
+        held_pose_ids=equations.held_ids,
+        **facts,
+    )
+
+
+def selected_covariance(
+    equations: NormalEquations, pairs: Pairs, gauge: str, scale: str, without_loss: bool = False
+) -> tuple[SelectedInverse, float, dict[str, Any]]:
+    """Return blocks of the inverse, the factor of all covariances, and fields of the result.
+
+    Undetermined directions, pairs without a relative position and rounding errors are refused.
+    """
+    words, squares, dof = equations.words, equations.weighted_squares, equations.dof
+    if moving := equations.open_blocks():
+        raise _undetermined(equations, moving)
+    if apart := equations.separated(pairs):
+        raise InputError(
+            f"relative: expected {words.block}s that {words.term}s or {words.held}s connect, found "
+            f"{equations.name(apart[0])} and {equations.name(apart[1])}"
+        )
+    found = equations.selected_inverse(gauge == "inner", pairs)
+    if found.undetermined >= 0:
+        raise _undetermined(equations, [found.undetermined])
+    if not np.isfinite(found.inflation):
+        raise InputError(
+            "graph: expected well-conditioned normal equations, found variances that are only "
+            f"rounding errors; {words.shorten}"
+        )
+    sigma0 = float(np.sqrt(squares / dof)) if dof > 0 else float("nan")
+    if scale == "sigma0" and not dof > 0:
+        raise InputError(
+            f"scale: expected degrees of freedom to estimate sigma0 from, found {dof}; use unit"
+        )
+    notes = []
+    if not found.tests.is_at_minimum(0.5 * squares):
+        notes.append(not_converged(200 * found.tests.decrease / squares, without_loss))
+    if equations.num_floating > 1:
+        notes.append(
+            f"{plural(equations.num_floating, 'component')} without a fixed pose: the covariances "
+            "of each are about itself alone."
+        )
+    if found.inflation > LOST:
+        digits = plural(max(0, round(16 - np.log10(found.inflation))), "digit")
+        notes.append(
+            f"Some {words.block} is {number(float(np.sqrt(found.inflation)))} times less certain "
+            f"than with all others known: its covariance has about {digits}."
+        )
+    facts = {"sigma0": sigma0, "dof": dof, "gauge": gauge, "scale": scale, "notes": tuple(notes)}
+    return found, sigma0 * sigma0 if scale == "sigma0" else 1.0, facts
+
+
+def _undetermined(equations: NormalEquations, blocks: Sequence[int]) -> InputError:
+    words, names = equations.words, [equations.name(block) for block in blocks]
+    more = f" and {len(names) - 3} more" if len(names) > 3 else ""
+    return InputError(
+        f"graph: expected {words.term}s that determine all {words.block}s but for the gauge, found "
+        f"{words.block if len(names) == 1 else words.block + 's'} {', '.join(names[:3])}{more} "
+        f"with a direction open; {words.command} says which"
+    )
+
+
+def _rows_of(graph: PoseGraph, pairs: list[Any]) -> list[tuple[int, int]]:
+    """Return pairs of pose ids as pairs of array positions."""
+    place = {key: row for row, key in enumerate(graph.ids.tolist())}
+    rows = []
+    for k, pair in enumerate(pairs):
+        ends = tuple(pair) if isinstance(pair, tuple | list | np.ndarray) else ()
+        if len(ends) != 2 or not all(is_id(end) and int(end) in place for end in ends):
+            raise InputError(f"relative: expected pairs of pose ids, found {brief(pair)} at [{k}]")
+        if ends[0] == ends[1]:
+            raise InputError(
+                f"relative: expected two different poses, found {brief(pair)} at [{k}]"
+            )
+        rows.append((place[int(ends[0])], place[int(ends[1])]))
+    return rows
