@@ -41,23 +41,21 @@ def check_pose_graph(run: Run) -> Report:
     """Check the edges of the pose graph INPUT."""
     from bundle.graphs.factors.checks import check_edges
     from bundle.interface.pose_graph_options import PoseGraphOptions
-    from bundle.reports.terminal.check import checked_factors
-    from bundle.reports.terminal.inputs import about_graph, graph_facts
+    from bundle.reports.terminal.check import checked
 
     settings = _settings(run)
     error = run.given(PoseGraphOptions).error
     graph = run.load()
     run.progress.stage("checking")
     found = check_edges(graph, error, progress=_counting(run, "edges"), **settings)
-    about, facts = about_graph(run.source, graph), graph_facts(run.source, graph)
     asked = {**settings, "error": error}
-    return _ended(run, found, checked_factors(about, facts, found, asked, run.wall))
+    return _ended(run, found, checked(run.source, graph, found, asked, run.wall))
 
 
 def check_object(run: Run) -> Report:
     """Check the factors of the object that INPUT, FILE.py:NAME, names."""
     from bundle.io.python_objects import load_object
-    from bundle.reports.terminal.check import checked_factors, checked_function
+    from bundle.reports.terminal.check import checked
 
     settings, source = _settings(run), run.source
     with _naming(source):
@@ -65,13 +63,7 @@ def check_object(run: Run) -> Report:
         thing = load_object(source)
         run.progress.stage("checking")
         found = _check(source, thing, settings, _counting(run, "factors"))
-    facts = [("input", f"{shown(source)} (Python)")]
-    about = {"path": source, "format": "python"}
-    if isinstance(found, GradientReport):
-        report = checked_function(about, facts, found, settings, run.wall)
-    else:
-        report = checked_factors(about, facts, found, settings, run.wall)
-    return _ended(run, found, report)
+    return _ended(run, found, checked(source, None, found, settings, run.wall))
 
 
 def _settings(run: Run) -> dict[str, Any]:

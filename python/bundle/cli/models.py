@@ -115,13 +115,13 @@ def merge_models(run: Run) -> Report:
 def convert_pose_graph(run: Run) -> Report:
     """Write the pose graph INPUT with or without compression; compute missing poses."""
     from bundle.io.g2o_files import check_g2o_target, save_g2o
-    from bundle.reports.terminal.convert import converted_graph
+    from bundle.reports.terminal.convert import converted
 
     check_g2o_target(run.target)
     graph = run.load()
     _check_graph_replaced(run, graph)
     lost = run.write(run.target, partial(save_g2o, graph))
-    return converted_graph(run.source, graph, {"path": run.target, "format": "g2o"}, lost)
+    return converted(run.source, graph, {"path": run.target, "format": "g2o"}, lost)
 
 
 def refine_pose_graph(run: Run) -> Report:

@@ -22,7 +22,7 @@ def report_model(run: Run) -> Report:
     """Write the page of the reconstruction INPUT."""
     from bundle.analysis.statistics.description import describe
     from bundle.reports.page.report_page import write_report
-    from bundle.reports.terminal.report import reported
+    from bundle.reports.terminal.convert import reported
 
     source, page = str(run.source), _page(run)
     run.check_knowledge(SolveOptions().refine, page=True)
@@ -87,9 +87,9 @@ def _covariance(run: Run) -> Covariance | None:
 def report_pose_graph(run: Run) -> Report:
     """Write the page of the pose graph INPUT."""
     from bundle.reports.page.graph_report import write_graph_report
-    from bundle.reports.terminal.report import reported_graph
+    from bundle.reports.terminal.convert import reported
 
     page = _page(run)
     graph = run.load()
     findings = run.write(page, lambda path: write_graph_report(graph, path, name=str(run.source)))
-    return reported_graph(str(run.source), graph, page, run.wall, findings)
+    return reported(str(run.source), graph, page, (), run.wall, findings)

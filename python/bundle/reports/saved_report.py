@@ -17,7 +17,7 @@ from bundle.interface.solve_record import SolveRecord
 from bundle.io.atomic import atomic_write as atomic
 from bundle.model.content_digests import content_digests
 from bundle.reports.sections import Report, dumps, records
-from bundle.reports.terminal.inputs import about_graph, about_problem
+from bundle.reports.terminal.inputs import about_input
 from bundle.reports.terminal.solve_data import solve_options
 from bundle.solving.result import Result
 
@@ -58,11 +58,11 @@ def _about(result: SolveRecord, name: str) -> tuple[Mapping[str, Any], Mapping[s
     """Return the input for programs, and facts on the structure of its matrix."""
     if isinstance(result, PoseGraphResult):
         graph = result.initial_problem
-        about = about_graph(name or graph.path, graph) | {"digests": content_digests(graph)}
+        about = about_input(name or graph.path, graph) | {"digests": content_digests(graph)}
         return about, {"densest": densest_set(graph.edges)}
     if isinstance(result, Result):
         given = result.initial_problem
-        return about_problem(name, given) | {"digests": content_digests(given)}, {}
+        return about_input(name, given) | {"digests": content_digests(given)}, {}
     assert isinstance(result, GraphResult)
     summary = result.summary
     counts = {"num_variables": len(result.values), "num_factors": summary.num_residual_blocks}

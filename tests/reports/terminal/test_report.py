@@ -14,7 +14,7 @@ from bundle.interface.summary import sentence, solver_phases
 from bundle.model.problem import Problem
 from bundle.reports.sections import dumps, plain
 from bundle.reports.terminal import refine
-from bundle.reports.terminal.inputs import about_problem
+from bundle.reports.terminal.inputs import about_input
 from bundle.reports.terminal.refine import refinement
 from bundle.reports.terminal.screen import laid_out
 from bundle.reports.terminal.solve_data import WallTime, result_data
@@ -291,7 +291,7 @@ def test_json_has_what_the_contract_lists(problem):
 
 def test_json_takes_any_path(problem):
     path = "caf\u00e9 \udcff"  # the second is how Python names a byte that is not UTF-8
-    text = dumps({"input": about_problem(path, problem)})
+    text = dumps({"input": about_input(path, problem)})
     assert text.isascii()
     assert json.loads(text)["input"]["path"] == path
 

@@ -29,7 +29,7 @@ from bundle.planning.inspection.factor_graph_inspection import FactorGraphInspec
 from bundle.planning.inspection.pose_graph_inspection import PoseGraphInspection
 from bundle.planning.inspection.problem_inspection import inspect
 from bundle.reports.terminal.graph_headline import graph_headline
-from bundle.reports.terminal.inputs import contents_of_graph
+from bundle.reports.terminal.inputs import contents_of
 
 Floats = NDArray[np.float64]
 
@@ -106,7 +106,7 @@ def facts_of_pose_graph(source: PoseGraph | PoseGraphResult) -> GraphFacts:
     return GraphFacts(
         noun="edge",
         headline=headline,
-        contents=contents_of_graph(graph),
+        contents=contents_of(graph),
         positions=_places(graph.poses),
         before=None if result is None else _places(result.initial_problem.poses),
         rotations=_rotations(graph.poses),

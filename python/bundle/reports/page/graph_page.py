@@ -31,7 +31,7 @@ from bundle.reports.page.page import tag, write_page
 from bundle.reports.page.pictures import orderings
 from bundle.reports.page.table import CONVENTION, rendered
 from bundle.reports.sections import Section, Table
-from bundle.reports.terminal.inputs import contents_of_graph
+from bundle.reports.terminal.inputs import contents_of
 
 if TYPE_CHECKING:
     from bundle.planning.inspection.graph_inspection import GraphInspection
@@ -122,7 +122,7 @@ def write_graph_structure(
         if np.isfinite(cost.time_per_step_in_seconds)
     }
     flops = {cost.ordering: float(cost.flops) for cost in found.costs}
-    words = f"{contents_of_graph(graph)}; {count} free poses of {graph.tangent_size} unknowns."
+    words = f"{contents_of(graph)}; {count} free poses of {graph.tangent_size} unknowns."
     sections: list[Section | str] = [
         tag("p", escape(words), class_="quiet"),
         structure_section(found),

@@ -12,7 +12,7 @@ from bundle.georeference.alignment_result import Alignment, ImageError, metres
 from bundle.model.problem import Problem
 from bundle.reports.sections import Report, Section, Table
 from bundle.reports.terminal.control_points import control_points, plain_metres, suspicions
-from bundle.reports.terminal.inputs import about_problem, problem_facts, written
+from bundle.reports.terminal.inputs import about_input, input_facts, written
 
 MOST_IMAGES = 10
 """Number of listed positions, those with the largest errors first."""
@@ -31,7 +31,7 @@ def alignment(
         lost: data that the output's format cannot store.
     """
     rows = [
-        *problem_facts(path, aligned.problem),
+        *input_facts(path, aligned.problem),
         ("scale", f"{number(aligned.similarity.scale)} per length unit of the input"),
     ]
     if aligned.reference_system:
@@ -55,7 +55,7 @@ def alignment(
     ]
     return Report(
         command="align",
-        input=about_problem(path, problem),
+        input=about_input(path, problem),
         headline=_headline(aligned),
         warnings=[*suspicions(aligned.control_points), *aligned.notes, *lost],
         sections=[

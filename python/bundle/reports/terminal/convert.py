@@ -1,11 +1,12 @@
-"""Report of `bundle convert`: the input, the output, and the data that are lost."""
+"""Reports of `bundle convert`, with the data that are lost, and of `bundle report`."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence as Sentences
+from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bundle.base.words import contents
+from bundle.base.words import format_size
 from bundle.errors import shown
 from bundle.interface.finding import Finding
 from bundle.model.pose_graph_arrays import PoseGraph
@@ -15,14 +16,12 @@ from bundle.model.unobserved import unobserved
 from bundle.reports.sections import Report, Section
 from bundle.reports.terminal.camera_tables import edit_data, edit_rows, shutter_data, shutter_moves
 from bundle.reports.terminal.inputs import (
-    about_graph,
-    about_problem,
+    about_input,
     about_sequence,
-    contents_of_graph,
+    contents_of,
     contents_of_sequence,
-    graph_facts,
     import_notes,
-    problem_facts,
+    input_facts,
     written,
 )
 from bundle.reports.terminal.tracking import tracking_headline, tracking_section
@@ -36,47 +35,70 @@ if TYPE_CHECKING:
 
 def converted(
     path: str,
-    problem: Problem,
+    given: Problem | PoseGraph,
     output: dict[str, str],
     lost: Sentences[str],
     edits: CameraEdits | None = None,
     moved: GlobalShutterModel | None = None,
 ) -> Report:
-    """Return the report on a reconstruction."""
-    facts = [*problem_facts(path, problem), *edit_rows(edits)]
-    content = problem if edits is None else edits.problem
-    warnings = [*(() if edits is None else edits.warnings), *filter(None, [unobserved(content)])]
+    """Return the report on a reconstruction or a pose graph."""
+    content = given if edits is None else edits.problem
+    warnings = [] if edits is None else [*edits.warnings]
+    notes, more = [], edit_rows(edits)
+    if isinstance(content, Problem):
+        warnings += filter(None, [unobserved(content)])
+    if isinstance(given, Problem):
+        notes = import_notes(given)
+    else:
+        more = [("", note) for note in given.notes]
+    rest = "These data are lost:" if lost else "Nothing is lost."
     return Report(
         command="convert",
-        input=about_problem(path, problem),
-        headline=[_wrote(output, contents(content), lost), *shutter_moves(moved)],
+        input=about_input(path, given),
+        headline=[
+            f"Wrote {written(output)[1]}: {contents_of(content)}. {rest}",
+            *shutter_moves(moved),
+        ],
         warnings=warnings,
         sections=[
-            Section(facts=edit_rows(edits), notes=[*lost, *import_notes(problem)]),
-            Section(facts=facts, is_detail=True),
+            Section(facts=edit_rows(edits), notes=[*lost, *notes]),
+            Section(facts=[*input_facts(path, given), *more], is_detail=True),
         ],
         data={**edit_data(edits), **shutter_data(moved), "output": output, "lost": lost},
     )
 
 
-def _wrote(output: dict[str, str], content: str, lost: Sentences[str]) -> str:
-    """Return what was written where, and whether data are lost."""
-    _, where = written(output)
-    rest = "These data are lost:" if lost else "Nothing is lost."
-    return f"Wrote {where}: {content}. {rest}"
-
-
-def converted_graph(
-    path: str, graph: PoseGraph, output: dict[str, str], lost: Sentences[str]
+def reported(
+    path: str,
+    given: Problem | PoseGraph,
+    page: str,
+    notes: Sentences[str],
+    wall_time: float,
+    findings: Sentences[Finding] = (),
 ) -> Report:
-    """Return the report on a pose graph."""
-    facts = [*graph_facts(path, graph), *(("", note) for note in graph.notes)]
+    """Return the report of `bundle report` about the page that it wrote.
+
+    Args:
+        path: path of the input.
+        given: problem or graph on the page.
+        page: path of the page.
+        notes: sentences about missing parts of the page.
+        wall_time: seconds.
+        findings: findings about the input.
+    """
+    size = f" ({format_size(Path(page).stat().st_size)})" if Path(page).is_file() else ""
     return Report(
-        command="convert",
-        input=about_graph(path, graph),
-        headline=[_wrote(output, contents_of_graph(graph), lost)],
-        sections=[Section(notes=lost), Section(facts=facts, is_detail=True)],
-        data={"output": output, "lost": lost},
+        command="report",
+        input=about_input(path, given),
+        headline=[f"Wrote {shown(page)}{size}: {contents_of(given)}."],
+        warnings=notes,
+        findings=findings,
+        sections=[Section(facts=input_facts(path, given, rigs=True), is_detail=True)],
+        data={
+            "notes": notes,
+            "wall_time": {"total": wall_time},
+            "output": {"path": page, "format": "html"},
+        },
     )
 
 

@@ -18,12 +18,7 @@ from bundle.model.cameras import camera_models
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.model.problem import Problem
 from bundle.reports.sections import Report, Section, Table
-from bundle.reports.terminal.inputs import (
-    about_graph,
-    about_problem,
-    graph_facts,
-    problem_facts,
-)
+from bundle.reports.terminal.inputs import about_input, input_facts
 
 MOST_CAMERAS = 10
 """Number of listed cameras."""
@@ -31,55 +26,63 @@ MOST_CAMERAS = 10
 
 def uncertainties(
     path: str,
-    problem: Problem,
-    cov: Covariance,
+    given: Problem | PoseGraph,
+    cov: Covariance | GraphCovariance,
     options: Mapping[str, Any],
     target: str,
     wall_time: float,
 ) -> Report:
-    """Return the report on a reconstruction.
+    """Return the report on a reconstruction or a pose graph.
 
     Args:
         path: path of the input.
-        problem: problem of the covariance.
+        given: problem or graph of the covariance.
         cov: computed covariance.
         options: options of the covariance.
         target: path of the file with the matrices.
         wall_time: seconds.
     """
-    pose, point = _sigmas(cov.pose_covariance), _sigmas(cov.point_covariance)
-    spread = [("rotation [rad]", pose[:, :3]), ("translation", pose[:, 3:]), ("point", point)]
-    cameras = zip(cov.camera_ids, _sigmas(cov.camera_covariance), strict=True)
-    facts = [
-        *problem_facts(path, problem),
-        ("gauge", cov.gauge.replace("_", " ")),
-        _sigma0(cov),
-        ("scale", _scale(cov)),
-    ]
+    pose = _sigmas(cov.pose_covariance)
+    cameras: list[Section] = []
+    data: dict[str, Any] = {"gauge": cov.gauge}
+    if isinstance(cov, Covariance) and isinstance(given, Problem):
+        spread = [("rotation [rad]", pose[:, :3]), ("translation", pose[:, 3:])]
+        spread.append(("point", _sigmas(cov.point_covariance)))
+        gauge, whole, warnings = cov.gauge.replace("_", " "), "of the model", _notes(cov)
+        cameras = _cameras(given, cov)
+        sigmas = zip(cov.camera_ids, _sigmas(cov.camera_covariance), strict=True)
+        data["robust"] = cov.robust
+        data["cameras"] = [
+            {"id": int(key), "model": given.camera_models[row], "sigma": sigma}
+            for row, (key, sigma) in enumerate(sigmas)
+        ]
+        data["points_without_parallax"] = cov.null_point_ids
+    else:
+        assert isinstance(cov, GraphCovariance)
+        parts = [pose[:, :2], pose[:, 2:]] if pose.shape[1] == 3 else [pose[:, 3:], pose[:, :3]]
+        spread = [*zip(("translation", "rotation [rad]"), parts, strict=True)]
+        gauge, whole, warnings = _held(cov), "of the graph", [*cov.notes]
+        data |= {"held_pose_ids": cov.held_pose_ids, "robust": "weights"}
+    facts = [*input_facts(path, given), ("gauge", gauge), _sigma0(cov), ("scale", _scale(cov))]
+    pairs = zip(cov.relative_ids, cov.relative_covariance, strict=True)
     return Report(
         command="covariance",
-        input=about_problem(path, problem),
-        headline=[_sigmas_in_words(spread, "of the model"), _certainty(cov)],
-        warnings=_notes(cov),
+        input=about_input(path, given),
+        headline=[_sigmas_in_words(spread, whole), _certainty(cov)],
+        warnings=warnings,
         sections=[
             Section(facts=[("output", shown(target))]),
             Section(facts=facts, is_detail=True),
             *_spread(spread),
-            *_cameras(problem, cov),
+            *cameras,
         ],
         data={
             "options": dict(options),
-            "gauge": cov.gauge,
+            **data,
             "scale": cov.scale,
-            "robust": cov.robust,
             "sigma0": cov.sigma0,
             "dof": cov.dof,
-            "cameras": [
-                {"id": int(key), "model": problem.camera_models[row], "sigma": sigma}
-                for row, (key, sigma) in enumerate(cameras)
-            ],
-            "relative": _relative(cov),
-            "points_without_parallax": cov.null_point_ids,
+            "relative": [{"ids": ids, "covariance": values} for ids, values in pairs],
             "notes": cov.notes,
             "output": {"path": target, "format": "npz"},
             "wall_time": {"total": wall_time},
@@ -87,56 +90,14 @@ def uncertainties(
     )
 
 
-def uncertainties_of_graph(
-    path: str,
-    graph: PoseGraph,
-    cov: GraphCovariance,
-    options: Mapping[str, Any],
-    target: str,
-    wall_time: float,
-) -> Report:
-    """Return the report on a pose graph; arguments as in :func:`uncertainties`."""
-    sigma = _sigmas(cov.pose_covariance)
-    parts = ((0, 2), (2, 3)) if graph.dimension == 2 else ((3, 6), (0, 3))
-    names = ("translation", "rotation [rad]")
-    spread = [
-        (name, sigma[:, first:last]) for name, (first, last) in zip(names, parts, strict=True)
-    ]
+def _held(cov: GraphCovariance) -> str:
+    """Return the gauge of a graph with the poses that it holds."""
     held = {
         "first": f"{plural(len(cov.held_pose_ids), 'pose')} constant, besides fixed ones",
         "inner": "inner constraints (minimum trace)",
         "none": "by fixed poses",
     }
-    facts = [
-        *graph_facts(path, graph),
-        ("gauge", f"{cov.gauge}: {held[cov.gauge]}"),
-        _sigma0(cov),
-        ("scale", "the information of the edges" if cov.scale == "unit" else "times sigma0"),
-    ]
-    return Report(
-        command="covariance",
-        input=about_graph(path, graph),
-        headline=[_sigmas_in_words(spread, "of the graph"), _certainty(cov)],
-        warnings=cov.notes,
-        sections=[
-            Section(facts=[("output", shown(target))]),
-            Section(facts=facts, is_detail=True),
-            *_spread(spread),
-        ],
-        data={
-            "options": dict(options),
-            "gauge": cov.gauge,
-            "held_pose_ids": cov.held_pose_ids,
-            "scale": cov.scale,
-            "robust": "weights",
-            "sigma0": cov.sigma0,
-            "dof": cov.dof,
-            "relative": _relative(cov),
-            "notes": cov.notes,
-            "output": {"path": target, "format": "npz"},
-            "wall_time": {"total": wall_time},
-        },
-    )
+    return f"{cov.gauge}: {held[cov.gauge]}"
 
 
 def _sigma0(cov: Covariance | GraphCovariance) -> tuple[str, str]:
@@ -160,15 +121,14 @@ def _sigmas_in_words(parts: Sequence[tuple[str, NDArray[np.float64]]], unit: str
     return f"Sigma (median / 95th percentile, length unit {unit}): {', '.join(said)}."
 
 
-def _scale(cov: Covariance) -> str:
+def _scale(cov: Covariance | GraphCovariance) -> str:
+    if cov.scale != "unit" and (isinstance(cov, GraphCovariance) or cov.robust != "sandwich"):
+        return "times sigma0"
+    if isinstance(cov, GraphCovariance):
+        return "the information of the edges"
     if cov.robust == "sandwich":
         return "sandwich, from the scatter of the residuals"
-    return "residual sigma of 1 px, or as given" if cov.scale == "unit" else "times sigma0"
-
-
-def _relative(cov: Covariance | GraphCovariance) -> list[dict[str, Any]]:
-    pairs = zip(cov.relative_ids, cov.relative_covariance, strict=True)
-    return [{"ids": pair, "covariance": values} for pair, values in pairs]
+    return "residual sigma of 1 px, or as given"
 
 
 def _spread(parts: Iterable[tuple[str, NDArray[np.float64]]]) -> list[Section]:

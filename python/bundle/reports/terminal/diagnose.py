@@ -13,12 +13,7 @@ from bundle.interface.finding import Finding, one_list
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.model.problem import Problem
 from bundle.reports.sections import Column, Report, Section, Table, fields
-from bundle.reports.terminal.inputs import (
-    about_graph,
-    about_problem,
-    graph_facts,
-    problem_facts,
-)
+from bundle.reports.terminal.inputs import about_input, input_facts
 
 MOST_EIGENVALUES = 4
 MOST_EDGES = 10
@@ -35,106 +30,66 @@ SUSPICIOUS = (
 
 def diagnosed(
     path: str,
-    problem: Problem,
-    diagnosis: Diagnosis,
+    given: Problem | PoseGraph,
+    diagnosis: Diagnosis | GraphDiagnosis,
     options: Mapping[str, Any],
     wall_time: float,
     found: Sequence[Finding] = (),
 ) -> Report:
-    """Return the report on a reconstruction.
+    """Return the report on a reconstruction or a pose graph.
 
     Args:
         path: path of the input.
-        problem: the diagnosed problem.
+        given: the diagnosed problem or graph.
         diagnosis: its diagnosis.
         options: options that affect the diagnosis.
         wall_time: seconds.
-        found: further findings about the problem.
+        found: further findings about the input.
     """
-    sizes = [len(component.image_ids) for component in diagnosis.components]
+    data = fields(diagnosis)
+    suspicious: list[Section] = []
+    if isinstance(diagnosis, Diagnosis):
+        sizes, noun = [len(part.image_ids) for part in diagnosis.components], "image"
+        matrix = ("reduced camera system", "as it is")
+        data["rank_gap"] = diagnosis.rank_gap
+    else:
+        sizes, noun = [len(part.pose_ids) for part in diagnosis.components], "pose"
+        matrix = ("normal equations", "as they are")
+        no_ids: dict[str, Any] = {"image_ids": [], "camera_ids": []}
+        data["weak_modes"] = [fields(mode) | no_ids for mode in diagnosis.weak_modes]
+        data |= {"points_without_parallax": [], "collapsed": []}
+        rows = diagnosis.suspicious_edges[:MOST_EDGES]
+        suspicious = [Section(tables=[Table(SUSPICIOUS, rows)])] if rows else []
     facts = [
-        *problem_facts(path, problem, rigs=True),
+        *input_facts(path, given, rigs=True),
         ("rank", diagnosis.verdict),
         ("eigenvalues", _eigenvalues(diagnosis)),
-        ("pieces", _pieces(sizes, "image")),
+        ("pieces", _pieces(sizes, noun)),
     ]
-    numbers = {
-        **fields(diagnosis),
-        "rank_gap": diagnosis.rank_gap,
-    }
+    problems = [entry for entry in diagnosis.findings if entry.is_problem]
     return Report(
         command="diagnose",
-        input=about_problem(path, problem),
-        headline=_headline(diagnosis, sizes, "image"),
-        findings=one_list(_problems(diagnosis), found),
+        input=about_input(path, given),
+        headline=_headline(diagnosis, sizes, noun),
+        findings=one_list(problems, found),
         sections=[
             Section(facts=facts, is_detail=True),
-            Section(
-                tables=[_condition("reduced camera system", "as it is", diagnosis)], is_detail=True
-            ),
+            Section(tables=[_condition(*matrix, diagnosis)], is_detail=True),
+            *suspicious,
             *_notes(diagnosis),
         ],
-        data=_data(diagnosis, options, numbers, wall_time)
-        | {"findings": one_list(diagnosis.findings, found)},
-    )
-
-
-def diagnosed_graph(
-    path: str,
-    graph: PoseGraph,
-    diagnosis: GraphDiagnosis,
-    options: Mapping[str, Any],
-    wall_time: float,
-) -> Report:
-    """Return the report on a pose graph; data that only reconstructions have are empty."""
-    sizes = [len(part.pose_ids) for part in diagnosis.components]
-    lowest = ", ".join(f"{value:.3g}" for value in diagnosis.eigenvalues)
-    facts = [
-        *graph_facts(path, graph),
-        ("rank", diagnosis.verdict),
-        ("eigenvalues", f"{lowest}, ... (scaled normal equations)" if lowest else "-"),
-        ("pieces", _pieces(sizes, "pose")),
-    ]
-    suspicious = Table(SUSPICIOUS, diagnosis.suspicious_edges[:MOST_EDGES])
-    modes = [fields(mode) | {"image_ids": [], "camera_ids": []} for mode in diagnosis.weak_modes]
-    numbers = {
-        **(fields(diagnosis) | {"weak_modes": modes}),
-        "points_without_parallax": [],
-        "collapsed": [],
-    }
-    return Report(
-        command="diagnose",
-        input=about_graph(path, graph),
-        headline=_headline(diagnosis, sizes, "pose"),
-        findings=_problems(diagnosis),
-        sections=[
-            Section(facts=facts, is_detail=True),
-            Section(
-                tables=[_condition("normal equations", "as they are", diagnosis)], is_detail=True
-            ),
-            *([Section(tables=[suspicious])] if suspicious.rows else []),
-            *_notes(diagnosis),
-        ],
-        data=_data(diagnosis, options, numbers, wall_time),
-    )
-
-
-def _data(
-    diagnosis: Diagnosis | GraphDiagnosis,
-    options: Mapping[str, Any],
-    numbers: dict[str, Any],
-    wall_time: float,
-) -> dict[str, Any]:
-    return {
-        "options": dict(options),
-        "ok": diagnosis.ok,
-        **numbers,
-        "digits": {
-            "normal_equations": diagnosis.digits_normal_equations,
-            "square_root": diagnosis.digits_square_root,
+        data={
+            "options": dict(options),
+            "ok": diagnosis.ok,
+            **data,
+            "findings": one_list(diagnosis.findings, found),
+            "digits": {
+                "normal_equations": diagnosis.digits_normal_equations,
+                "square_root": diagnosis.digits_square_root,
+            },
+            "wall_time": {"total": wall_time},
         },
-        "wall_time": {"total": wall_time},
-    }
+    )
 
 
 def _condition(title: str, unscaled: str, diagnosis: Diagnosis | GraphDiagnosis) -> Table:
@@ -161,19 +116,18 @@ def _headline(diagnosis: Diagnosis | GraphDiagnosis, sizes: Sequence[int], noun:
     ]
 
 
-def _problems(diagnosis: Diagnosis | GraphDiagnosis) -> list[Finding]:
-    return [entry for entry in diagnosis.findings if entry.is_problem]
-
-
 def _notes(diagnosis: Diagnosis | GraphDiagnosis) -> list[Section]:
     others = [entry.sentence for entry in diagnosis.findings if not entry.is_problem]
     return [Section(facts=[("notes", "")], notes=others, is_detail=True)] if others else []
 
 
-def _eigenvalues(diagnosis: Diagnosis) -> str:
+def _eigenvalues(diagnosis: Diagnosis | GraphDiagnosis) -> str:
     """Return the smallest eigenvalues as text."""
     if not len(diagnosis.eigenvalues):
         return "-"
+    if isinstance(diagnosis, GraphDiagnosis):
+        lowest = ", ".join(f"{value:.3g}" for value in diagnosis.eigenvalues)
+        return f"{lowest}, ... (scaled normal equations)"
     lowest = ", ".join(f"{value:.3g}" for value in diagnosis.eigenvalues[:MOST_EIGENVALUES])
     null = f"zeros up to {diagnosis.max_null_eigenvalue:.1g}, then " if diagnosis.nullity else ""
     return f"{null}{lowest}, ... (scaled reduced camera system)"

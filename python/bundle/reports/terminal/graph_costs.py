@@ -15,7 +15,7 @@ from bundle.planning.inspection.elimination_costs import CONVENTION, Elimination
 from bundle.planning.inspection.factor_graph_inspection import FactorGraphInspection
 from bundle.planning.inspection.pose_graph_inspection import PoseGraphInspection
 from bundle.reports.sections import Column, Report, Section, Table, fields, records
-from bundle.reports.terminal.inputs import about_graph, graph_facts
+from bundle.reports.terminal.inputs import about_input, input_facts
 
 if TYPE_CHECKING:
     from bundle.figures.drawing import Figure
@@ -29,7 +29,7 @@ def inspected_graph(
     """Return the matrix, a row for each elimination order, and advice; wall_time in seconds."""
     size = found.block_size * found.num_poses
     facts = [
-        *graph_facts(path, graph),
+        *input_facts(path, graph),
         ("matrix", f"{size} x {size}, blocks of {found.block_size}"),
         ("nonzeros", f"{found.nnz} ({100 * found.density:.4g} %)"),
         ("free", f"{plural(found.num_free_poses, 'pose')}, {found.nnz_free} nonzeros"),
@@ -37,7 +37,7 @@ def inspected_graph(
     ]
     return Report(
         command="inspect",
-        input=about_graph(path, graph),
+        input=about_input(path, graph),
         headline=[found.recommendation, _predicted(found)],
         sections=[
             Section(tables=[cost_table(found)]),
@@ -120,8 +120,8 @@ def compared_graph(
     made = compared_runs(found, path, orders_only)
     return dataclasses.replace(
         made,
-        input=about_graph(path, graph) | {"digests": content_digests(graph)},
-        sections=[Section(facts=graph_facts(path, graph)), *made.sections],
+        input=about_input(path, graph) | {"digests": content_digests(graph)},
+        sections=[Section(facts=input_facts(path, graph)), *made.sections],
         data={
             "options": dict(options),
             "environment": found.environment,

@@ -18,7 +18,7 @@ from bundle.model.problem import Problem
 from bundle.model.pycolmap.problem_source import imported_source
 from bundle.reports.sections import Column, Report, Section, Table, fields
 from bundle.reports.terminal.camera_tables import rig_sections, shutter_fact
-from bundle.reports.terminal.inputs import about_problem, problem_facts
+from bundle.reports.terminal.inputs import about_input, input_facts
 from bundle.reports.terminal.refine import worst_sections
 
 CAMERAS = (
@@ -48,7 +48,7 @@ def information(
         *([("tracks", tracks)] if count else []),
     ]
     details = [
-        Section(facts=problem_facts(path, problem, rigs=True)),
+        Section(facts=input_facts(path, problem, rigs=True)),
         Section(tables=[Table(CAMERAS, description.cameras)]),
         *rig_sections(description.rigs),
         Section(tables=[_distributions(description)]),
@@ -61,7 +61,7 @@ def information(
     ]
     return Report(
         command="info",
-        input=about_problem(path, problem),
+        input=about_input(path, problem),
         headline=_headline(path, problem, description, count_of_findings),
         findings=findings,
         sections=[dataclasses.replace(section, is_detail=True) for section in details],

@@ -18,29 +18,64 @@ if TYPE_CHECKING:
 
 Facts = list[tuple[str, str]]
 
+IMPORTED = ("source_rmse", "rmse", "notes")
+"""What a report says about the import from a file of another program."""
 
-def problem_facts(path: str, problem: Problem, *, rigs: bool = False) -> Facts:
-    """Return path, format and contents of a problem; with ``rigs`` also its rigs."""
+
+def input_facts(path: str, given: Problem | PoseGraph | None, *, rigs: bool = False) -> Facts:
+    """Return path, format and contents of an input; with ``rigs`` also the rigs of a problem.
+
+    None is an object of a Python file.
+    """
+    if given is None:
+        return [("input", f"{shown(path)} (Python)")]
+    if not isinstance(given, Problem):
+        return [("input", f"{shown(path)} (g2o)"), ("", contents_of(given))]
     return [
-        ("input", f"{shown(path)} ({format_name(problem.format)})"),
-        ("", contents(problem)),
-        *(("", note) for note in import_notes(problem)),
-        *(rig_fact(problem) if rigs else []),
-        *shutter_fact(problem),
+        ("input", f"{shown(path)} ({format_name(given.format)})"),
+        ("", contents(given)),
+        *(("", note) for note in import_notes(given)),
+        *(rig_fact(given) if rigs else []),
+        *shutter_fact(given),
     ]
 
 
-def about_problem(path: str, problem: Problem) -> dict[str, Any]:
-    """Return path, format and counts of a problem for programs."""
-    names = ("num_rigs", "num_frames", "num_sensors") if problem.num_frames else ()
+def about_input(path: str, given: Problem | PoseGraph | None) -> dict[str, Any]:
+    """Return path, format and counts of an input for programs, and the notes on its file."""
+    if given is None:
+        return {"path": path, "format": "python"}
+    if not isinstance(given, Problem):
+        return {
+            "path": path,
+            "format": "g2o",
+            "dimension": given.dimension,
+            "num_poses": given.num_poses,
+            "num_edges": given.num_edges,
+            "num_closures": int(given.is_closure.sum()),
+            "num_fixed_poses": int(given.fixed.sum()),
+            "has_poses": given.has_poses,
+            "notes": list(given.notes),
+        }
+    names = ("num_rigs", "num_frames", "num_sensors") if given.num_frames else ()
     counts = ("num_cameras", "num_images", "num_points", "num_observations", *names)
+    source = imported_source(given)
     return {
         "path": path,
-        "format": problem.format,
-        **{name: getattr(problem, name) for name in counts},
-        **about_shutter(problem),
-        **_about_import(problem),
+        "format": given.format,
+        **{name: getattr(given, name) for name in counts},
+        **about_shutter(given),
+        **({name: getattr(source, name) for name in IMPORTED} if source is not None else {}),
     }
+
+
+def contents_of(given: Problem | PoseGraph) -> str:
+    """Return text such as "16 images, ..." or "12 poses, 17 edges, 6 closures, 1 pose fixed"."""
+    if isinstance(given, Problem):
+        return contents(given)
+    counts = (given.num_poses, given.num_edges, int(given.is_closure.sum()))
+    fixed = int(given.fixed.sum())
+    words = ", ".join(map(plural, counts, ("pose", "edge", "closure")))
+    return words + (f", {plural(fixed, 'pose')} fixed" if fixed else "")
 
 
 def import_notes(problem: Problem) -> list[str]:
@@ -53,13 +88,6 @@ def import_notes(problem: Problem) -> list[str]:
         f"{pixels(source.rmse)} px by COLMAP's."
     )
     return [agreement, *source.notes]
-
-
-def _about_import(problem: Problem) -> dict[str, Any]:
-    source = imported_source(problem)
-    if source is None:
-        return {}
-    return {"source_rmse": source.source_rmse, "rmse": source.rmse, "notes": list(source.notes)}
 
 
 def rig_fact(problem: Problem) -> Facts:
@@ -75,37 +103,6 @@ def rig_fact(problem: Problem) -> Facts:
     sensors = plural(high, "sensor") if low == high else f"{low} to {high} sensors"
     frames = sum(rig.num_frames for rig in rigs)
     return [("rigs", f"{plural(len(rigs), 'rig')} of {sensors}, {plural(frames, 'frame')}")]
-
-
-def graph_facts(path: str, graph: PoseGraph) -> Facts:
-    """Return path and contents of a pose graph."""
-    return [("input", f"{shown(path)} (g2o)"), ("", contents_of_graph(graph))]
-
-
-def contents_of_graph(graph: PoseGraph) -> str:
-    """Return text such as "12 poses, 17 edges, 6 closures, 1 pose fixed"."""
-    counts = [
-        plural(graph.num_poses, "pose"),
-        plural(graph.num_edges, "edge"),
-        plural(int(graph.is_closure.sum()), "closure"),
-    ]
-    fixed = int(graph.fixed.sum())
-    return ", ".join(counts) + (f", {plural(fixed, 'pose')} fixed" if fixed else "")
-
-
-def about_graph(path: str, graph: PoseGraph) -> dict[str, Any]:
-    """Return path, counts and notes of a pose graph for programs."""
-    return {
-        "path": path,
-        "format": "g2o",
-        "dimension": graph.dimension,
-        "num_poses": graph.num_poses,
-        "num_edges": graph.num_edges,
-        "num_closures": int(graph.is_closure.sum()),
-        "num_fixed_poses": int(graph.fixed.sum()),
-        "has_poses": graph.has_poses,
-        "notes": list(graph.notes),
-    }
 
 
 def contents_of_sequence(sequence: Sequence) -> str:

@@ -18,7 +18,7 @@ from bundle.planning.inspection.peak_memory import ON_DISK
 from bundle.planning.inspection.problem_needs import ProblemNeeds, SchurCounts
 from bundle.planning.inspection.rank_prediction import RankPrediction, find_rank_limit
 from bundle.reports.sections import Column, Report, Section, Table, fields
-from bundle.reports.terminal.inputs import about_problem, problem_facts
+from bundle.reports.terminal.inputs import about_input, input_facts
 from bundle.solving.slices.scratch_size import RESIDENT_BYTES, scratch_bytes
 
 _CLEARLY_SLOWER = 1.25
@@ -58,11 +58,11 @@ def inspected(
         network: network of these predictions: gigabits per second, latency in microseconds.
         wall_time: seconds.
     """
-    facts = [*problem_facts(path, problem, rigs=True), *size_facts(inspection), ("", CONVENTION)]
+    facts = [*input_facts(path, problem, rigs=True), *size_facts(inspection), ("", CONVENTION)]
     command = recommended_command(inspection, options, shown(path))
     return Report(
         command="inspect",
-        input=about_problem(path, problem),
+        input=about_input(path, problem),
         headline=_headline(inspection),
         sections=[
             *([Section(command=command)] if command else []),

@@ -11,7 +11,7 @@ from bundle.errors import shown
 from bundle.interface.finding import Finding
 from bundle.model.problem import Problem
 from bundle.reports.sections import Report, Section
-from bundle.reports.terminal.inputs import about_problem, written
+from bundle.reports.terminal.inputs import about_input, written
 
 
 def merged_report(
@@ -79,13 +79,13 @@ def merged_report(
     )
     return Report(
         command="merge",
-        input=about_problem(paths[0], problems[0]),
+        input=about_input(paths[0], problems[0]),
         headline=headline,
         warnings=(*merged.notes, *lost),
         findings=[next_step],
         sections=[Section(facts=[written(output)]), Section(facts=rows, is_detail=True)],
         data={
-            "other": about_problem(paths[1], problems[1]),
+            "other": about_input(paths[1], problems[1]),
             "merge": merged.asdict(),
             "output": output,
         },

@@ -31,7 +31,7 @@ from bundle.reports.terminal.graph_headline import (
     graph_headline,
     kinds_of,
 )
-from bundle.reports.terminal.inputs import about_graph, contents_of_graph, graph_facts, written
+from bundle.reports.terminal.inputs import about_input, contents_of, input_facts, written
 from bundle.reports.terminal.solve_data import (
     WallTime,
     environment_data,
@@ -102,7 +102,7 @@ def refined_graph(
     """Return the report on one solve; `output` is None if nothing was written."""
     summary, graph = solved.summary, solved.initial_problem
     facts = [
-        *graph_facts(path, graph),
+        *input_facts(path, graph),
         ("error", _error(solved.options)),
         *((("loss", summary.loss_choice),) if summary.loss_choice else ()),
         ("gauge", _gauge(solved)),
@@ -132,7 +132,7 @@ def refined_graph(
     ]
     return Report(
         command="refine",
-        input=about_graph(path, graph) | {"digests": content_digests(graph)},
+        input=about_input(path, graph) | {"digests": content_digests(graph)},
         headline=graph_headline(solved),
         findings=about_information(path, kinds),
         warnings=(*_said(graph), *summary.warnings),
@@ -219,7 +219,7 @@ def described_graph(path: str, graph: PoseGraph) -> Report:
         for edge in bad[:MOST_BAD]
     ]
     facts = [
-        *graph_facts(path, graph),
+        *input_facts(path, graph),
         ("dimension", str(graph.dimension)),
         ("components", str(graph.num_components)),
         (
@@ -239,7 +239,7 @@ def described_graph(path: str, graph: PoseGraph) -> Report:
         wrong.append(f"no edge joins the {graph.num_components} components of the graph")
     return Report(
         command="info",
-        input=about_graph(path, graph),
+        input=about_input(path, graph),
         headline=[_contents(graph, chi2, degrees), _suspicion(len(bad), bool(wrong))],
         warnings=[*_said(graph), *wrong],
         sections=[Section(facts=facts, is_detail=True)],
@@ -257,9 +257,9 @@ def _contents(graph: PoseGraph, chi2: dict[str, float | None], degrees: int) -> 
     """Return the counts of a graph and its present chi2 in a sentence."""
     now = chi2[POSE_ERRORS[0]]
     if now is None:
-        return f"{contents_of_graph(graph)}; chi2 is unknown."
+        return f"{contents_of(graph)}; chi2 is unknown."
     share = f", {number(now / degrees)} per degree of freedom" if degrees > 0 else ""
-    return f"{contents_of_graph(graph)}; chi2 now {number(now)}{share}."
+    return f"{contents_of(graph)}; chi2 now {number(now)}{share}."
 
 
 def _suspicion(num_bad: int, is_wrong: bool) -> str:

@@ -21,7 +21,7 @@ from bundle.reports.terminal.camera_tables import (
     solved_data,
     solved_sentences,
 )
-from bundle.reports.terminal.inputs import about_problem, problem_facts, rig_fact, written
+from bundle.reports.terminal.inputs import about_input, input_facts, rig_fact, written
 from bundle.reports.terminal.solve_data import (
     ERRORS,
     ROUNDS,
@@ -142,7 +142,7 @@ def refinement(
     }
     return Report(
         command="refine",
-        input=about_problem(path, problem) | {"digests": content_digests(problem)},
+        input=about_input(path, problem) | {"digests": content_digests(problem)},
         headline=[
             *first,
             *headline(solved),
@@ -167,7 +167,7 @@ def _facts(
 ) -> list[tuple[str, str]]:
     summary = solved.summary
     return [
-        *problem_facts(path, problem),
+        *input_facts(path, problem),
         *edit_rows(edits),
         *rig_fact(problem),
         ("refined", _refined(solved)),

@@ -13,7 +13,7 @@ from bundle.judging.validation.row_test import RowTest
 from bundle.judging.validation.validation_result import ValidatedCandidate, Validation
 from bundle.model.problem import Problem
 from bundle.reports.sections import Column, Report, Section, Table, fields
-from bundle.reports.terminal.inputs import about_problem, problem_facts
+from bundle.reports.terminal.inputs import about_input, input_facts
 
 if TYPE_CHECKING:
     from bundle.figures.drawing import Figure
@@ -37,7 +37,7 @@ def validated(path: str, problem: Problem, found: Validation, options: Mapping[s
     return Report(
         command="validate",
         title=f"Which lens: {shown(path)}",
-        input=about_problem(path, problem),
+        input=about_input(path, problem),
         headline=found.headline,
         findings=found.findings,
         sections=[
@@ -47,7 +47,7 @@ def validated(path: str, problem: Problem, found: Validation, options: Mapping[s
             *([Section(notes=found.notes, is_warning=True)] if found.notes else []),
             Section(title="More numbers", tables=[_details(found)], is_detail=True),
             Section(
-                title="Input", facts=[*problem_facts(path, problem), *_facts(found)], is_detail=True
+                title="Input", facts=[*input_facts(path, problem), *_facts(found)], is_detail=True
             ),
         ],
         data={
