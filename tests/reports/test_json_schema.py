@@ -120,3 +120,20 @@ def test_the_published_schema_is_that_of_the_code_and_names_every_command():
 def test_a_report_of_every_command_is_validated():
     validated = {words.split()[0] for words in RUNS.values()} | {"triage", "vio"}
     assert validated == set(COMMANDS)
+
+
+def test_entries_have_the_types_of_the_results():
+    branches = zip(described_entries(), report_schema()["allOf"], strict=True)
+    entries = {name: branch["then"]["properties"] for name, branch in branches}
+    number, record = {"type": ["number", "null"]}, {"type": "object"}
+    check = entries["check"]
+    assert check["tolerance"] == number  # a field of GradientReport
+    assert check["num_factors"] == {"type": "integer", "minimum": 0}  # a field of FactorCheck
+    assert check["worst"] == {"type": "array", "items": record}
+    assert check["verdict"] == {"enum": ["correct", "wrong", "undecided"]}
+    assert "details" not in check and "findings" not in check
+    assert entries["evaluate"]["lens_difference"] == {"type": ["null", "object"]}  # a property
+    assert entries["refine"]["wall_time"] == record | {"additionalProperties": number}
+    assert entries["info"]["suspicions"]["items"] == {"$ref": "#/$defs/finding"}
+    options = entries["vio"]["options"]["properties"]
+    assert options["time_budget"] == number and options["window"] == {"type": "integer"}

@@ -1,17 +1,19 @@
 """JSON schema (draft 2020-12) of the reports that ``--json FILE`` writes.
 
-Parts that are dataclasses in the code (summaries, options, findings, errors, causes, candidates)
-are derived from the dataclasses. Every report has the entries of :data:`COMMON`, and those of its
-command; entries that exist for one kind of input only are optional. A number that is not finite is
-null. Reports of ``validate`` have the recommended command line as their ``command``.
+It is derived from the classes of results, options and records. Every report has the entries of
+:data:`COMMON`, and those of its command; entries that exist for one kind of input only are
+optional. A number that is not finite is null. Reports of ``validate`` have the recommended command
+line as their ``command``.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import importlib
+import inspect
 import re
 from collections.abc import Iterable
+from functools import cached_property
 from typing import Any
 
 from bundle.interface.finding import Finding
@@ -22,17 +24,11 @@ from bundle.reports.sections import SCHEMA
 Schema = dict[str, Any]
 
 _NUMBER: Schema = {"type": ["number", "null"]}
-_COUNT: Schema = {"type": "integer", "minimum": 0}
 _TEXT: Schema = {"type": "string"}
 _LIST: Schema = {"type": "array"}
 _OBJECT: Schema = {"type": "object"}
-_MAYBE: Schema = {"type": ["object", "null"]}
 _BOOLEAN: Schema = {"type": "boolean"}
-_WORDS: Schema = {"type": "array", "items": _TEXT}
 _INTEGER: Schema = {"type": "integer"}
-_INDEX: Schema = {"type": ["integer", "null"]}
-_SECONDS: Schema = {"type": "object", "additionalProperties": _NUMBER}
-_OUTPUT: Schema = {"type": ["object", "null"], "properties": {"path": _TEXT, "format": _TEXT}}
 
 _DEFINED = {
     "summary": "interface.summary.Summary",
@@ -44,140 +40,110 @@ _DEFINED = {
 }
 """Dataclasses with a definition of their own in the schema."""
 
-_COUNTED = ("cameras", "images", "points", "observations", "outliers")
+_REFERENCES: dict[str, Schema] = {
+    path.rpartition(".")[2]: {"$ref": f"#/$defs/{name}"} for name, path in _DEFINED.items()
+}
+
 COMMON: dict[str, Schema] = {
     "schema": {"const": SCHEMA},
     "command": _TEXT,
     "version": _TEXT,
-    "headline": _WORDS,
-    "findings": {"type": "array", "items": {"$ref": "#/$defs/finding"}},
+    "headline": {"type": "array", "items": _TEXT},
+    "findings": {"type": "array", "items": _REFERENCES["Finding"]},
 }
 """Entries of every report."""
 
+_SHARED = {
+    "output": "Output",
+    "wall_time": "dict[str, float]",
+    "environment": "Environment",
+    "tracking": "Tracking",
+    "notes": "tuple[str, ...]",
+    "options": "dict",
+}
+"""Types of entries with one meaning in all reports."""
 
-def _options(*names: str) -> Schema:
-    """Return the schema of options as used: those of one or more option classes."""
-    properties: dict[str, Schema] = {}
-    for name in names:
-        properties |= _properties_of_options(option_class(name))
-    return {"type": "object", "properties": properties}
+_REPORTS = {
+    "align": "georeference:dict output",
+    "check": "checking.gradient_report.GradientReport.* graphs.factors.factor_report.FactorCheck "
+    "options verdict num_factors histogram:tuple[dict,...] wall_time",
+    "compare": "planning.comparison.comparison_result.Comparison "
+    "planning.comparison.graph_comparison.GraphComparison inputs:list options runs recommendation "
+    "interrupted profiles perturb seed repeat best_costs:list at_minimum:list "
+    "timeout_in_seconds:float memory_cap_in_bytes:float structure:dict|None timeout wall_time "
+    "environment",
+    "convert": "output lost:tuple[str,...] tracking",
+    "covariance": "analysis.uncertainty.covariance_result.Covariance "
+    "analysis.uncertainty.covariance_result.GraphCovariance options gauge scale robust sigma0 dof "
+    "cameras:list relative:list points_without_parallax:list held_pose_ids output notes wall_time",
+    "diagnose": "analysis.diagnosis.diagnosis_result.Diagnosis.* "
+    "analysis.diagnosis.diagnosis_result.GraphDiagnosis.* options ok rank_gap digits:dict "
+    "weak_modes wall_time",
+    "evaluate": "judging.evaluation.evaluation_result.Evaluation reference:dict "
+    "options:EvaluateOptions verdict num_shared images notes num_pairs:int "
+    "num_pairs_at_one_place:int unit alignment auc_definition auc_description:str "
+    "position:dict|None rotation:dict|None auc:dict|None auc_by_definition:dict|None "
+    "rra:dict|None rta:dict|None rpe:dict|None similarity:dict|None association:dict|None "
+    "missing:dict|None lens_difference points movement size",
+    "info": "analysis.statistics.description.Description.* statistics:dict calibration:dict "
+    "chi2:dict tracking degrees_of_freedom:int bad_information:list num_bad_information:int "
+    "num_components:int reprojection_error:dict",
+    "inspect": "planning.inspection.inspection_result.Inspection.* "
+    "planning.inspection.pose_graph_inspection.PoseGraphInspection.* options "
+    "recommended_command:str nonzeros:str wall_time",
+    "merge": "other:dict merge:dict output",
+    "refine": "solving.result.Result graphs.pose_graphs.pose_graph_result.PoseGraphResult "
+    "options:SolveOptions+PoseGraphOptions summary iterations:tuple[dict,...] "
+    "held_cost:float convergence:dict edits rounds cameras:list worst_images movement:dict|None "
+    "held_out part deleted:dict[str,int] georeference:dict|None gravity:dict|None "
+    "velocities:dict|None certificate structure:dict|None chi2_by_kind:list left_out_edges:list "
+    "rejected_edges:list camera_edits:dict|None output wall_time environment",
+    "report": "output notes wall_time",
+    "synth": "options output ground_truth:dict|None contents:dict num_cameras:int num_images:int "
+    "num_points:int num_observations:int num_outliers:int track_length:dict|None "
+    "observations_per_image:dict|None reprojection_error:dict|None",
+    "triage": "judging.triage.triage_result.Triage old:dict new:dict options:TriageOptions notes "
+    "causes quantities",
+    "validate": "judging.validation.validation_result.Validation options verdict "
+    "recommended:int|None candidates notes num_folds num_held_out:int seed clip sigma "
+    "time_in_seconds best:int|None present:int|None rule row_test",
+    "vio": "inertial.vio.odometry.OdometryResult options:WindowOptions summary:dict output "
+    "keyframes error:dict|None wall_time environment tracking",
+}
+"""Results and entries of each command's reports: ``path.Class`` (with ``.*``: all its fields are
+entries), and ``name`` with the type of the result's attribute, or ``name:type``."""
+
+_OTHERS: dict[tuple[str, str], Schema] = {
+    ("check", "verdict"): {"enum": ["correct", "wrong", "undecided"]},
+    ("diagnose", "weak_modes"): {"type": "array", "items": {"required": ["sentence"]}},
+    ("refine", "reprojection_error"): {
+        "type": "object",
+        "properties": dict.fromkeys(("before", "after"), _REFERENCES["ReprojectionError"]),
+    },
+}
+"""Entries with a form that no type says."""
 
 
-def _errors() -> Schema:
-    one = {"$ref": "#/$defs/reprojection_error"}
-    return {"type": "object", "properties": {"before": one, "after": one}}
-
-
-def _entries() -> dict[str, dict[str, Schema]]:
-    records: Schema = {"type": "array", "items": _OBJECT}
-    summary = {"$ref": "#/$defs/summary"}
-    solved: dict[str, Schema] = {
-        "summary": summary,
-        "iterations": records,
-    }
-    timed = {"wall_time": _SECONDS}
-    here = {"environment": {"$ref": "#/$defs/environment"}}
-    notes = {"notes": _WORDS}
-    tracking = {"tracking": {"$ref": "#/$defs/tracking"}}
-    return {
-        "align": {"georeference": _OBJECT, "output": _OUTPUT},
-        "check": {
-            **{"options": _OBJECT, "ok": _BOOLEAN, "subject": _TEXT, "noun": _TEXT},
-            "verdict": {"enum": ["correct", "wrong", "undecided"]},
-            **{"tolerance": _NUMBER, "num_checked": _COUNT, "num_skipped": _COUNT},
-            "num_factors": _COUNT,
-            **dict.fromkeys(("groups", "parameters", "worst", "histogram", "undecided"), _LIST),
-            "gradient_checker": _OBJECT,
-            **timed,
-        },
-        "compare": {
-            **{"inputs": _LIST, "options": _OBJECT, "runs": {"type": "array", "items": _OBJECT}},
-            **{"recommendation": _MAYBE, "interrupted": _BOOLEAN, "profiles": _LIST},
-            **{"perturb": _NUMBER, "seed": _INTEGER, "repeat": _COUNT, "best_costs": _LIST},
-            **{"at_minimum": _LIST, "timeout_in_seconds": _NUMBER, "memory_cap_in_bytes": _NUMBER},
-            **{"structure": _MAYBE, "timeout": _NUMBER},
-            **timed,
-            **here,
-        },
-        "convert": {"output": _OUTPUT, "lost": _WORDS, **tracking},
-        "covariance": {
-            **{"options": _OBJECT, "gauge": _TEXT, "scale": _TEXT, "robust": _TEXT},
-            **{"sigma0": _NUMBER, "dof": _INTEGER, "cameras": _LIST, "relative": _LIST},
-            **{"points_without_parallax": _LIST, "held_pose_ids": _LIST, "output": _OUTPUT},
-            **notes,
-            **timed,
-        },
-        "diagnose": {
-            **_of("analysis.diagnosis.diagnosis_result.Diagnosis"),
-            **_of("analysis.diagnosis.diagnosis_result.GraphDiagnosis"),
-            **{"options": _OBJECT, "ok": _BOOLEAN, "rank_gap": _NUMBER, "digits": _OBJECT},
-            "weak_modes": {"type": "array", "items": {"required": ["sentence"]}},
-            **timed,
-        },
-        "evaluate": {
-            **{"reference": _OBJECT, "options": _options("EvaluateOptions"), "verdict": _TEXT},
-            **{"num_shared": _COUNT, "images": _LIST, **notes},
-            **dict.fromkeys(("num_pairs", "num_pairs_at_one_place"), _COUNT),
-            **dict.fromkeys(("unit", "alignment", "auc_definition", "auc_description"), _TEXT),
-            **dict.fromkeys(("position", "rotation", "auc", "auc_by_definition"), _MAYBE),
-            **dict.fromkeys(("rra", "rta", "rpe", "similarity", "association"), _MAYBE),
-            **dict.fromkeys(("missing", "lens_difference", "points", "movement"), _MAYBE),
-            "size": _NUMBER,
-        },
-        "info": {
-            **_of("analysis.statistics.description.Description"),
-            **{"statistics": _OBJECT, "calibration": _OBJECT, "chi2": _OBJECT, **tracking},
-            **{"degrees_of_freedom": _INTEGER, "bad_information": _LIST},
-            **dict.fromkeys(("num_bad_information", "num_components"), _COUNT),
-            "reprojection_error": {"anyOf": [{"$ref": "#/$defs/reprojection_error"}, _OBJECT]},
-        },
-        "inspect": {
-            **_of("planning.inspection.inspection_result.Inspection"),
-            **_of("planning.inspection.pose_graph_inspection.PoseGraphInspection"),
-            **{"options": _OBJECT, "recommended_command": _TEXT, "nonzeros": _TEXT, **timed},
-        },
-        "merge": {"other": _OBJECT, "merge": _OBJECT, "output": _OUTPUT},
-        "refine": {
-            "options": _options("SolveOptions", "PoseGraphOptions"),
-            **solved,
-            "reprojection_error": _errors(),
-            **{"held_cost": _NUMBER, "convergence": _OBJECT, "edits": _LIST, "rounds": _LIST},
-            "cameras": _LIST,
-            **{"worst_images": _LIST, "movement": _MAYBE, "held_out": _MAYBE, "part": _MAYBE},
-            "deleted": {"type": "object", "additionalProperties": _COUNT},
-            **dict.fromkeys(
-                ("georeference", "gravity", "velocities", "certificate", "structure"), _MAYBE
-            ),
-            **dict.fromkeys(("chi2_by_kind", "left_out_edges", "rejected_edges"), _LIST),
-            "camera_edits": _MAYBE,
-            "output": _OUTPUT,
-            **timed,
-            **here,
-        },
-        "report": {"output": _OUTPUT, **notes, **timed},
-        "synth": {
-            **{"options": _OBJECT, "output": _OUTPUT, "ground_truth": _MAYBE, "contents": _OBJECT},
-            **dict.fromkeys((f"num_{name}" for name in _COUNTED), _COUNT),
-            **dict.fromkeys(("track_length", "observations_per_image"), _MAYBE),
-            "reprojection_error": _MAYBE,
-        },
-        "triage": {
-            **{"old": _OBJECT, "new": _OBJECT, "options": _options("TriageOptions"), **notes},
-            "causes": {"type": "array", "items": {"$ref": "#/$defs/cause"}},
-            "quantities": _LIST,
-        },
-        "validate": {
-            **{"options": _OBJECT, "verdict": _TEXT, "recommended": _INDEX},
-            **{"candidates": records, **notes},
-            **dict.fromkeys(("num_folds", "num_held_out", "seed"), _COUNT),
-            **dict.fromkeys(("clip", "sigma", "time_in_seconds"), _NUMBER),
-            **{"best": _INDEX, "present": _INDEX, "rule": _MAYBE, "row_test": _MAYBE},
-        },
-        "vio": {
-            **{"options": _options("WindowOptions"), "summary": _OBJECT, "output": _OUTPUT},
-            **{"keyframes": records, "error": _MAYBE, **timed, **here, **tracking},
-        },
-    }
+def _entries(command: str) -> dict[str, Schema]:
+    """Return the schema of each entry of a command's reports."""
+    words = _REPORTS[command].split()
+    names = [word.partition(":") for word in words if "." not in word.partition(":")[0]]
+    types: dict[str, str] = {}
+    whole: dict[str, str] = {}
+    for word in reversed([word for word in words if "." in word.partition(":")[0]]):
+        kind = _class(word.removesuffix(".*"))
+        fields = {field.name: str(field.type) for field in dataclasses.fields(kind)}
+        types |= _properties(kind) | fields
+        whole = {**whole, **fields} if word.endswith(".*") else whole
+    types |= _SHARED
+    hidden = {*COMMON, "details"}
+    given = {name: types[name] for name in whole if name not in hidden}
+    given |= {name: text or types[name] for name, _, text in names}
+    made = {name: _of_type(text) for name, text in given.items()}
+    for name, one in made.items():
+        if one == _INTEGER and name.startswith("num_"):
+            made[name] = one | {"minimum": 0}
+    return made | {name: one for (of, name), one in _OTHERS.items() if of == command}
 
 
 _IS_COMMAND: dict[str, Schema] = {"validate": {"required": ["candidates", "num_folds"]}}
@@ -198,7 +164,7 @@ _REQUIRED = {
 
 def described_entries() -> dict[str, set[str]]:
     """Return the names of the described entries of each command's reports."""
-    return {name: {*COMMON, "input", *entries} for name, entries in _entries().items()}
+    return {name: {*COMMON, "input", *_entries(name)} for name in _REPORTS}
 
 
 def report_schema() -> Schema:
@@ -208,9 +174,9 @@ def report_schema() -> Schema:
             "if": _IS_COMMAND.get(
                 name, {"properties": {"command": {"const": name}}, "required": ["command"]}
             ),
-            "then": {"properties": entries, "required": list(_REQUIRED.get(name, ()))},
+            "then": {"properties": _entries(name), "required": list(_REQUIRED.get(name, ()))},
         }
-        for name, entries in _entries().items()
+        for name in _REPORTS
     ]
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
@@ -219,20 +185,26 @@ def report_schema() -> Schema:
         "properties": COMMON | {"input": _OBJECT},
         "required": list(COMMON),
         "allOf": branches,
-        "$defs": {name: _of_dataclass(path) for name, path in _DEFINED.items()},
+        "$defs": {name: record_schema(_class(path)) for name, path in _DEFINED.items()},
     }
 
 
-def _of(path: str) -> dict[str, Schema]:
-    """Return the entries that are fields of a result, without those of every report."""
-    found = _of_dataclass(path)["properties"].items()
-    return {name: schema for name, schema in found if name not in COMMON}
-
-
-def _of_dataclass(path: str) -> Schema:
-    """Return the schema of a dataclass, given by its place in the package."""
+def _class(path: str) -> type:
+    """Return a class, given by its place in the package."""
     module, _, name = path.rpartition(".")
-    return record_schema(getattr(importlib.import_module(f"bundle.{module}"), name))
+    found: type = getattr(importlib.import_module(f"bundle.{module}"), name)
+    return found
+
+
+def _properties(kind: type) -> dict[str, str]:
+    """Return the types of the properties of a class, as text."""
+    found = {name: inspect.getattr_static(kind, name) for name in dir(kind)}
+    getters = {
+        name: one.func if isinstance(one, cached_property) else one.fget
+        for name, one in found.items()
+        if isinstance(one, property | cached_property)
+    }
+    return {name: str(one.__annotations__["return"]) for name, one in getters.items() if one}
 
 
 def record_schema(kind: type) -> Schema:
@@ -271,12 +243,25 @@ def _of_plain_type(text: str) -> Schema:
     plain: dict[str, Schema] = {
         **{"int": _INTEGER, "float": _NUMBER, "str": _TEXT, "bool": _BOOLEAN},
         **{"None": {"type": "null"}, "dict": _OBJECT, "Mapping": _OBJECT},
-        **{"Any": {}, "Key": {}, "Array": _LIST},
+        **{
+            "Any": {},
+            "Key": {},
+            "Array": _LIST,
+        },
+        "Output": {"type": ["object", "null"], "properties": {"path": _TEXT, "format": _TEXT}},
+        **_REFERENCES,
     }
+    if name.endswith("Options"):
+        kinds = map(option_class, name.split("+"))
+        of_all = {key: one for kind in kinds for key, one in _properties_of_options(kind).items()}
+        return {"type": "object", "properties": of_all}
+    if name in ("dict", "Mapping") and rest:
+        values = _of_type(rest.partition(",")[2].strip().removesuffix("]"))
+        return {"type": "object", "additionalProperties": values} if values else _OBJECT
     if name in plain:
         return plain[name]
-    if name in ("tuple", "list", "Sequence") and rest.endswith(", ...]"):
-        return {"type": "array", "items": _of_type(rest.removesuffix(", ...]"))}
+    if name in ("tuple", "list", "Sequence") and re.search(r", ?\.\.\.\]$", rest):
+        return {"type": "array", "items": _of_type(re.sub(r", ?\.\.\.\]$", "", rest))}
     if name in ("tuple", "list", "Sequence", "NDArray"):
         return _LIST
     return _OBJECT  # another record
