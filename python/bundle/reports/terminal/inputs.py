@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 Facts = list[tuple[str, str]]
 
 IMPORTED = ("source_rmse", "rmse", "notes")
-"""What a report says about the import from a file of another program."""
+"""Attributes of an import from a file of another program."""
 
 
 def input_facts(path: str, given: Problem | PoseGraph | None, *, rigs: bool = False) -> Facts:
