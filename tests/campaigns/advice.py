@@ -20,6 +20,7 @@ does not converge and prints no further command, or if it repeats a command that
 from __future__ import annotations
 
 import contextlib
+import functools
 import io
 import json
 import os
@@ -91,27 +92,33 @@ class Step:
 
 Judge = Callable[[Problem], float]
 """Error of a result."""
+Run = Callable[..., tuple[dict[str, Any] | None, int, float]]
+"""From the words of a command to its report, exit code and error."""
 
 
 def follow(source: Path, flags: tuple[str, ...], judge: Judge) -> list[Step]:
     """Refine a model and follow its findings; return the commands that were followed."""
     target = source.with_name("out")
     first = ["refine", str(source), "-o", f"{target}/", "--overwrite", *flags]
-    begun, _ = _run(first, target)
+
+    @functools.cache  # chains of one scene often have the same commands
+    def run(*words: str) -> tuple[dict[str, Any] | None, int, float]:
+        report, code = _run(list(words), target)
+        return report, code, np.nan if report is None else judge(bundle.load(target))
+
+    begun, _, error = run(*first)
     steps: list[Step] = []
     if begun is None:
         return steps
-    error = judge(bundle.load(target))
     for finding in begun["findings"]:
         if finding["command"].startswith("bundle refine"):
-            steps += _chain(finding, {_key(first)}, first, target, judge, error)
+            steps += _chain(finding, {_key(first)}, first, run, error)
     return steps
 
 
 def _chain(
-    finding: dict[str, Any], known: set[str], last: list[str], target: Path, judge: Judge,
-    before: float,
-) -> Iterator[Step]:  # fmt: skip
+    finding: dict[str, Any], known: set[str], last: list[str], run: Run, before: float
+) -> Iterator[Step]:
     """Yield the steps that begin with a finding."""
     for _ in range(LONGEST):
         words = shlex.split(finding["command"])[1:]
@@ -119,14 +126,11 @@ def _chain(
         if _key(words) in known:
             faults.append("repeats a command")
         known = known | {_key(words)}
-        report, code = _run(words, target)
-        after = np.nan
+        report, code, after = run(*words)
         if report is None or code != 0:
             faults.append(f"exit {code}")
-        if report is not None:
-            after = judge(bundle.load(target))
-            if not after <= max(WORSE * before, SMALLEST):
-                faults.append("worse")
+        if report is not None and not after <= max(WORSE * before, SMALLEST):
+            faults.append("worse")
         found = [] if report is None else report["findings"]
         following = [one for one in found if one["command"].startswith("bundle refine")]
         is_converged = report is not None and report["summary"]["termination_type"] == "CONVERGENCE"

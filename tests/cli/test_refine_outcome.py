@@ -8,7 +8,8 @@ import pytest
 from bundle.cli import refine_outcome
 from bundle.interface.finding import Finding
 
-PROBLEM, OPTIONS = object(), SimpleNamespace(max_num_iterations=10, refine=("poses",))
+PROBLEM, START = object(), object()
+OPTIONS = SimpleNamespace(max_num_iterations=10, refine=("poses",))
 
 
 def judged(monkeypatch, *, end="CONVERGENCE", steps=5, usable=True, sliced=None, inertial=None):
@@ -27,7 +28,7 @@ def judged(monkeypatch, *, end="CONVERGENCE", steps=5, usable=True, sliced=None,
         sliced=sliced, known=SimpleNamespace(priors=("prior",)), problem=PROBLEM, options=OPTIONS
     )
     solved = SimpleNamespace(
-        problem=PROBLEM, options=OPTIONS, rounds=("first", "second"), survey_checks="survey",
+        problem=PROBLEM, initial_problem=START, options=OPTIONS, survey_checks="survey",
         summary=SimpleNamespace(termination_type=end, is_solution_usable=usable),
         reprojection_error_before=SimpleNamespace(rmse=1.0),
         iterations={"cost": np.zeros(steps + 1)},
@@ -41,7 +42,7 @@ def test_the_tests_are_given_the_run(monkeypatch):
     assert kinds == ["broken", "found"]
     assert given == {
         "problem": PROBLEM, "source": "IN", "target": "OUT", "given": ("--a", "1"),
-        "options": OPTIONS, "rounds": 2, "priors": ("prior",), "survey": "survey",
+        "options": OPTIONS, "priors": ("prior",), "survey": "survey",
         "constraints": ("rule",), "is_minimum": True,
     }  # fmt: skip
 
@@ -65,7 +66,22 @@ def test_an_imu_comes_first_and_is_a_prior(monkeypatch):
     assert given["priors"] == (inertial, "prior")
 
 
-@pytest.mark.parametrize("state", [{"usable": False}, {"sliced": object()}])
-def test_results_that_cannot_be_judged(monkeypatch, state):
-    kinds, given, _ = judged(monkeypatch, **state)
+def test_a_result_in_slices_is_not_judged(monkeypatch):
+    kinds, given, _ = judged(monkeypatch, sliced=object())
     assert kinds == [] and given == {}
+
+
+@pytest.mark.parametrize("is_far", [True, False])
+def test_a_result_without_use_has_findings_about_its_start(monkeypatch, is_far):
+    seen = []
+
+    def of_start(measured):
+        seen.append(measured)
+        return Finding(kind="positions", sentence="") if is_far else None
+
+    monkeypatch.setattr(refine_outcome, "positions_of_start", of_start)
+    kinds, given, _ = judged(monkeypatch, usable=False)
+    assert kinds == ["positions"] * is_far and given == {}
+    (start,) = seen
+    assert (start.whole, start.options, start.priors) == (START, OPTIONS, ("prior",))
+    assert start.command.given == ("--a", "1")

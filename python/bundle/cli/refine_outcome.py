@@ -14,6 +14,7 @@ from bundle.judging.findings.find import find
 from bundle.judging.findings.measured import Measured
 from bundle.judging.findings.minimum import SMALLEST_SHIFT, shifted_pixels
 from bundle.judging.findings.next_command import NextCommand
+from bundle.judging.findings.positions import positions_of_start
 
 if TYPE_CHECKING:
     from bundle.cli.refine_input import Opened
@@ -32,8 +33,8 @@ def judge(
 ) -> tuple[Finding, ...]:
     """Return the findings about the result, those of an IMU first.
 
-    A result that is not usable has only these, one in slices has none. If the pixels of the input
-    are shifted alike, the solve has bent the model, and only that is said.
+    A result that is not usable has only these and those about the start, one in slices has none. If
+    the pixels of the input are shifted alike, the solve has bent the model, and only that is said.
     """
     command = NextCommand(asked.source, asked.target, asked.given)
     about_imu = tuple(
@@ -49,9 +50,15 @@ def judge(
     shift = () if opened.sliced is not None else _shifted_input(opened, solved, command)
     if shift:
         return one_list(shift, about_imu, broken_parts(solved.problem))
-    if not solved.summary.is_solution_usable or opened.sliced is not None:
+    if opened.sliced is not None:
         return about_imu
     priors: tuple[Any, ...] = () if opened.known is None else opened.known.priors
+    if not solved.summary.is_solution_usable:
+        start = Measured(
+            whole=solved.initial_problem, command=command, options=solved.options, priors=priors
+        )
+        found = positions_of_start(start)
+        return one_list(about_imu, () if found is None else (found,))
     limited = not_converged(solved, command)
     found = find(
         solved.problem,
@@ -59,7 +66,6 @@ def judge(
         target=asked.target,
         given=asked.given,
         options=solved.options,
-        rounds=len(solved.rounds),
         priors=priors if inertial is None else (inertial, *priors),
         survey=solved.survey_checks,
         constraints=asked.constraints,

@@ -6,9 +6,10 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 import bundle
+from bundle.base.tails import chi2_tail
 from bundle.judging.findings import larger_lens
 from bundle.judging.findings.find import find
-from bundle.judging.findings.larger_lens import absorbed_lens, chi2_tail
+from bundle.judging.findings.larger_lens import absorbed_lens, explains_more
 from bundle.judging.findings.measured import Measured
 from bundle.judging.findings.next_command import NextCommand
 from tests.judging.findings.dense_normal_equations import Dense
@@ -199,14 +200,27 @@ def test_each_threshold_from_both_sides(monkeypatch, dome):
     assert decide(99.0, 99.0, 99.0, moved=1.0 - 1e-6) is None
 
 
+def test_a_lens_explains_more_by_its_parameters(monkeypatch, dome):
+    # A lens with five terms and lambda^2 / s^2 of 40 against velocities with 12 and 53.999 to 54.
+    tried = []
+    monkeypatch.setattr(
+        larger_lens, "_extended", lambda _, name: tried.append(name) or Scripted(40.0, 15)
+    )
+    assert explains_more(measured(dome), Scripted(54.0, 22))
+    assert not explains_more(measured(dome), Scripted(54.001, 22))
+    assert tried == ["OPENCV"] * 2
+    largest = bundle.change_camera_model(dome, "OPENCV").problem
+    assert not explains_more(measured(largest), Scripted(0.0, 22))
+    monkeypatch.setattr(larger_lens, "_extended", lambda *_: None)
+    assert not explains_more(measured(dome), Scripted(0.0, 22))
+
+
 def test_models_that_are_not_tested(monkeypatch, dome):
     held = bundle.SolveOptions(refine=("poses", "points", "focal"))
     assert absorbed_lens(measured(dome, options=held)) is None
     split = bundle.split_cameras(dome)
     four = split.replace(image_camera=np.minimum(split.image_camera, 3))
-    five = split.replace(image_camera=np.minimum(split.image_camera, 4))
     assert absorbed_lens(measured(four)).evidence["camera_ids"] == four.camera_ids[:4].tolist()
-    assert absorbed_lens(measured(five)) is None
     work = dome.num_observations + 20 * dome.num_images**2
     monkeypatch.setattr(larger_lens, "MOST_WORK", work)
     assert absorbed_lens(measured(dome)) is not None

@@ -145,10 +145,13 @@ def test_observations_that_take_part():
     assert systematic._chosen(measured)[1].tolist() == [2]
 
 
-def moving(monkeypatch, ratio, tau, *, excess=1.0, lens=0.0, scale=2.0, read=(1.0, 1.0, 0.0)):
+def moving(
+    monkeypatch, ratio, tau, *, excess=1.0, lens=0.0, scale=2.0, read=(1.0, 1.0, 0.0), is_lens=False
+):
     monkeypatch.setattr(images, "between_images", lambda *_: (ratio, tau * scale, excess))
     monkeypatch.setattr(images, "direction", lambda _: read)
-    monkeypatch.setattr(images, "shutter_gain", lambda *_: 3.0)
+    monkeypatch.setattr(images, "shutter_movement", lambda *_: 3.0)
+    monkeypatch.setattr(images, "_is_lens", lambda *_: is_lens)
     fits = SimpleNamespace(
         coefficients=np.zeros((7, 3)), variances=np.ones((7, 3)), sizes=np.arange(7.0)
     )
@@ -176,6 +179,7 @@ def test_the_direction_of_a_shutter_is_named_from_limits(monkeypatch):
 
 def test_limits_of_motion(monkeypatch):
     assert moving(monkeypatch, 4.1, 0.46)
+    assert not moving(monkeypatch, 4.1, 0.46, is_lens=True)
     assert not moving(monkeypatch, 3.9, 0.46)
     assert not moving(monkeypatch, 4.1, 0.44)
     assert not moving(monkeypatch, 4.1, 0.46, excess=-1e-9)

@@ -8,7 +8,7 @@ import pytest
 import bundle
 from bundle.judging.findings import images
 from bundle.judging.findings.find import find
-from bundle.judging.findings.images import shutter_gain
+from bundle.judging.findings.images import shutter_movement
 from bundle.judging.findings.larger_lens import Step
 from bundle.judging.findings.measured import Measured
 from bundle.judging.findings.next_command import NextCommand
@@ -51,16 +51,16 @@ def test_the_gain_is_that_of_a_solve_with_the_shutter(monkeypatch):
     steps = [Step(one, measured.options) for one in both]
     spread = (steps[1].position_variance() - steps[0].position_variance()) * steps[1].variance
     rms = np.sqrt((moved**2).sum(axis=1).mean())
-    assert shutter_gain(measured, "rows") == pytest.approx(rms / np.sqrt(spread), rel=0.05)
+    assert shutter_movement(measured, "rows") == pytest.approx(rms / np.sqrt(spread), rel=0.05)
     # The start need not be the minimum, as where positions pull at it.
     poses = problem.cam_from_world.copy()
     poses[:, 4:] += 0.5 * rms * np.random.default_rng(0).normal(size=(len(poses), 3))
     pulled = Measured(whole=problem.replace(cam_from_world=poses), command=NextCommand())
-    assert shutter_gain(pulled, "rows") == pytest.approx(rms / np.sqrt(spread), rel=0.15)
+    assert shutter_movement(pulled, "rows") == pytest.approx(rms / np.sqrt(spread), rel=0.15)
     # Neither a model that is too large for the step nor one that rolls already.
     monkeypatch.setattr(images, "is_cheap", lambda _: False)
-    assert shutter_gain(measured, "rows") == np.inf
-    assert shutter_gain(Measured(whole=rolling, command=NextCommand()), "rows") == 0.0
+    assert shutter_movement(measured, "rows") == np.inf
+    assert shutter_movement(Measured(whole=rolling, command=NextCommand()), "rows") == 0.0
 
 
 def test_lenses_that_differ_are_not_shared():
@@ -80,6 +80,25 @@ def test_wrong_sigmas_beside_motion_are_no_drift():
         words = shlex.split(one.command)
         assert {"--rolling-shutter", "--gps-sigma-scale"} <= set(words)
     assert max(places.evidence["factors"]) == pytest.approx(6, abs=1.5)
+
+
+def test_motion_without_a_shutter_leaves_the_sigmas():
+    # Sigmas of 4.4 mm, where 35 mm are right, hold a model that motion bends by more.
+    moves, places, _ = judge(make(54_005))
+    assert (moves.kind, moves.command) == ("motion", "")
+    assert (places.kind, places.command) == ("positions", "")
+    assert "8.283 times the sigmas. Motion during the exposure bends the model" in places.sentence
+
+
+def test_a_lens_that_lenses_per_image_hide_is_no_motion(monkeypatch):
+    scene = make(54_001)
+    lens, joint = judge(scene)
+    assert (lens.kind, lens.evidence["larger_model"], joint.kind) == (
+        *("lens_model", "OPENCV", "weak_joint"),
+    )
+    assert lens.evidence["dof"] == 4 * scene.truth.num_cameras
+    monkeypatch.setattr(images, "explains_more", lambda *_: False)
+    assert "motion" in {one.kind for one in judge(scene)}
 
 
 def test_motion_does_not_hide_a_lens():

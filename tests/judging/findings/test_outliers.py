@@ -8,9 +8,11 @@ import pytest
 
 import bundle
 from bundle.cli.main import command_parser
+from bundle.judging.findings import find as find_module
 from bundle.judging.findings.find import find
 from bundle.judging.findings.next_command import NextCommand
 from bundle.judging.findings.outliers import outliers
+from tests.campaigns.findings import make
 
 
 def kinds(problem, **more):
@@ -44,20 +46,39 @@ def test_gaussian_noise_is_no_outlier(scene):
     assert "outliers" not in kinds(bundle.solve(scene.problem).problem)
 
 
-def test_each_step_of_the_advice_is_given_once():
+def test_nothing_is_deleted_after_a_loss_that_reduces_the_weight():
     start = bundle.synthesize(
         num_images=12, num_points=800, pixel_noise=0.4, outlier_share=0.05, seed=3
     ).problem
     result = bundle.solve(start, loss="cauchy")
-    found = {one.kind: one for one in find(result.problem, options=result.options)}["outliers"]
-    words = shlex.split(found.command)
-    parsed = command_parser().parse_args(words[1:])
-    assert (parsed.num_rounds, parsed.min_angle) == (3, 0.0)
-    assert float(parsed.max_error) == pytest.approx(6 * 2**0.5 * found.evidence["scale"], rel=0.05)
-    assert "outliers" not in kinds(result.problem, options=result.options, rounds=3)
+    assert "outliers" not in kinds(result.problem, options=result.options)
+    wide = bundle.solve(start, loss="cauchy", loss_scale=300.0)
+    found = {one.kind: one for one in find(wide.problem, options=wide.options)}["outliers"]
+    scale = float(shlex.split(found.command)[-1])
+    assert scale == pytest.approx(2.4 * found.evidence["scale"], rel=0.05)
 
 
-def judged(errors, *, loss="cauchy", rounds=0, scale=1.0):
+@pytest.mark.parametrize("is_alone", [False, True])
+def test_outliers_are_those_that_the_images_alone_have(monkeypatch, is_alone):
+    scene = make(40_000, ("positions",))
+    known = {"priors": scene.priors, "align": True}
+    result = bundle.solve(scene.start, num_threads=1, max_num_iterations=200, **known)
+    stages = []
+
+    def planted(stage):
+        stages.append(stage)
+        errors = [50.0 if is_alone or not stages[1:] else 1.0] * 10 + [1.0] * 100
+        return judged(errors, loss="trivial")
+
+    monkeypatch.setattr(find_module, "outliers", planted)
+    found = find(result.problem, options=result.options, priors=scene.priors)
+    assert ("outliers" in {one.kind for one in found}) == is_alone
+    with_positions, alone = stages
+    assert with_positions.whole is result.problem and with_positions.priors
+    assert alone.options is with_positions.options and not alone.priors
+
+
+def judged(errors, *, loss="cauchy", loss_scale=1.0, scale=1.0, sigma=None):
     """Return the finding about these errors, in surroundings of this scale."""
     errors = np.asarray(errors, float)
     measured = SimpleNamespace(
@@ -65,8 +86,8 @@ def judged(errors, *, loss="cauchy", rounds=0, scale=1.0):
         errors=errors,
         local_scale=np.full(len(errors), scale),
         scale=scale,
-        options=SimpleNamespace(loss=loss),
-        rounds=rounds,
+        options=SimpleNamespace(loss=loss, loss_scale=loss_scale),
+        problem=SimpleNamespace(observation_sigma=sigma),
         command=NextCommand(),
     )
     return outliers(measured)
@@ -99,18 +120,25 @@ def test_losses_whose_influence_stays_are_replaced(loss):
 
 
 @pytest.mark.parametrize("loss", ["cauchy", "tukey", "arctan"])
-def test_a_group_is_deleted_in_its_gap_and_a_tail_stays(loss):
-    healthy = [1.0] * 100
-    group = judged([12.01] * 5 + [7.0] * 5 + healthy, loss=loss)
-    assert shlex.split(group.command)[5:] == [
-        *("--rounds", "3", "--max-error", "8.5", "--min-angle", "0")
-    ]
-    assert "5 observations above 8.5 px" in group.sentence
-    assert judged([12.01] * 4 + [7.0] * 5 + healthy, loss=loss) is None
-    assert judged([12.0] * 5 + [7.0] * 5 + healthy, loss=loss) is None
-    assert judged([12.01] * 5 + [7.0] * 5 + healthy, loss=loss, rounds=1) is None
-    small = judged([1.0] * 10 + [0.02] * 100, loss=loss, scale=0.02)
-    assert "--max-error 0.5 " in small.command
+def test_a_loss_far_above_the_noise_gets_a_smaller_scale(loss):
+    found = judged([50.0] * 10 + [1.0] * 100, loss=loss, loss_scale=100.0)
+    assert shlex.split(found.command)[5:] == ["--loss", "cauchy", "--loss-scale", "2.4"]
+    assert judged([50.0] * 10 + [1.0] * 100, loss=loss, loss_scale=1.0) is None
+
+
+def test_influence_decides_after_a_bounded_loss():
+    # psi^2 = e^2 / (1 + e^2 / c^2)^2 with c = 10: 9 at 30, and 0.980296 at 1.
+    known = {"loss_scale": 10.0}
+    assert judged([30.0] * 3 + [1.0] * 110, **known)  # 27 of 134.83: 20.02 %
+    assert judged([30.0] * 3 + [1.0] * 111, **known) is None  # 19.88 %
+    found = judged([30.0] * 3 + [1.0] * 111, sigma=np.full(114, 30.0), **known)
+    assert "they have 95.98 % of the influence" in found.sentence  # 2.9409 of 3.0642
+    many = [7.0] * 60 + [1.0] * 40
+    assert judged(many, loss_scale=2.41)
+    assert judged(many, loss_scale=2.4) is None  # the scale is not raised
+    halves = {"sigma": np.full(100, 0.5)}
+    assert judged(many, loss_scale=4.81, **halves).command.endswith("--loss-scale 4.8")
+    assert judged(many, loss_scale=4.8, **halves) is None
 
 
 def test_a_model_of_five_observations_has_no_findings_and_no_error(scene):

@@ -10,7 +10,13 @@ from scipy.spatial.transform import Rotation
 from bundle import PositionPrior
 from bundle.judging.findings.measured import Measured
 from bundle.judging.findings.next_command import NextCommand
-from bundle.judging.findings.positions import _sums, is_tense, measured_positions, scale_drift
+from bundle.judging.findings.positions import (
+    _sums,
+    is_tense,
+    measured_positions,
+    positions_of_start,
+    scale_drift,
+)
 from tests.georeference.test_attitude_priors import upright_and_turned
 
 ARM = np.array([0.3, -0.2, 0.5])
@@ -54,6 +60,33 @@ def test_single_positions_beyond_five_sigmas(sigmas, is_found):
     found = measured(problem, away)
     assert (measured_positions(found) is not None) == is_found
     assert is_tense(found) == is_found
+
+
+def test_a_start_far_from_its_positions_gets_their_distance_as_sigma():
+    problem = model()
+    away = antennas(problem)
+    away[:, 0] += 0.236  # 2.004 times the sigmas in the median
+    found = positions_of_start(measured(problem, away))
+    assert found.command == "bundle refine INPUT -o OUTPUT --gps-sigma-scale 2"
+    assert found.evidence["ratio"] == pytest.approx(2.36 / np.sqrt(1.3863))
+    assert "by 2.004 times their sigmas (0.1 m)" in found.sentence
+    away[:, 0] -= 0.001
+    assert positions_of_start(measured(problem, away)) is None
+    few = dataclasses.replace(measured(problem, away + 9.0), priors=())
+    assert positions_of_start(few) is None
+
+
+def test_positions_that_motion_bends_keep_their_sigmas():
+    problem = model()
+    away = antennas(problem)
+    away[:, 0] += 0.236
+    found = measured_positions(measured(problem, away), is_moving=True)
+    assert "--gps-sigma" not in found.command and "Motion during the exposure" in found.sentence
+    away[:, 0] -= 0.001
+    assert measured_positions(measured(problem, away), is_moving=True) is None
+    away[5, 0] += 1.0  # a wrong one is named all the same
+    found = measured_positions(measured(problem, away), is_moving=True)
+    assert found.command.endswith("--prior-loss cauchy")
 
 
 @pytest.mark.parametrize("flat", [False, True])

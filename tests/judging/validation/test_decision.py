@@ -184,3 +184,19 @@ def test_cameras_of_a_larger_lens_may_move():
     assert chosen_by(moved, rule, (19, 20)).is_equal.tolist() == [False, True]
     assert chosen_by(moved, rule, (20, 20)).is_equal.tolist() == [True, True]
     assert chosen_by(moved, rule, (30, 20)).is_equal.tolist() == [True, True]
+
+
+@pytest.mark.parametrize(
+    ("level", "cost", "veto", "recommended"),
+    [(1.02, 6, "", 1), (1.055, 6, "", 1), (1.056, 6, "", 2), (1.02, 8, "", 2), (1.02, 6, "no", 2)],
+)
+def test_a_smaller_lens_is_as_good_as_one_with_a_higher_score(level, cost, veto, recommended):
+    # The third is worse by 0.0553 with an error of 0.06, the second by exactly 0.02.
+    image = np.repeat(np.arange(16), 10)
+    third = np.where(image % 2, 1.26, 0.8)
+    errors = np.array([np.ones(160), np.full(160, level), third])
+    decision = decide(errors, image, [10, cost, 8], ["", veto, ""])
+    assert decision.scores[2] == pytest.approx(1.0553, abs=1e-4)
+    assert decision.standard_errors[1] < 1e-12 and decision.standard_errors[2] > 0.05
+    assert decision.recommended == recommended
+    assert decision.is_equal.tolist() == [True, recommended == 1, True]

@@ -71,10 +71,7 @@ class Association:
 def associate(a: PoseTable, b: PoseTable, tolerance: float = 0.01) -> Association:
     """Return the pairs of poses of A and B; see the top of this file.
 
-    Args:
-        a: poses of the estimate.
-        b: poses of the reference.
-        tolerance: largest difference of time stamps in seconds.
+    The tolerance of time stamps is in seconds.
 
     Raises:
         InputError: fewer than three poses have a partner, a name exists twice, or the numbers of

@@ -75,11 +75,7 @@ def lens_differences(
 ) -> tuple[LensDifference, ...]:
     """Return the difference of each pair of cameras of shared images, most images first.
 
-    Args:
-        a: the first model.
-        b: the second model.
-        rows_a: (n,) indices of the shared images in A.
-        rows_b: (n,) their indices in B.
+    The rows (n,) are those of the shared images.
     """
     cameras = np.column_stack([a.image_camera[rows_a], b.image_camera[rows_b]])
     pairs, counts = np.unique(cameras, axis=0, return_counts=True)

@@ -61,11 +61,7 @@ def point_difference(
 def shared_points(a: Problem, b: Problem, rows_a: Indices, rows_b: Indices) -> Indices:
     """Return (n, 2) indices of the points of A and B of the same tracks, in the order of A.
 
-    Args:
-        a: the first model.
-        b: the second model.
-        rows_a: (m,) indices of the shared images in A.
-        rows_b: (m,) their indices in B.
+    The rows (m,) are those of the shared images.
     """
     first, second = _Views(a, rows_a), _Views(b, rows_b)
     listed_a, listed_b = first.with_keypoint(), second.with_keypoint()

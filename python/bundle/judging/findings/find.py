@@ -59,7 +59,6 @@ def find(
     target: str = "OUTPUT",
     given: Sequence[str] = (),
     options: SolveOptions | None = None,
-    rounds: int = 0,
     covariance: Covariance | None = None,
     priors: Sequence[Any] = (),
     survey: SurveyChecks | None = None,
@@ -68,19 +67,9 @@ def find(
 ) -> tuple[Finding, ...]:
     """Return what a user should know about a model and do next.
 
-    Args:
-        problem: the model at its present values.
-        source: path of the input, for the commands.
-        target: path of the output, for the commands.
-        given: flags of this run that the next command repeats, as words of a command line.
-        options: options of the solve that made the model; None: unknown, and the defaults count.
-        rounds: rounds of adjusting and filtering in this solve.
-        covariance: covariance of the intrinsics, scale "sigma0", if it has been computed; None:
-            computed here if that takes milliseconds.
-        priors: measured positions and attitudes of images in the frame of the problem.
-        survey: tests of control points and positions after the solve, or None.
-        constraints: rules of the solve that made the model.
-        is_minimum: True if a solve with these options has just converged.
+    Measured and NextCommand explain the arguments. None are unknown options, for which the
+    defaults count, and a covariance that is computed here if that takes milliseconds. Measured
+    positions and attitudes are in the frame of the problem.
     """
     used = {problem.camera_models[camera] for camera in set(problem.image_camera.tolist())}
     if not problem.num_observations or not used <= camera_models().keys():
@@ -89,7 +78,6 @@ def find(
         whole=problem,
         command=NextCommand(source, target, given),
         options=SolveOptions() if options is None else options,
-        rounds=rounds,
         covariance=covariance,
         priors=priors,
         survey=survey,
@@ -105,13 +93,16 @@ def _lens(measured: Measured, fields: Sequence[LensField]) -> Finding | None:
     return lens_model(measured, fields) or absorbed_lens(measured)
 
 
-def _repairs(measured: Measured) -> tuple[str, str]:
-    """Return the larger lens and the rolling shutter that a model needs; "": none."""
+def _repairs(measured: Measured) -> tuple[tuple[str, str], bool]:
+    """Return the larger lens and the rolling shutter that a model needs; "": none.
+
+    And True if it moved, but a shutter is not worth its price.
+    """
     _, _, fields, moves = _fields(measured)
     if moves is not None:
-        return "", str(moves.evidence["shutter"])
+        return ("", str(moves.evidence["shutter"])), not moves.evidence["shutter"]
     lens = _lens(measured, fields)
-    return ("" if lens is None else str(lens.evidence["larger_model"])), ""
+    return ("" if lens is None else str(lens.evidence["larger_model"]), ""), False
 
 
 def _without_bends(measured: Measured, is_robust: bool, repairs: tuple[str, str]) -> Measured:
@@ -149,24 +140,26 @@ def _findings(measured: Measured) -> Iterator[Finding | None]:
         yield start
         return  # other tests need a minimum
     far = outliers(measured)
-    yield far
     is_tensed = offset is None and is_tense(measured)  # an offset bends the model
     is_bent = is_tensed or turned is not None
     can_repair = is_affordable(measured)
     free = None
     if can_repair and (far is not None or is_bent):
         free = repaired(measured, is_bent=is_bent)
+    if free is not None and is_bent and far is not None:
+        far = outliers(dataclasses.replace(free, options=measured.options)) and far
+    yield far
     drift = places = None
     if is_tensed:
         straight = free or measured
-        repairs = _repairs(straight)
+        repairs, is_moving = _repairs(straight)
         if any(repairs) and can_repair:
             straight = repaired(straight, *repairs) or straight
         placed = _without_bends(measured, far is not None, repairs)
         is_open = can_repair and free is None
         drift = scale_drift(placed, straight.whole)
         if drift is None:
-            places = measured_positions(placed, is_open=is_open)
+            places = measured_positions(placed, is_open=is_open, is_moving=is_moving)
     yield from (drift, places)
     if free is not None:
         command = measured.command if far is None else free.command

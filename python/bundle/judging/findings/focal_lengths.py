@@ -37,10 +37,10 @@ from numpy.typing import NDArray
 from bundle.analysis.uncertainty.compute_covariance import newton_step
 from bundle.base.arrays import distinct, median
 from bundle.base.records import dataclass
+from bundle.base.tails import chi2_tail
 from bundle.base.words import named, noun, number, plural
 from bundle.errors import InputError
 from bundle.interface.finding import Finding
-from bundle.judging.findings.larger_lens import chi2_tail
 from bundle.judging.findings.measured import Measured
 from bundle.model.cameras import camera_models, param_kinds
 from bundle.model.problem import Problem

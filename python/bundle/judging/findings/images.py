@@ -14,8 +14,9 @@ Thresholds: Q / (m - 1) > 4, Q > d + 6 sqrt(2 d) + 20 with d = m - 1, over at le
 tau > 0.45 scales at the image border. Poses and points absorb a lens field differently from image
 to image, which looks like motion of 3 to 7 times the field that is left, and a mean of motions
 looks like a lens. So tau must also exceed 8 times the size of the lens field (lens_terms.py);
-otherwise it is the lens. Row shifts of four times the noise reach 1.5 scales, real models with
-motion 0.6 to 1.6.
+otherwise it is the lens. It is also the lens if a larger one explains at least as much as
+velocities, by Akaike's criterion (larger_lens.py): lenses per image hide the field that they share.
+Row shifts of four times the noise reach 1.5 scales, real models with motion 0.6 to 1.6.
 
 Rows against columns. Linear fields cannot tell them apart: rotation has absorbed the difference.
 The derivatives D of the pose can: a velocity times the row y gives the columns y D, times the
@@ -52,7 +53,7 @@ from bundle.base.records import dataclass
 from bundle.base.words import noun, number
 from bundle.errors import InputError, shown
 from bundle.interface.finding import Finding
-from bundle.judging.findings.larger_lens import Step, is_cheap, rms
+from bundle.judging.findings.larger_lens import Step, explains_more, is_cheap, rms
 from bundle.judging.findings.lens_terms import LensField
 from bundle.judging.findings.measured import Measured, median_by_group
 from bundle.judging.findings.systematic import SystematicResiduals
@@ -122,7 +123,9 @@ def motion(
     named = named_order(rows, columns)
     order = named or "rows"
     worst = max(ratios, key=lambda name: ratios[name])
-    gain = shutter_gain(measured, order) if explained > EXPLAINED else 0.0
+    if _is_lens(measured, order):
+        return None
+    gain = shutter_movement(measured, order) if explained > EXPLAINED else 0.0
     shutter = order if gain > GAIN else ""
     return Finding(
         kind="motion",
@@ -160,14 +163,7 @@ def price_of(gain: float) -> str:
 def image_residuals(
     measured: Measured, found: SystematicResiduals, fits: ImageFits, *, is_general: bool
 ) -> Finding | None:
-    """Return the finding about single images, or None.
-
-    Args:
-        measured: the model.
-        found: systematic residuals of its images.
-        fits: their linear fields.
-        is_general: True if motion was found in general: single images are not tested for it.
-    """
+    """Return the finding about single images, which motion in general hides, or None."""
     problem, images = measured.problem, found.images
     limit = 3.0 + 6.0 * np.sqrt(6.0) + 20.0 + 2.0 * np.log(max(len(images), 1))
     systematic = np.flatnonzero((fits.chi2 > limit) & (fits.sizes > FIELD) & (not is_general))
@@ -281,7 +277,7 @@ def _weak(
     return np.flatnonzero(is_weak), ratio
 
 
-def shutter_gain(measured: Measured, order: str) -> float:
+def shutter_movement(measured: Measured, order: str) -> float:
     """Return D / sqrt(s1^2 - s0^2) of a rolling shutter; see the top of this file.
 
     It is 0 if no shutter can be added, infinite if the model is too large for the step.
@@ -291,17 +287,32 @@ def shutter_gain(measured: Measured, order: str) -> float:
         return 0.0
     if not is_cheap(problem) or "poses" not in options.refine:
         return np.inf
-    from bundle.editing.rolling_shutters import with_shutters  # few models move
-    from bundle.interface.camera_edit_options import ShutterOptions
-
     try:
-        rolling = Step(*with_shutters(problem, ShutterOptions(rolling_shutter=order), options))
-        present = Step(problem, options)
+        rolling, present = _rolling(measured, order), Step(problem, options)
         moved = rms(rolling.without_gauge(rolling.moves - present.moves))
         spread = rolling.position_variance() - present.position_variance()
     except InputError:  # something is not determined, or the sums overflow
         return 0.0
     return moved / float(np.sqrt(spread * rolling.variance)) if spread > 0 else np.inf
+
+
+def _rolling(measured: Measured, order: str) -> Step:
+    from bundle.editing.rolling_shutters import with_shutters  # few models move
+    from bundle.interface.camera_edit_options import ShutterOptions
+
+    shutter = ShutterOptions(rolling_shutter=order)
+    return Step(*with_shutters(measured.whole, shutter, measured.options))
+
+
+def _is_lens(measured: Measured, order: str) -> bool:
+    """Return True if a larger lens explains the residuals better than a shutter."""
+    problem = measured.whole
+    if not (can_roll(problem) and is_cheap(problem) and "poses" in measured.options.refine):
+        return False
+    try:
+        return explains_more(measured, _rolling(measured, order))
+    except InputError:
+        return False
 
 
 def _ids(found: SystematicResiduals, rows: NDArray[np.int64]) -> list[int]:

@@ -35,6 +35,7 @@ from numpy.typing import NDArray
 
 from bundle.analysis.uncertainty.compute_covariance import newton_step
 from bundle.base.arrays import distinct
+from bundle.base.tails import chi2_tail
 from bundle.base.words import named, number, plural
 from bundle.errors import InputError
 from bundle.interface.finding import Finding
@@ -50,7 +51,6 @@ SIGNIFICANT = 1e-4
 """Probability of so large a T if the lens model is right."""
 LARGEST_MODELS = ("OPENCV", "OPENCV_FISHEYE")
 """Models beyond these have terms that are not determined beside each other."""
-MOST_LENSES = 4
 MOST_WORK = 150_000
 """Observations plus 20 times the square of the images, up to which a step takes milliseconds."""
 
@@ -59,21 +59,40 @@ Floats = NDArray[np.float64]
 
 def absorbed_lens(measured: Measured) -> Finding | None:
     """Return the finding about a lens model whose missing term moved the cameras, or None."""
-    problem, options = measured.whole, measured.options
-    lenses = distinct(problem.image_camera).tolist()
-    used = {problem.camera_models[camera] for camera in lenses}
-    if len(used) > 1 or len(lenses) > MOST_LENSES or not is_cheap(problem):
+    problem = measured.whole
+    names = _extensions(measured)
+    if not is_cheap(problem) or not names:
         return None
     if not measured.scale > SMALLEST_SCALE:  # exact observations
         return None
-    names = [name for name, _ in larger_models(next(iter(used)))]
-    last = [k for k, name in enumerate(names) if name in LARGEST_MODELS]
-    if not last or not {"poses", "extra"} <= set(options.refine):
-        return None
     try:
-        return _found(measured, names[: last[0] + 1])
+        return _found(measured, names)
     except InputError:  # something is not determined, or the sums overflow
         return None
+
+
+def _extensions(measured: Measured) -> list[str]:
+    """Return the larger lens models to try, the smallest first; the lenses have one model."""
+    problem = measured.whole
+    used = {problem.camera_models[camera] for camera in distinct(problem.image_camera).tolist()}
+    names = [name for name, _ in larger_models(next(iter(used)))] if len(used) == 1 else []
+    last = [k for k, name in enumerate(names) if name in LARGEST_MODELS]
+    if not last or not {"poses", "extra"} <= set(measured.options.refine):
+        return []
+    return names[: last[0] + 1]
+
+
+def explains_more(measured: Measured, other: Step) -> bool:
+    """Return True if the largest lens explains the residuals better than another extension.
+
+    By Akaike's criterion (1974): lambda^2 / s^2 minus twice the number of parameters.
+    """
+    names = _extensions(measured)
+    step = _extended(measured, names[-1]) if names else None
+    if step is None or not other.variance > 0:
+        return False
+    gains = [one.squared_distance - 2.0 * one.num_parameters for one in (step, other)]
+    return gains[0] >= gains[1]
 
 
 def is_cheap(problem: Problem) -> bool:
@@ -222,18 +241,3 @@ class Step:
 def rms(moves: Floats) -> float:
     """Return the root mean square length of vectors (n, 3)."""
     return float(np.sqrt((moves**2).sum(axis=1).mean()))
-
-
-def chi2_tail(value: float, degrees: int) -> float:
-    """Return the probability that chi^2 exceeds a value, by the series of integer degrees.
-
-    Q(x, 2) = exp(-x / 2), Q(x, 1) = erfc(sqrt(x / 2)), and two degrees more add
-    (x / 2)^(k / 2) exp(-x / 2) / Gamma(k / 2 + 1).
-    """
-    half = value / 2.0
-    if not half > 0:
-        return 1.0
-    total, first = (math.exp(-half), 2) if degrees % 2 == 0 else (math.erfc(math.sqrt(half)), 1)
-    for k in range(first, degrees, 2):
-        total += math.exp(0.5 * k * math.log(half) - half - math.lgamma(0.5 * k + 1.0))
-    return total

@@ -56,7 +56,6 @@ class Measured:
         whole: the model.
         command: maker of command lines.
         options: options of the solve that made the model; the defaults if unknown.
-        rounds: rounds of adjusting and filtering in this solve.
         covariance: covariance of intrinsics with scale "sigma0", or None.
         priors: measured positions of images.
         survey: tests of control points and positions after the solve, or None.
@@ -67,7 +66,6 @@ class Measured:
     whole: Problem
     command: NextCommand
     options: SolveOptions = field(default_factory=SolveOptions)
-    rounds: int = 0
     covariance: Covariance | None = None
     priors: Sequence[Any] = ()
     survey: SurveyChecks | None = None

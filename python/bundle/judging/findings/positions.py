@@ -11,7 +11,8 @@ residuals show, per group. Where the file has sigmas of its own, it gives
 factors on these.
 Single positions. The residual of all axes, each in sigmas times the ratio of its group (at least
 1), is above 5 in at most a third of the images.
-A model that outliers or a small lens bend is judged as it is without them.
+A model that outliers or a small lens bend is judged as it is without them. Motion that no
+command removes bends it, too; then no sigmas are advised, as larger ones would let it bend more.
 
 Drift. Priors pull the model, so that a drift shows little in the residuals. If these show any
 tension (a ratio above 1.5, or a residual above 5 sigmas), the model is solved without positions,
@@ -60,15 +61,25 @@ DRIFT, DRIFT_ERRORS = 0.09, 5.0
 LEFT = DRIFT / 3
 """Drift of the model with its positions, from which smaller sigmas are advised."""
 
+_NO_SOLVE = (
+    "A solve without positions does not converge, so that the cause is open: wrong positions, or a "
+    "drift of the scale."
+)
+_MOTION = (
+    "Motion during the exposure bends the model, so that the sigmas may be right; larger ones "
+    "would let it bend."
+)
+
 Floats = NDArray[np.float64]
 
 
-def measured_positions(measured: Measured, *, is_open: bool = False) -> Finding | None:
+def measured_positions(
+    measured: Measured, *, is_open: bool = False, is_moving: bool = False
+) -> Finding | None:
     """Return the finding about positions that contradict the model, or None.
 
-    Args:
-        measured: the model with its measured positions.
-        is_open: True if the solve without them failed: a drift would look like wrong positions.
+    If the solve without them failed (open), a drift would look like wrong positions; if motion
+    bends the model, right positions would look like wrong sigmas.
     """
     rows, priors = _used(measured)
     if len(rows) < FEWEST:
@@ -83,7 +94,7 @@ def measured_positions(measured: Measured, *, is_open: bool = False) -> Finding 
         "sigmas": distance[wrong].tolist(),
     }
     if is_open:
-        return _unexplained(ratio, evidence) if ratio > limit or len(wrong) else None
+        return _unexplained(ratio, evidence, _NO_SOLVE) if ratio > limit or len(wrong) else None
     is_robust = all(prior.loss != "trivial" for prior in priors)
     if len(wrong) and 3 * len(wrong) <= len(rows) and not is_robust:
         worst = int(wrong[np.argmax(own[wrong])])
@@ -97,6 +108,8 @@ def measured_positions(measured: Measured, *, is_open: bool = False) -> Finding 
             command=measured.command.refine("--prior-loss", "cauchy"),
             evidence=evidence,
         )
+    if ratio > limit and is_moving:
+        return _unexplained(ratio, evidence, _MOTION)
     if ratio > limit:
         factors = sigma_factors(measured, rows, priors, ratio) if is_affordable(measured) else None
         if factors is None:
@@ -120,13 +133,34 @@ def measured_positions(measured: Measured, *, is_open: bool = False) -> Finding 
     return None
 
 
-def _unexplained(ratio: float, evidence: dict[str, Any]) -> Finding:
+def positions_of_start(measured: Measured) -> Finding | None:
+    """Return the finding about positions that a start contradicts, or None.
+
+    Their sigmas are so small that they pull the cameras away before the images can follow. With
+    those that the start shows, the solve begins with the images.
+    """
+    rows, priors = _used(measured)
+    if len(rows) < FEWEST:
+        return None
+    _, _, ratio, limit = _distances(measured, rows, priors)
+    if not ratio > limit:
+        return None
+    given = [_sigma(priors, axis) for axis in (0, 2)]
+    return Finding(
+        kind="positions",
+        sentence="The solve found no usable model. The input, moved to its measured positions, "
+        f"differs from them by {number(ratio)} times their sigmas ({_pair(given)} m), which pull "
+        "the cameras away before the images can follow. Begin with larger ones.",
+        command=_sigma_command(measured, given, [ratio, ratio]),
+        evidence={"num_positions": len(rows), "ratio": ratio},
+    )
+
+
+def _unexplained(ratio: float, evidence: dict[str, Any], why: str) -> Finding:
     """Return the finding about a contradiction whose cause is not known."""
     return Finding(
         kind="positions",
-        sentence=f"Measured positions and model differ by {number(ratio)} times the sigmas. A "
-        "solve without positions does not converge, so that the cause is open: wrong positions, or "
-        "a drift of the scale.",
+        sentence=f"Measured positions and model differ by {number(ratio)} times the sigmas. " + why,
         evidence=evidence,
     )
 
@@ -197,9 +231,7 @@ def is_tense(measured: Measured) -> bool:
 def scale_drift(measured: Measured, free: Problem) -> Finding | None:
     """Return the finding about a scale that changes along the images, or None.
 
-    Args:
-        measured: the model with its measured positions.
-        free: the model as the images alone determine it, in any frame.
+    The images alone determine the free model, in any frame.
     """
     rows, priors = _used(measured)
     if len(rows) < 2 * FEWEST:
@@ -364,14 +396,8 @@ def sigma_factors(
 ) -> tuple[float | None, float | None] | None:
     """Return the factors on the horizontal and the vertical sigmas; None: not estimated.
 
-    Args:
-        measured: a model at the minimum with its priors.
-        rows: indices of the images with positions.
-        priors: these positions, among ``measured.priors``.
-        ratio: about the factor by which the sigmas are too small.
-
-    Returns:
-        The factors; None if a solve fails.
+    The model is at the minimum with its priors. The sigmas are too small by about the ratio. None
+    for both if a solve fails.
     """
     from bundle.analysis.uncertainty.covariance_by_input import covariance
     from bundle.solving.executors import solve_prepared

@@ -49,12 +49,8 @@ def repaired(
 
     Its commands begin with the same repair, because its findings hold only after it.
 
-    Args:
-        measured: the model.
-        lens_model: larger lens model for all cameras; "": the present one.
-        shutter: direction of a rolling shutter for all cameras; "": none is added.
-        with_priors: keep the measured positions and attitudes.
-        is_bent: True if positions, which are left out, bend the model.
+    "" is the present lens model, and no shutter. If positions, which are left out, bend the model,
+    the solve has more steps.
     """
     from bundle.solving.executors import solve_prepared
     from bundle.solving.prepare import prepare

@@ -92,14 +92,8 @@ def solve_facts(
 ) -> SolveFacts:
     """Return the facts of a solve from the parts of its report.
 
-    Args:
-        options: all options, and those of the method.
-        summary: fields of the summary.
-        iterations: records of the iterations.
-        structure: further facts on the matrix, or empty.
-        method: name of the method.
-        seconds: time in the solver, if it is not that of the summary.
-        environment: machine, load and waiting of the command.
+    `options` are all options and those of the method, `seconds` the time in the solver if that of
+    the summary is another.
     """
     rejected = max(
         sum(not step["step_is_successful"] for step in iterations[1:]),

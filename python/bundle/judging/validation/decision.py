@@ -13,9 +13,11 @@ observations. D_(i) is the difference without the observations of image i, D_(.)
 
 (Efron and Tibshirani 1993, "An introduction to the bootstrap", chapter 11.) A candidate is as good
 as the best if its score is not significantly higher (D <= z SE), or not higher by a relevant amount
-(D <= t S_best): with many observations, any difference is significant. The recommended candidate is
-the one of these with the fewest free parameters, as in the one-standard-error rule of Breiman,
-Friedman, Olshen and Stone (1984). Among equal numbers of parameters the lower score decides.
+(D <= t S_best): with many observations, any difference is significant. So is one with fewer
+parameters and a lower score than one that is: its smaller difference may have a smaller error. The
+recommended candidate is the one of these with the fewest free parameters, as in the
+one-standard-error rule of Breiman, Friedman, Olshen and Stone (1984). Among equal numbers of
+parameters the lower score decides.
 
 Two exceptions look at the cameras. A significant difference of less than t to a smaller lens is
 relevant if the cameras of both fits are farther apart than m = 1 times their standard deviation:
@@ -143,6 +145,8 @@ def decide(
         moved = cameras.distances[:, best] > rule.movement * cameras.sigmas[best]
         limit[moved & ~is_cheaper & (cost < cost[best])] = 0.0
     is_equal = takes_part & ((above <= rule.num_standard_errors * spread) | (above <= limit))
+    for k in np.flatnonzero(is_equal).tolist():
+        is_equal |= takes_part & (cost < cost[k]) & (scores <= scores[k])
     order = np.lexsort((scores, cost))
     return Decision(
         recommended=int(order[is_equal[order]][0]),
@@ -160,10 +164,7 @@ def decide(
 def jackknife(sums: _Floats, others: _Floats, counts: _Floats) -> float:
     """Return the standard error of the difference of two RMS values over images.
 
-    Args:
-        sums: (num_images,) sum of squared errors of one candidate in each image.
-        others: the same for the other candidate.
-        counts: (num_images,) number of errors in each image.
+    Given are (num_images,) sums of squared errors of two candidates, and the numbers of errors.
     """
     used = counts > 0
     if used.sum() < 2:

@@ -15,7 +15,7 @@ from bundle.errors import InputError
 from bundle.georeference.pose_alignment import align_centers
 from bundle.interface.finding import Finding
 from bundle.interface.options import SolveOptions
-from bundle.judging.findings.images import GAIN, price_of, shutter_gain
+from bundle.judging.findings.images import GAIN, price_of, shutter_movement
 from bundle.judging.validation.candidate_fits import CandidateFit, Fitting
 from bundle.judging.validation.candidates import groups_of, is_shared
 from bundle.judging.validation.decision import Cameras, Decision, DecisionRule, decide
@@ -214,7 +214,7 @@ def _findings(
     """Return the finding about motion, with the command that adds a worthwhile shutter."""
     if test is None or not test.fires:
         return ()
-    gain = shutter_gain(measured(fit), order)
+    gain = shutter_movement(measured(fit), order)
     better = f": one lens predicts {100 * test.gain:.1f} % better with a shutter by {order}"
     return (
         Finding(

@@ -145,15 +145,7 @@ def refine_command(
     source: str = "INPUT",
     output: str = "OUTPUT",
 ) -> str:
-    """Return the `bundle refine` command of a candidate.
-
-    Args:
-        problem: the input.
-        candidate: the candidate.
-        options: options of its solve, as the user gave them.
-        source: path of the input.
-        output: path of the output.
-    """
+    """Return the `bundle refine` command of a candidate."""
     options = options.replace(loss=candidate.loss, refine=candidate.refine)
     words = [command_line(options, source, output)]
     used = {problem.camera_models[camera] for camera in set(problem.image_camera.tolist())}

@@ -16,18 +16,15 @@ explains the residuals, the scores of the shared lenses are those with the shutt
 lens with lens. But a shutter also absorbs what all images lack alike, such as fx / fy. Motion that
 varies from image to image moves such a term by chance only, and the standard error over the images
 contains this chance: a shared lens is vetoed, too, if without a shutter it predicts worse than the
-best one by more than the quantile 0.9995 of Student's t with (images - 1) degrees of freedom. By
-the quantile z of the normal distribution this is (Wallace 1959), within 2 % from 4 degrees on,
-
-    t^2 = d (exp(z^2 (d - 3/2) / (d - 1)^2) - 1).
+best one by more than the quantile 0.9995 of Student's t with (images - 1) degrees of freedom: t^2
+has the distribution F(1, images - 1).
 
 Fits, positions and commands stay without it: whether it is worth its price in
-certainty is another question (:func:`bundle.judging.findings.images.shutter_gain`).
+certainty is another question (:func:`bundle.judging.findings.images.shutter_movement`).
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
@@ -35,6 +32,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.tails import f_tail
 from bundle.editing.rolling_shutters import with_shutters
 from bundle.errors import InputError
 from bundle.interface.camera_edit_options import ShutterOptions
@@ -47,7 +45,7 @@ from bundle.judging.validation.candidates import is_shared
 from bundle.judging.validation.decision import Decision, DecisionRule, decide
 from bundle.model.shutter_motion import can_roll
 
-_CLEAR = 3.2905  # quantile 0.9995 of the normal distribution
+_CLEAR = 0.001
 
 _Floats = NDArray[np.float64]
 
@@ -128,17 +126,13 @@ def are_clearly_worse(
 ) -> NDArray[np.bool_]:
     """Return which shared lenses lack what all images need, by errors (m, n) without a shutter."""
     found = _decision(plain, image, rule)
-    limit = _student_quantile(len(np.unique(image)) - 1)
-    above = found.differences > limit * found.standard_errors
+    freedom = len(np.unique(image)) - 1
+    above = np.zeros(len(plain), bool)
+    for k in np.flatnonzero(found.standard_errors > 0).tolist():
+        statistic = float(found.differences[k] / found.standard_errors[k]) ** 2
+        above[k] = f_tail(statistic, 1, freedom) < _CLEAR
     relevant: NDArray[np.bool_] = found.differences > rule.threshold * found.scores[found.best]
     return above & relevant
-
-
-def _student_quantile(freedom: int) -> float:
-    if freedom < 2:
-        return math.inf
-    power = _CLEAR**2 * (freedom - 1.5) / (freedom - 1) ** 2
-    return math.sqrt(freedom * math.expm1(power))
 
 
 def _decision(errors: _Floats, image: NDArray[np.int64], rule: DecisionRule) -> Decision:

@@ -396,7 +396,6 @@ def report_findings(
             problem,
             source=source,
             options=None if result is None else result.options,
-            rounds=0 if result is None else len(result.rounds),
             covariance=covariance if usable else None,
             priors=priors,
             is_minimum=result is not None and result.summary.termination_type == "CONVERGENCE",
