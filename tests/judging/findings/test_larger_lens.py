@@ -196,6 +196,10 @@ def test_each_threshold_from_both_sides(monkeypatch, dome):
     assert decide(low * QUANTILE[1], low * QUANTILE[2], low * QUANTILE[5]) is None
     assert decide(99.0, 99.0, low * QUANTILE[1]) is None  # no other can pass
     assert decide(99.0, 99.0, high * QUANTILE[1]) == "SIMPLE_RADIAL"
+    many = [Scripted(0.0, 11), Scripted(low * 200.0, 60), Scripted(high * 400.0, 110)]
+    assert decided(monkeypatch, dome, many) == "OPENCV"  # 4 per term
+    many[1] = Scripted(high * 200.0, 60)
+    assert decided(monkeypatch, dome, many) == "RADIAL"
     assert decide(99.0, 99.0, 99.0, moved=1.0 + 1e-6) == "SIMPLE_RADIAL"
     assert decide(99.0, 99.0, 99.0, moved=1.0 - 1e-6) is None
 

@@ -58,8 +58,8 @@ def test_nothing_is_deleted_after_a_loss_that_reduces_the_weight():
     assert scale == pytest.approx(2.4 * found.evidence["scale"], rel=0.05)
 
 
-@pytest.mark.parametrize("is_alone", [False, True])
-def test_outliers_are_those_that_the_images_alone_have(monkeypatch, is_alone):
+@pytest.mark.parametrize(("num_alone", "are_named"), [(0, False), (4, False), (5, True), (9, True)])
+def test_outliers_are_those_that_the_images_alone_have(monkeypatch, num_alone, are_named):
     scene = make(40_000, ("positions",))
     known = {"priors": scene.priors, "align": True}
     result = bundle.solve(scene.start, num_threads=1, max_num_iterations=200, **known)
@@ -67,12 +67,12 @@ def test_outliers_are_those_that_the_images_alone_have(monkeypatch, is_alone):
 
     def planted(stage):
         stages.append(stage)
-        errors = [50.0 if is_alone or not stages[1:] else 1.0] * 10 + [1.0] * 100
+        errors = [50.0] * (num_alone if stages[1:] else 10) + [1.0] * 100
         return judged(errors, loss="trivial")
 
     monkeypatch.setattr(find_module, "outliers", planted)
     found = find(result.problem, options=result.options, priors=scene.priors)
-    assert ("outliers" in {one.kind for one in found}) == is_alone
+    assert ("outliers" in {one.kind for one in found}) == are_named
     with_positions, alone = stages
     assert with_positions.whole is result.problem and with_positions.priors
     assert alone.options is with_positions.options and not alone.priors

@@ -147,7 +147,9 @@ def _findings(measured: Measured) -> Iterator[Finding | None]:
     if can_repair and (far is not None or is_bent):
         free = repaired(measured, is_bent=is_bent)
     if free is not None and is_bent and far is not None:
-        far = outliers(dataclasses.replace(free, options=measured.options)) and far
+        alone = outliers(dataclasses.replace(free, options=measured.options))
+        if alone is None or 2 * alone.evidence["num_outliers"] < far.evidence["num_outliers"]:
+            far = None  # positions that bend the model have made most of them
     yield far
     drift = places = None
     if is_tensed:

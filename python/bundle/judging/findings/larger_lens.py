@@ -16,9 +16,10 @@ leaves them out. W are the weights of the loss.
 
 Relevance. A field of 1 % of the residuals may move the cameras by many of their standard
 deviations. The difference of the two steps moves the centre of image i by d_i, without the
-similarity that is free. The finding needs p below 1e-4, and rms d above the rms standard deviation
-of the centres in the larger model. On 1200 seeded scenes whose lens was right, p was below 1e-3 in
-one. A single step is a lower bound of the movement, as the solve takes several.
+similarity that is free. The finding needs p below 1e-4, T above 4 per term (below, the terms of
+many lenses cost more certainty than they give, as in focal_lengths.py), and rms d above the rms
+standard deviation of the centres in the larger model. On 1200 seeded scenes whose lens was right, p
+was below 1e-3 in one. A single step is a lower bound of the movement.
 
 Model. The smallest extension that passes: one term before all of them, as terms that are not
 needed make the positions of flights up to nine times less accurate. T of any extension is at most
@@ -51,6 +52,7 @@ SIGNIFICANT = 1e-4
 """Probability of so large a T if the lens model is right."""
 LARGEST_MODELS = ("OPENCV", "OPENCV_FISHEYE")
 """Models beyond these have terms that are not determined beside each other."""
+BY_TERM = 4.0
 MOST_WORK = 150_000
 """Observations plus 20 times the square of the images, up to which a step takes milliseconds."""
 
@@ -113,7 +115,7 @@ def _found(measured: Measured, names: list[str]) -> Finding | None:
         count = step.num_parameters - present.num_parameters
         statistic = step.squared_distance - present.decrease / step.variance
         p = chi2_tail(statistic, count)
-        if not p < SIGNIFICANT:
+        if not (p < SIGNIFICANT and statistic > BY_TERM * count):
             continue
         moved = rms(step.without_gauge(step.moves - present.moves))
         sigma = step.position_sigma()

@@ -39,12 +39,9 @@ _Floats = NDArray[np.float64]
 def prediction_covariances(
     problem: Problem, folds: NDArray[np.int16], cheirality: str = "auto"
 ) -> _Floats:
-    """Return S of each observation; NaN for observations that are in no fold.
+    """Return S of each observation; NaN for observations that are in no fold (-1).
 
-    Args:
-        problem: problem with the values of a fit to all observations.
-        folds: fold of each observation; -1: it is never held out.
-        cheirality: as in a solve.
+    The problem has the values of a fit to all observations.
     """
     jacobians = linearize(problem, cheirality).d_point
     if problem.observation_sigma is not None:

@@ -104,12 +104,8 @@ def motion_test(
 ) -> MotionTest:  # fmt: skip
     """Return the test of shared lenses with a rolling shutter.
 
-    Args:
-        plain: (num_candidates, n) normalised errors without a shutter.
-        rolling: (m, n) those of some shared lenses with one.
-        image: (n,) image index of each error.
-        shared: (m) candidates of these lenses.
-        rule: numbers of the decision.
+    Normalised errors are (num_candidates, n) without a shutter, and (m, n) with one of some shared
+    lenses, which are the (m) candidates given.
     """
     count = len(rolling)
     among_shared = _decision(np.concatenate([rolling, plain[shared]]), image, rule)
