@@ -57,8 +57,8 @@ def judge(
         start = Measured(
             whole=solved.initial_problem, command=command, options=solved.options, priors=priors
         )
-        found = positions_of_start(start)
-        return one_list(about_imu, () if found is None else (found,))
+        far = positions_of_start(start)
+        return one_list(about_imu, () if far is None else (far,))
     limited = not_converged(solved, command)
     found = find(
         solved.problem,
