@@ -106,13 +106,7 @@ class SigmaMovement:
 
 
 def movement_in_sigmas(a: Problem, b: Problem, rows_a: Indices, rows_b: Indices) -> SigmaMovement:
-    """Return the movement of the shared images.
-
-    Args:
-        a: the first model, at its minimum.
-        b: the second model.
-        rows_a: (n,) indices of the shared images in A.
-        rows_b: (n,) their indices in B.
+    """Return the movement of the shared images, whose rows are (n,); A is at its minimum.
 
     Raises:
         InputError: A has no covariance, or a metric scale that B does not have.

@@ -18,7 +18,7 @@ from bundle.judging.findings.focal_lengths import (
     shared_lens,
     undetermined_intrinsics,
 )
-from bundle.judging.findings.images import ImageFits, image_fits, image_residuals, motion
+from bundle.judging.findings.images import ImageFits, image_fits, image_residuals, motion, variation
 from bundle.judging.findings.larger_lens import absorbed_lens
 from bundle.judging.findings.lens_terms import LensField, fields_of_lenses, lens_model
 from bundle.judging.findings.measured import Measured
@@ -88,9 +88,10 @@ def find(
     return tuple(sorted(found, key=lambda finding: IMPORTANCE.index(finding.kind)))
 
 
-def _lens(measured: Measured, fields: Sequence[LensField]) -> Finding | None:
+def _lens(measured: Measured, fits: ImageFits, fields: Sequence[LensField]) -> Finding | None:
     """Return the finding about a lens model that is too small, in residuals or absorbed."""
-    return lens_model(measured, fields) or absorbed_lens(measured)
+    is_varied = variation(measured.scale, fits, fields)[2]
+    return lens_model(measured, fields) or absorbed_lens(measured, is_varied=is_varied)
 
 
 def _repairs(measured: Measured) -> tuple[tuple[str, str], bool]:
@@ -98,10 +99,10 @@ def _repairs(measured: Measured) -> tuple[tuple[str, str], bool]:
 
     And True if it moved, but a shutter is not worth its price.
     """
-    _, _, fields, moves = _fields(measured)
+    _, fits, fields, moves = _fields(measured)
     if moves is not None:
         return ("", str(moves.evidence["shutter"])), not moves.evidence["shutter"]
-    lens = _lens(measured, fields)
+    lens = _lens(measured, fits, fields)
     return ("" if lens is None else str(lens.evidence["larger_model"]), ""), False
 
 
@@ -178,7 +179,7 @@ def _findings(measured: Measured) -> Iterator[Finding | None]:
         yield moves
         measured = rolling
         found, fits, fields, _ = _fields(measured)
-    lens = None if moves is not None and rolling is None else _lens(measured, fields)
+    lens = None if moves is not None and rolling is None else _lens(measured, fits, fields)
     yield lens
     if lens is not None:
         larger = repaired(measured, lens.evidence["larger_model"]) if can_repair else None

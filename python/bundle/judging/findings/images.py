@@ -109,15 +109,8 @@ def motion(
     fields: Sequence[LensField],
 ) -> Finding | None:
     """Return the finding about motion or a rolling shutter, or None."""
-    ratios, sizes = {}, {}
-    lens_size = max((field.size for field in fields), default=0.0)
-    least = max(SIZE, LENS_SIZES * lens_size)
-    fires = False
-    for name, column in (("anisotropy", 1), ("shear", 2)):
-        ratio, tau, excess = between_images(fits.coefficients[:, column], fits.variances[:, column])
-        ratios[name], sizes[name] = ratio, tau / measured.scale
-        fires |= ratio > RATIO and excess > 0 and tau > least * measured.scale
-    if not fires:
+    ratios, sizes, is_varied = variation(measured.scale, fits, fields)
+    if not is_varied:
         return None
     rows, columns, explained = direction(found)
     named = named_order(rows, columns)
@@ -144,6 +137,20 @@ def motion(
             "image_ids": _ids(found, np.argsort(-fits.sizes)[:NAMED]),
         },
     )
+
+
+def variation(
+    scale: float, fits: ImageFits, fields: Sequence[LensField]
+) -> tuple[dict[str, float], dict[str, float], bool]:
+    """Return chi^2 per degree and tau in scales of anisotropy and shear, and if they vary."""
+    ratios, sizes = {}, {}
+    least = max(SIZE, LENS_SIZES * max((field.size for field in fields), default=0.0))
+    is_varied = False
+    for name, column in (("anisotropy", 1), ("shear", 2)):
+        ratio, tau, excess = between_images(fits.coefficients[:, column], fits.variances[:, column])
+        ratios[name], sizes[name] = ratio, tau / scale
+        is_varied |= ratio > RATIO and excess > 0 and tau > least * scale
+    return ratios, sizes, is_varied
 
 
 def named_order(rows: float, columns: float) -> str:

@@ -53,17 +53,22 @@ SIGNIFICANT = 1e-4
 LARGEST_MODELS = ("OPENCV", "OPENCV_FISHEYE")
 """Models beyond these have terms that are not determined beside each other."""
 BY_TERM = 4.0
+MOST_LENSES = 4
 MOST_WORK = 150_000
 """Observations plus 20 times the square of the images, up to which a step takes milliseconds."""
 
 Floats = NDArray[np.float64]
 
 
-def absorbed_lens(measured: Measured) -> Finding | None:
-    """Return the finding about a lens model whose missing term moved the cameras, or None."""
+def absorbed_lens(measured: Measured, *, is_varied: bool = False) -> Finding | None:
+    """Return the finding about a lens model whose missing term moved the cameras, or None.
+
+    Many lenses are tested if the residuals of their images vary as motion does.
+    """
     problem = measured.whole
     names = _extensions(measured)
-    if not is_cheap(problem) or not names:
+    has_many = len(distinct(problem.image_camera)) > MOST_LENSES
+    if not is_cheap(problem) or not names or (has_many and not is_varied):
         return None
     if not measured.scale > SMALLEST_SCALE:  # exact observations
         return None

@@ -73,9 +73,7 @@ def squared_errors(residuals: _Floats, covariances: _Floats) -> _Floats:
 def normalized_errors(residuals: _Floats, covariances: _Floats) -> tuple[_Floats, float]:
     """Return the normalised errors of all candidates, and sigma.
 
-    Args:
-        residuals: (num_candidates, num_held_out, 2) residuals; NaN without a projection.
-        covariances: (num_held_out, 2, 2) common covariances.
+    Residuals (num_candidates, num_held_out, 2) are NaN without a projection.
     """
     squares = squared_errors(residuals, covariances)
     medians = np.median(np.where(np.isnan(squares), np.inf, squares), axis=1)

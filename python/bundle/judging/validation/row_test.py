@@ -305,14 +305,10 @@ def shear_score(
     residual: _Floats,
     refine: tuple[str, ...] = ("focal", "extra"),
 ) -> ShearScore:
-    """Return the test of some observations.
+    """Return the test of observations without outliers and repeated measurements, ascending.
 
-    Args:
-        problem: the fitted problem.
-        rows: observations without outliers and repeated measurements, ascending.
-        position: (rows, 2) projections relative to the centre of the image, in any unit.
-        residual: (rows, 2) projection minus measurement.
-        refine: kinds of lens parameters that the fit refined.
+    Positions (rows, 2) are projections relative to the centre of the image, in any unit, residuals
+    (rows, 2) projection minus measurement.
     """
     chosen = part_of_observations(problem, rows, MOST_IMAGES, MOST_POINTS)
     rows, position, residual = rows[chosen], position[chosen], residual[chosen]
