@@ -10,7 +10,6 @@ import pytest
 
 import bundle
 from bundle.cli.error_lines import describe_error
-from bundle.model.image_selection import MOST_IDS
 from tests.cli.conftest import command, environment
 from tests.printed import in_order
 from tests.scenes import scene
@@ -75,96 +74,11 @@ def test_folder_that_is_no_model(run, tmp_path):
     assert_refused(run("info", tmp_path / "photos", "--quiet"), "photos", "cameras")
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["polish"], ["polish", "refine"]),
-        (["refine"], ["INPUT"]),
-        (["refine", "IN"], ["--output"]),
-        (["refine", "IN", "-o", "OUT", "--solver", "magic"], ["--solver", "magic", "dense-schur"]),
-        (["refine", "IN", "-o", "OUT", "--solv", "auto"], ["--solv"]),
-        (["refine", "IN", "-o", "OUT", "--backend", "gpu"], ["--backend", "gpu", "fused"]),
-        (
-            ["refine", "IN", "-o", "OUT", "--backend", "fused", "--solver", "cgnr"],
-            ["--solver:", "fused backend", "found cgnr"],
-        ),
-        (
-            ["refine", "IN", "-o", "OUT", "--backend", "fused", "--ordering", "automatic"],
-            ["--ordering:", "points-first", "found automatic"],
-        ),
-        (
-            [
-                "refine",
-                "IN",
-                "-o",
-                "OUT",
-                "--backend",
-                "fused",
-                "--preconditioner",
-                "cluster-jacobi",
-            ],
-            ["--preconditioner:", "fused backend", "found cluster-jacobi"],
-        ),
-        (
-            ["refine", "IN", "-o", "OUT", "--backend", "fused", "--refine", "poses"],
-            ["--refine:", "fused backend", "found constant points"],
-        ),
-        (["refine", "IN", "-o", "OUT", "--threads", "two"], ["--threads", "two"]),
-        (["refine", "IN", "-o", "OUT", "--threads", "-1"], ["--threads", "-1"]),
-        (["refine", "IN", "-o", "OUT", "--threads", "99999999999"], ["--threads", "at most"]),
-        (["refine", "IN", "-o", "OUT", "--max-iterations", "-1"], ["--max-iterations:", "-1"]),
-        (["refine", "IN", "-o", "OUT", "--max-iterations", "1.5"], ["--max-iterations", "1.5"]),
-        (["refine", "IN", "-o", "OUT", "--loss-scale", "0"], ["--loss-scale:", "more than 0"]),
-        (["refine", "IN", "-o", "OUT", "--loss-scale", "nan"], ["--loss-scale:", "finite"]),
-        (["refine", "IN", "-o", "OUT", "--function-tolerance", "-1"], ["--function-tolerance:"]),
-        (["refine", "IN", "-o", "OUT", "--refine", "poses,lens"], ["--refine:", "lens"]),
-        (["refine", "IN", "-o", "OUT", "--fix-images", "one"], ["--fix-images", "one"]),
-        (["refine", "IN", "-o", "OUT", "--fix-images", "9-5"], ["--fix-images", "9-5"]),
-        (["refine", "IN", "-o", "OUT", "--fix-images", "1,,2"], ["--fix-images"]),
-        (["refine", "IN", "-o", "OUT", "--fix-points", "0-99999999999"], [str(MOST_IDS)]),
-        (["refine", "IN", "-o", "OUT", "--fix-points", f"0-{2**63 - 1}"], [str(MOST_IDS)]),
-        (["refine", "IN", "-o", "OUT", "--only-images", f"0-{2**63 - 1}"], [str(MOST_IDS)]),
-        (["refine", "IN", "-o", "OUT", "--fix-points", "9" * 50], ["--fix-points"]),
-        (["refine", "IN", "-o", "OUT", "--fix-images", "77"], ["--fix-images:", "77"]),
-        (["refine", "IN", "-o", "OUT", "--format", "las"], ["--format", "las"]),
-        (["refine", "IN", "-o", "problem.txt/folder/out.txt"], ["problem.txt/folder"]),
-        (["refine", "IN", "-o", "", "--format", "bal"], []),
-        (["refine", "IN", "-o", "DIR", "--format", "bal"], ["found a folder"]),
-        (["refine", "IN", "-o", "IN", "--format", "colmap"], ["problem.txt", "found a file"]),
-        (["refine", "IN", "-o", "OUT", "--json", "DIR"], ["found a folder"]),
-        (["refine", "IN", "-o", "OUT", "--json", "problem.txt/r.json"], ["problem.txt/r.json"]),
-        (["refine", "IN", "-o", "OUT", "--json", "OUT"], ["out.txt"]),
-        (["refine", "IN", "-o", "OUT", "--json", "IN"], ["problem.txt"]),
-        (["info", "IN", "--json", "./IN"], ["problem.txt"]),
-        (["convert", "IN", "DIR", "--format", "bal"], ["found a folder"]),
-        (["convert", "IN", "/dev/null", "--format", "bal"], ["device"]),
-    ],
-)
-def test_usage(run, model, tmp_path, monkeypatch, arguments, words):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "dir").mkdir()
-    names = {"IN": model.name, "./IN": f"./{model.name}", "OUT": "out.txt", "DIR": "dir"}
-    before = snapshot(tmp_path)
-    quiet = ["--quiet"] if len(arguments) > 1 else []
-    outcome = run(*(names.get(argument, argument) for argument in arguments), *quiet)
-    assert_refused(outcome, *words)
-    assert snapshot(tmp_path) == before
-    assert Path("/dev/null").is_char_device()
-
-
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
 def test_folder_without_permission(run, model, tmp_path):
     locked = tmp_path / "locked"
     locked.mkdir(mode=0o500)
     assert_refused(run("refine", model, "-o", locked / "r.txt", "--quiet"), "locked")
-
-
-def test_output_is_refused_before_the_solve(run, model, monkeypatch):
-    def solve(*_arguments, **_options):
-        pytest.fail("solved for nothing")
-
-    monkeypatch.setattr("bundle.solving.rounds.solve_rounds.solve_prepared", solve)
-    assert_refused(run("refine", model, "-o", f"{model}/r.txt", "--quiet"), "problem.txt/r.txt")
 
 
 def test_a_failed_command_leaves_no_new_folder(run, model, tmp_path):

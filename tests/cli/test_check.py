@@ -158,23 +158,6 @@ def test_the_sample_is_seeded(run, named, tmp_path):
     assert reports[0] == reports[1] != reports[2]
 
 
-@pytest.mark.parametrize(
-    ("flags", "message"),
-    [
-        (["--samples", "0"], "--samples: expected at least 1, found 0"),
-        (["--seed", "-1"], "--seed"),
-        (["--threads", "-2"], "--threads"),
-        (["--tolerance", "0"], "tolerance: expected more than 0"),
-        (["--samples", "3", "--all"], "not allowed with"),
-    ],
-)
-def test_bad_flags(run, named, flags, message):
-    code, out, err = run("check", named, "--quiet", *flags)
-    assert (code, out) == (2, "")
-    assert message in err
-    assert err.count("\n") == 1
-
-
 def test_nothing_to_check_is_no_failure(run, tmp_path):
     path = tmp_path / "behind.txt"
     problem = scene()

@@ -59,34 +59,6 @@ def test_nothing_usable_is_1(run, model):
     assert "bundle refine" not in out
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        ("--solvers", "lu"),
-        ("--solvers", ","),
-        ("--threads", "two"),
-        ("--memory-cap", "much"),
-        ("--trust-regions", "newton"),
-        ("--perturb", "0.6"),
-        ("--seed", "-1"),
-        ("--timeout", "0"),
-        ("--timeout", "nan"),
-        ("--repeat", "0"),
-        ("--solver=auto",),
-        ("--loss-scale", "-3"),
-        ("nothing.txt",),
-    ],
-)
-def test_bad_usage_is_one_line_and_2(run, model, arguments):
-    code, out, err = run("compare", model, *arguments, "--quiet")
-    assert code == 2
-    assert out == ""
-    assert err.startswith("error: ")
-    assert arguments[0] in err
-    assert arguments[-1] in err or arguments[-1] == ","
-    assert err.count("\n") == 1
-
-
 def test_report_must_not_replace_an_input(run, model):
     code, _, err = run("compare", model, "--json", model)
     assert code == 2

@@ -38,11 +38,6 @@ def test_orders_of_a_model(run, tmp_path):
     assert found == {"POINTS_FIRST", "CAMERAS_FIRST", "AUTOMATIC"}
 
 
-def test_another_word_is_refused(run, tmp_path):
-    code, _, err = run("compare", tmp_path / "walk.g2o", "--ordering", "amd", "--quiet")
-    assert code == 2 and err.count("\n") == 1 and "all" in err
-
-
 def test_a_page_of_orders(run, tmp_path):
     bundle.save(chain_of_poses(0, 100, 20), tmp_path / "walk.g2o")
     page = tmp_path / "page.html"

@@ -50,30 +50,3 @@ def test_parts_rules_and_losses(model, tmp_path):
         assert len(file["pose_ids"]) == len(file["point_ids"]) == 0
         assert np.isnan(file["camera_covariance"][:, 3, 3]).all()
         assert str(file["robust"]) == "sandwich"
-
-
-@pytest.mark.parametrize(
-    "words",
-    [
-        ("--gauge", "none"),
-        ("--gauge", "some"),
-        ("--of", "lenses"),
-        ("--relative", "1-3"),
-        ("--relative", "1:77"),
-        ("--scale", "sigma0", "--robust", "sandwich"),
-        ("--fix-images", "88"),
-    ],
-)
-def test_wrong_words_are_one_line_and_write_nothing(model, tmp_path, capsys, words):
-    target = tmp_path / "c.npz"
-    assert run("covariance", model, "-o", target, "--quiet", *words) == 2
-    error = capsys.readouterr().err
-    assert error.startswith("error: ")
-    assert error.count("\n") == 1
-    assert words[0] in error
-    assert not target.exists()
-
-
-def test_it_replaces_no_model(model, capsys):
-    assert run("covariance", model, "-o", model / "points3D.bin") == 2
-    assert capsys.readouterr().err.startswith("error: ")

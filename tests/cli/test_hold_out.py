@@ -41,20 +41,3 @@ def test_without_the_flag_there_is_no_record(run, folder, tmp_path):
     data = json.loads(report.read_text())
     assert "held_out" not in data
     assert "hold_out" not in data["options"]
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (("--hold-out", "70"), "--hold-out: expected at most 50, found 70"),
-        (("--hold-out", "ten"), "--hold-out"),
-        (("--hold-out-seed", "3"), "--hold-out-seed: valid only with --hold-out"),
-        (("--hold-out", "0.01"), "--hold-out: expected a share of one observation or more"),
-    ],
-)
-def test_refusals_are_one_line_and_write_nothing(run, folder, tmp_path, words, message):
-    code, _, err = run("refine", folder, "-o", tmp_path / "out", *words)
-    assert code == 2
-    (line,) = (line for line in err.splitlines() if line.startswith("error: "))
-    assert message in line
-    assert not (tmp_path / "out").exists()

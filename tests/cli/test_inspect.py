@@ -166,42 +166,6 @@ def test_the_orderings_of_graphs_are_the_library_s():
     assert tuple(name.replace("-", "_") for name in action.choices) == GRAPH_ORDERINGS
 
 
-@pytest.mark.parametrize(
-    ("arguments", "parts"),
-    [
-        ([], ["--graph"]),
-        (["MODEL", "--graph", "CYCLE"], ["--graph"]),
-        (["MODEL", "--ordering", "amd"], ["--ordering", "--graph"]),
-        (["MODEL", "--block-size", "6"], ["--block-size", "--graph"]),
-        (["--graph", "CYCLE", "--ordering", "best"], ["--ordering", "'best'"]),
-        (["--graph", "CYCLE", "--landmarks", "l1"], ["--landmarks", "'l1'"]),
-        (["--graph", "CYCLE", "--block-size", "0"], ["--block-size", "found 0"]),
-        (["--graph", "MISSING"], ["missing"]),
-        (["MISSING"], ["missing"]),
-        (["MODEL", "--threads", "-1"], ["--threads", "found -1"]),
-        (["MODEL", "--refine", "nothing"], ["--refine", "nothing"]),
-        (["MODEL", "--fix-images", "77"], ["--fix-images", "found 77"]),
-        (["MODEL", "--html", "MODEL"], ["problem.txt"]),
-    ],
-)
-def test_bad_input_is_one_line(run, model, cycle, tmp_path, arguments, parts):
-    names = {"MODEL": model, "CYCLE": cycle, "MISSING": tmp_path / "missing"}
-    code, out, err = run("inspect", *(names.get(word, word) for word in arguments), "--quiet")
-    assert code == 2
-    assert out == ""
-    assert err.startswith("error: ")
-    assert err.count("\n") == 1
-    assert all(part in err for part in parts)
-
-
-def test_a_line_that_is_no_edge(run, tmp_path):
-    path = tmp_path / "bad.txt"
-    path.write_text("a b\na b c\n")
-    code, _, err = run("inspect", "--graph", path)
-    assert code == 2
-    assert f"{path}:2: " in err
-
-
 def test_several_processes(run, model, tmp_path):
     report = tmp_path / "report.json"
     code, out, _ = run("inspect", model, "--ranks", "1,3", "--network", "25,2", "--json", report)

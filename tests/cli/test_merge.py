@@ -7,7 +7,6 @@ import pytest
 import bundle
 from tests.editing.merging.halves import halves, whole
 from tests.printed import table
-from tests.scenes import scene
 
 
 @pytest.fixture
@@ -45,29 +44,3 @@ def test_the_report_alone_goes_to_standard_output(run, models):
     words = (folder / "a", folder / "b", "-o", f"{folder}/out/", "--quiet", "--json", "-")
     code, out, _ = run("merge", *words)
     assert code == 0 and json.loads(out)["merge"]["num_shared_images"] == 2
-
-
-@pytest.mark.parametrize(
-    ("words", "wanted"),
-    [
-        (["A", "none"], "none"),
-        (["A", "BAL"], "B: "),
-        (["BAL", "B"], "A: "),
-        (["A", "ALONE"], "B: "),
-        (["A"], "B"),
-        (["A", "B", "--max-error", "0"], "--max-error"),
-        (["A", "B", "--max-error", "x"], "--max-error"),
-    ],
-)
-def test_bad_input_ends_in_one_line_and_writes_nothing(run, models, words, wanted):
-    folder, _ = models
-    bundle.save(scene(), folder / "bal.txt")
-    names = [f"other{index}" for index in range(8)]
-    bundle.save(whole().replace(image_names=names), f"{folder}/alone/")
-    named = {"A": "a", "B": "b", "BAL": "bal.txt", "ALONE": "alone"}
-    before = sorted(folder.rglob("*"))
-    arguments = [folder / named[word] if word in named else word for word in words]
-    code, out, err = run("merge", *arguments, "-o", f"{folder}/out/", "--quiet")
-    assert (code, out, err.count("\n")) == (2, "", 1)
-    assert err.startswith("error: ") and wanted in err
-    assert sorted(folder.rglob("*")) == before

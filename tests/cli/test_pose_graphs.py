@@ -61,32 +61,6 @@ def test_a_solve_that_does_not_end_is_a_result(run, source, tmp_path):
     assert done.code == 0 and "Not converged" in done.out
 
 
-@pytest.mark.parametrize(
-    ("flags", "flag"),
-    [
-        (["--refine", "poses"], "--refine"),
-        (["--rounds", "2"], "--rounds"),
-        (["--set", "cameras *: f fixed"], "--set"),
-        (["--check-gradients"], "--check-gradients"),
-        (["--solver", "dense-qr"], "--solver"),
-        (["--format", "bal"], "--format"),
-        (["--init", "odometri"], "--init"),
-        (["--loss-on", "all"], "--loss-on"),
-    ],
-)
-def test_flags_that_do_not_fit_are_refused(run, source, tmp_path, flags, flag):
-    done = run("refine", source, "-o", tmp_path / "y.g2o", *flags)
-    assert done.code == 2 and flag in done.err.splitlines()[-1]
-    assert not (tmp_path / "y.g2o").exists()
-
-
-def test_flags_of_graphs_are_none_of_reconstructions(run, tmp_path):
-    run("synth", tmp_path / "s.txt", "--images", 4, "--points", 20, "--quiet")
-    for flags in (["--init", "chordal"], ["--trust-region", "gauss-newton"]):
-        done = run("refine", tmp_path / "s.txt", "-o", tmp_path / "t.txt", *flags)
-        assert done.code == 2 and flags[0] in done.err and not (tmp_path / "t.txt").exists()
-
-
 @pytest.mark.parametrize("name", ["y.txt", "y.txt.gz"])
 def test_the_name_of_another_format_is_refused(run, source, tmp_path, name):
     for arguments in (

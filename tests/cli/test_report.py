@@ -71,27 +71,3 @@ def test_positions_are_on_the_page_of_refine(run, tmp_path):
     positions = ("--gps", tmp_path / "geo.txt")
     assert run("report", tmp_path / "out", "-o", again, "--quiet", *positions).code == 0
     assert certainty(again) == certainty(page) != certainty(alone)
-
-
-@pytest.mark.parametrize(
-    ("words", "parts"),
-    [
-        (("report", "MODEL"), ("-o",)),
-        (("report", "MODEL", "-o", "-"), ("--output",)),
-        (("report", "MODEL", "-o", "MODEL"), ("MODEL",)),
-        (("report", "MODEL", "-o", "PAGE", "--images", "NONE"), ("NONE", "folder")),
-        (("refine", "MODEL", "-o", "OUT", "--html", "PAGE", "--images", "NONE"), ("--images",)),
-        (("refine", "MODEL", "-o", "OUT", "--images", "DIR"), ("--images", "--gps")),
-        (("refine", "MODEL", "-o", "OUT", "--html", "MODEL/images.txt"), ("page",)),
-    ],
-)
-def test_bad_input_is_one_line(run, model, tmp_path, words, parts):
-    names = {"MODEL": model, "DIR": tmp_path, "OUT": tmp_path / "out"}
-    names |= {"NONE": tmp_path / "NONE", "PAGE": tmp_path / "PAGE"}
-    names["MODEL/images.txt"] = model / "images.txt"
-    code, out, err = run(*(names.get(word, word) for word in words), "--quiet")
-    assert (code, out) == (2, "")
-    assert err.startswith("error: ") and err.count("\n") == 1
-    for part in parts:
-        assert str(names.get(part, part)).split("/")[-1] in err
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["model"]

@@ -28,12 +28,3 @@ def test_exit_codes_and_json(run, reports, tmp_path):
     assert found["headline"] == [found["causes"][0]["sentence"]]
     by_name = {one["name"]: one for one in found["quantities"]}
     assert by_name["information_nonzeros"]["ratio"] == 1 < by_name["factor_flops"]["ratio"]
-
-
-def test_bad_input(run, reports, tmp_path):
-    (tmp_path / "notes.txt").write_text("no report")
-    for words in ((reports[0], tmp_path / "notes.txt"), (tmp_path / "none.json", reports[0]),
-                  (reports[0],), (*reports[:2], "--time-noise", "0.5")):  # fmt: skip
-        code, out, err = run("triage", *words, "--quiet")
-        assert code == 2 and out == "" and err.startswith("error: ") and err.count("\n") == 1
-    assert "--time-noise" in err

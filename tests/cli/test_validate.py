@@ -76,27 +76,6 @@ def test_lists_of_losses_and_of_refined_sets(run, folder, tmp_path):
     assert "principal-point" in command
 
 
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (("--folds", "1"), "--folds: expected at least 2, found 1"),
-        (("--seed", "-1"), "--seed"),
-        (("--camera-models", "OPENCVV"), "--camera-models: expected"),
-        (("--share", "each,none"), "--share: expected"),
-        (("--losses", "huge"), "--losses: expected"),
-        (("--refine", "poses,lens"), "--refine: expected"),
-        (("--gps", "missing.txt"), "missing.txt"),
-    ],
-)
-def test_refusals_are_one_line(run, folder, tmp_path, words, message):
-    code, _, err = run("validate", folder, *words, "--html", tmp_path / "page.html", "--quiet")
-    assert code == 2
-    (line,) = err.splitlines()
-    assert line.startswith("error: ")
-    assert message in line
-    assert not (tmp_path / "page.html").exists()
-
-
 def test_too_few_observations_are_one_line(run, tmp_path):
     bundle.save(make_problem(num_images=6, num_points=60, track=2, format="colmap"), tmp_path / "m")
     code, _, err = run("validate", tmp_path / "m", "--quiet")

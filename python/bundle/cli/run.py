@@ -60,7 +60,7 @@ def prepare(arguments: argparse.Namespace) -> Callable[[], int]:
             if name:
                 resolve(name)
     if ways[0].main:
-        _refuse_others(command, kinds[0][1], arguments)
+        refuse_others(command, kinds[0][1], arguments)
         return lambda: int(resolve(ways[0].main)(arguments))
     return lambda: _run(command, kinds, arguments)
 
@@ -122,7 +122,7 @@ class Run:
     def report(self) -> Report:
         """Run all steps; return the report."""
         way, arguments = self._way, self.arguments
-        _refuse_others(self._command, self._kind, arguments)
+        refuse_others(self._command, self._kind, arguments)
         if way.run:
             report: Report = resolve(way.run)(self)
             return report
@@ -213,7 +213,9 @@ class Run:
     @contextmanager
     def naming(self) -> Iterator[None]:
         """Name flags in the place of keywords in errors."""
-        flags = {**flags_of(type(self.options))} if self.options is not None else {}
+        flags = {name: name.upper() for name in self._way.reads.split()}
+        if self.options is not None:
+            flags |= flags_of(type(self.options))
         flags |= self.arguments.flags
         if self.georeference is not None:
             from bundle.cli.georeference_flags import GEOREFERENCE_FLAGS, main_flag
@@ -298,7 +300,7 @@ def given_flags(arguments: argparse.Namespace, names: Iterable[str]) -> Iterator
             yield arguments.flags[name]
 
 
-def _refuse_others(command: Command, kind: str, arguments: argparse.Namespace) -> None:
+def refuse_others(command: Command, kind: str, arguments: argparse.Namespace) -> None:
     """Refuse flags of other kinds of INPUT.
 
     Raises:
