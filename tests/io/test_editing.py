@@ -259,7 +259,7 @@ def test_every_field_is_edited() -> None:
     fields = {field.name for field in dataclasses.fields(Problem)}
     # Those of rigs are edited in test_rig_models.py: one alone contradicts the others.
     # Rolling shutters: test_rolling_shutter_file.py.
-    assert set(EDITS) == fields - set(rig_arrays.DTYPES) - {"rolling_shutter"}
+    assert set(EDITS) == fields - set(rig_arrays.ARRAYS) - {"rolling_shutter"}
 
 
 def content_of_problem(problem: Problem) -> dict[str, Any]:

@@ -140,7 +140,7 @@ def test_text_of_other_systems(tmp_path):
     ("changes", "wanted"),
     [
         ({"poses": np.zeros((2, 6))}, "shape"),
-        ({"poses": np.zeros((2, 7))}, "zeros"),
+        ({"poses": np.zeros((2, 7))}, "norm 0"),
         ({"poses": np.full((2, 7), np.nan)}, "finite"),
         ({"poses": np.full((2, 7), 1e200)}, "up to 1e"),
         ({"names": ("a",)}, "names: expected 4, found 1"),

@@ -12,7 +12,7 @@ import pytest
 import bundle
 from bundle import InputError, Problem
 from bundle.io.colmap import can_rewrite
-from bundle.model.rig_arrays import DTYPES
+from bundle.model.rig_arrays import ARRAYS as RIG_ARRAYS
 from tests.io.colmap_models import ARRAYS, fields, pose_of, synthesize, write_model
 from tests.rig_scenes import FIVE, STEREO, rig_problem
 
@@ -98,7 +98,7 @@ def test_a_model_is_read_as_pycolmap_reads_it(tmp_path: Path, binary: bool) -> N
     ]
     assert_agrees(problem, source)
     again = Problem.from_pycolmap(source)
-    for name in (*ARRAYS, *DTYPES):
+    for name in (*ARRAYS, *RIG_ARRAYS):
         np.testing.assert_allclose(getattr(again, name), getattr(problem, name), atol=1e-14)
 
 
@@ -136,7 +136,7 @@ def test_a_solution_is_written(tmp_path: Path, binary: bool, by_pycolmap: bool) 
         name for name in rig_before if "IMU" in name or "51" in name
     ), kept
     again = bundle.load(tmp_path / "out")
-    for name in DTYPES:
+    for name in RIG_ARRAYS:
         np.testing.assert_array_equal(getattr(again, name), getattr(problem, name))
 
 
@@ -261,7 +261,7 @@ def test_rigs_from_memory(tmp_path: Path, rigs: tuple) -> None:  # type: ignore[
     written = pycolmap.Reconstruction(tmp_path / "out")
     assert_agrees(problem, written)
     again = bundle.load(tmp_path / "out")
-    for name in (*DTYPES, "cam_from_world"):
+    for name in (*RIG_ARRAYS, "cam_from_world"):
         np.testing.assert_allclose(getattr(again, name), getattr(problem, name), atol=1e-14)
 
 

@@ -12,14 +12,14 @@ from scipy.spatial.transform import Rotation
 import bundle
 from bundle import InputError, Problem, _core
 from bundle.base.arrays import immutable
-from bundle.model.problem_fields import DTYPES
+from bundle.model.problem_fields import ARRAYS
 from tests import scenes
 
 OPTIONS = bundle.SolveOptions(max_num_iterations=1, num_threads=1)
 
 
 def arrays(problem):
-    return {name: getattr(problem, name) for name in DTYPES}
+    return {name: getattr(problem, name) for name in ARRAYS}
 
 
 def expect_immutable(problem):

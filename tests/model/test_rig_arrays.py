@@ -12,7 +12,7 @@ from bundle.model import rig_arrays
 from tests.rig_scenes import FIVE, STEREO, rig_problem
 from tests.scenes import make_problem
 
-RIG_FIELDS = tuple(rig_arrays.DTYPES)
+RIG_FIELDS = tuple(rig_arrays.ARRAYS)
 
 
 def composed(problem):

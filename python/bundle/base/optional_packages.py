@@ -25,9 +25,6 @@ def require_pycolmap(purpose: str) -> None:
 
     Args:
         purpose: what needs it, for the message.
-
-    Raises:
-        InputError: it is not installed.
     """
     require_package("pycolmap", "pycolmap", purpose)
 
@@ -39,9 +36,6 @@ def require_package(module: str, package: str, purpose: str) -> None:
         module: name that is imported.
         package: name that pip installs.
         purpose: what needs it, for the message.
-
-    Raises:
-        InputError: it is not installed.
     """
     if not _is_installed(module):
         raise InputError(
@@ -51,11 +45,7 @@ def require_package(module: str, package: str, purpose: str) -> None:
 
 
 def allow_heic(path: Path) -> None:
-    """Let Pillow open a photograph that is HEIC by its name.
-
-    Raises:
-        InputError: pillow-heif (the extra ``heic``) is not installed.
-    """
+    """Let Pillow open a photograph that is HEIC by its name."""
     if path.suffix.lower() in _HEIC:
         require_package("pillow_heif", "bundle-adjust[heic]", shown(path))
         import pillow_heif  # late: few photographs need it

@@ -13,11 +13,7 @@ UTF16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 
 
 def as_path(path: Any, name: str = "path") -> Path:
-    """Convert a path to a ``pathlib.Path``.
-
-    Raises:
-        InputError: the value is not a path, is empty, or has characters that paths cannot have.
-    """
+    """Convert a path to a ``pathlib.Path``."""
     if not is_path(path):
         raise InputError(f"{name}: expected a path, found {brief(path)}")
     text = os.fspath(path)

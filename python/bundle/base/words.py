@@ -174,11 +174,7 @@ for _power, _letter in enumerate("KMGT", start=1):
 
 
 def parse_size(text: str) -> int:
-    """Parse a size such as "500MB", "2 GiB" or "1000000"; return bytes.
-
-    Raises:
-        InputError: the text is not a size, or is less than one byte.
-    """
+    """Parse a size such as "500MB", "2 GiB" or "1000000"; return bytes."""
     match = re.fullmatch(r"([0-9]+(?:\.[0-9]+)?) *([A-Za-z]*)", text.strip())
     unit = _UNITS.get(match[2].upper()) if match else None
     size = float(match[1]) * unit if match and unit else 0

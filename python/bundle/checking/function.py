@@ -39,11 +39,7 @@ class UserFunction:
         self.num_residuals = num_residuals or len(self._residual(self._call(blocks)[0]))
 
     def evaluate(self, blocks: Sequence[Array]) -> tuple[Array, Array]:
-        """Return the residual (R,) and the Jacobians of all blocks, concatenated to (R, N).
-
-        Raises:
-            InputError: the returned values have wrong shapes.
-        """
+        """Return the residual (R,) and the Jacobians of all blocks, concatenated to (R, N)."""
         answer = self._inside(blocks)
         if answer is None:
             return np.full(self.num_residuals, np.nan), np.full(

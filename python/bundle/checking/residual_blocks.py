@@ -39,11 +39,7 @@ class Layout:
         manifolds: Sequence[ManifoldLike] | None,
         names: Sequence[Name] | None,
     ) -> Layout:
-        """Return the layout of blocks.
-
-        Raises:
-            InputError: manifolds or names do not match the blocks.
-        """
+        """Return the layout of blocks."""
         count = len(start)
         for what, given in (("manifolds", manifolds), ("names", names)):
             if given is not None and not isinstance(given, list | tuple):
@@ -157,11 +153,7 @@ class Manifold:
 
     @staticmethod
     def parse(given: ManifoldLike, size: int) -> Manifold:
-        """Return the manifold with a name.
-
-        Raises:
-            InputError: the manifold does not exist, or it does not match a block of this size.
-        """
+        """Return the manifold with a name."""
         pair = given if isinstance(given, tuple) else (given or "euclidean", ())
         if len(pair) != 2:
             raise InputError(f"manifolds: expected a name or (name, entries), found {brief(given)}")

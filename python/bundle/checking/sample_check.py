@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bundle.base.arrays import as_array, as_flag
+from bundle.base.arrays import as_array, as_flag, check_type, refuse_row
 from bundle.base.words import plural
 from bundle.checking.classify import classify, float_precision, is_single, stale
 from bundle.checking.evidence import EXPLAINED, Evidence, Finding, join_names
@@ -431,17 +431,17 @@ def check_function_at(
     details: bool = False,
 ) -> GradientReport:
     """Check the Jacobians of a function; see :func:`bundle.check_gradients`."""
-    if not callable(function):
-        raise InputError(f"function: expected a function, found {brief(function)}")
+    check_type("function", function, Callable, "a function")
     single = isinstance(blocks, np.ndarray) and blocks.ndim == 0
     if isinstance(blocks, str | bytes | Mapping) or not isinstance(blocks, Iterable) or single:
         raise InputError(f"blocks: expected a list of arrays, found {brief(blocks)}")
     start: list[Array] = [as_array("blocks", block).reshape(-1).copy() for block in blocks]
     if not start or not all(len(block) for block in start):
         raise InputError("blocks: expected at least one block, and no empty block")
-    for b, block in enumerate(start):
-        if not np.isfinite(block).all():
-            raise InputError(f"blocks: expected finite numbers, found nan or infinity in block {b}")
+    refuse_row(
+        [not np.isfinite(block).all() for block in start],
+        lambda b: f"blocks: expected finite numbers, found nan or infinity in block {b}",
+    )
     num_samples = number("num_samples", num_samples, minimum=1, whole=True)
     radius = number("radius", radius, minimum=0)
     ambient = as_flag("ambient", ambient)

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.base.arrays import as_integers
+from bundle.base.arrays import as_integers, refuse_row
 from bundle.errors import InputError
 from bundle.io.files import Source, as_problem
 from bundle.model.cameras import camera_models, param_kinds
@@ -148,9 +148,10 @@ def _chosen(problem: Problem, camera_ids: Iterable[int] | None) -> NDArray[np.in
     """Return indices of cameras in the order of their ids."""
     wanted = problem.camera_ids if camera_ids is None else as_integers("camera_ids", camera_ids)
     ids = np.unique(wanted)
-    unknown = ids[~np.isin(ids, problem.camera_ids)]
-    if len(unknown):
-        raise InputError(f"camera_ids: camera {unknown[0]} is not in the problem")
+    refuse_row(
+        ~np.isin(ids, problem.camera_ids),
+        lambda k: f"camera_ids: camera {ids[k]} is not in the problem",
+    )
     if len(ids) < 2:
         raise InputError(f"camera_ids: expected at least two cameras to share, found {len(ids)}")
     order = np.argsort(problem.camera_ids)
@@ -161,12 +162,14 @@ def _check_rigs(problem: Problem, images: NDArray[np.int64]) -> None:
     """Refuse images whose camera is determined by a rig."""
     if not len(problem.image_frame):
         return
-    framed = images[problem.image_frame[images] >= 0]
-    if len(framed):
-        raise InputError(
-            f"image {problem.image_ids[framed[0]]}: expected an image without a rig to get another "
-            f"camera, found an image of frame {problem.frame_ids[problem.image_frame[framed[0]]]}"
-        )
+    frame = problem.image_frame[images]
+    refuse_row(
+        frame >= 0,
+        lambda k: (
+            f"image {problem.image_ids[images[k]]}: expected an image without a rig to get another "
+            f"camera, found an image of frame {problem.frame_ids[frame[k]]}"
+        ),
+    )
 
 
 def _check_alike(problem: Problem, cameras: NDArray[np.int64]) -> None:

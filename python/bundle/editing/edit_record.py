@@ -75,9 +75,6 @@ def edit_cameras(
         share: ids of cameras to merge; True: all; "size": those of each image size.
         split: give each image its own camera.
         keep_scale: images move to keep their scale in a shared camera (``share_cameras``).
-
-    Raises:
-        InputError: for the reasons of the functions that it calls.
     """
     if model is None and share is False and not split:
         return None

@@ -54,9 +54,6 @@ def find_similarity(
         b: the second model.
         images: (n, 2) indices in A and B of the shared images.
         meetings: (m, 3) row of ``images``, index of a point of A, index of a point of B.
-
-    Raises:
-        InputError: the shared images and points do not determine the similarity.
     """
     centers_a, centers_b = a.projection_centers[images[:, 0]], b.projection_centers[images[:, 1]]
     _, first = np.unique(meetings[:, 1:], axis=0, return_index=True)

@@ -293,9 +293,6 @@ def with_shutters(
         b: model B in the frame of A.
         added: shared images, and images and cameras that B adds.
         records: records of A and B.
-
-    Raises:
-        InputError: the models have different row times.
     """
     known = [one.rolling_shutter for one in (a, b) if one.rolling_shutter is not None]
     if not known:

@@ -159,11 +159,7 @@ class _ObservedPixels:
 
 
 def _cameras(problem: Problem, camera_ids: Iterable[int] | None) -> list[int]:
-    """Return the indices of cameras by their ids.
-
-    Raises:
-        InputError: a camera does not exist.
-    """
+    """Return the indices of cameras by their ids."""
     if camera_ids is None:
         return list(range(problem.num_cameras))
     index = {key: camera for camera, key in enumerate(problem.camera_ids.tolist())}

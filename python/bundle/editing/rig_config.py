@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.base.arrays import check_type
+from bundle.base.arrays import check_distinct, check_type
 from bundle.base.records import dataclass
 from bundle.errors import InputError, brief, first_line, shown
 from bundle.model.cameras import camera_models
@@ -122,23 +122,17 @@ def _rig(place: str, rig: Any) -> RigConfig:
     count = sum(sensor.is_reference for sensor in sensors)
     if count != 1:
         raise InputError(f"{place}: expected one camera with ref_sensor true, found {count}")
-    prefixes = [sensor.image_prefix for sensor in sensors]
-    for index, prefix in enumerate(prefixes):
-        if prefix in prefixes[:index]:
-            raise InputError(f"{place}: expected each image_prefix once, found {prefix!r} twice")
+    check_distinct(
+        f"{place}: expected each image_prefix once", (sensor.image_prefix for sensor in sensors)
+    )
     return RigConfig(sensors=sensors)
 
 
 def _sensor(place: str, camera: Any) -> SensorConfig:
-    if not isinstance(camera, dict):
-        raise InputError(f"{place}: expected an object, found {brief(camera)}")
+    check_type(place, camera, dict, "an object")
     prefix, is_reference = camera.get("image_prefix"), camera.get("ref_sensor", False)
-    if not isinstance(prefix, str):
-        raise InputError(f"{place}: image_prefix: expected a string, found {brief(prefix)}")
-    if not isinstance(is_reference, bool):
-        raise InputError(
-            f"{place}: ref_sensor: expected true or false, found {brief(is_reference)}"
-        )
+    check_type(f"{place}: image_prefix", prefix, str, "a string")
+    check_type(f"{place}: ref_sensor", is_reference, bool, "true or false")
     pose = _pose(place, camera)
     if is_reference and pose is not None:
         raise InputError(

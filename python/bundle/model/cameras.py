@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 import bundle._core as _core
-from bundle.base.arrays import as_array, as_flag
+from bundle.base.arrays import Array, as_array, as_declared, as_flag
 from bundle.errors import InputError
 from bundle.interface.option_fields import choice
 
@@ -67,11 +67,7 @@ def reach(model: str) -> str:
 
 
 def param_kinds(model: str) -> tuple[str, ...]:
-    """Return the kind of each parameter of a model.
-
-    Raises:
-        InputError: the model is unknown.
-    """
+    """Return the kind of each parameter of a model."""
     return tuple(param.kind for param in _params(model))
 
 
@@ -117,9 +113,7 @@ def project(
             f"{model}: expected {len(expected)} parameters ({names}), "
             f"found an array of shape {param_array.shape}"
         )
-    points = as_array("points_in_camera", points_in_camera)
-    if points.ndim != 2 or points.shape[1] != 3:
-        raise InputError(f"points_in_camera: expected shape (N, 3), found {points.shape}")
+    points = as_declared("points_in_camera", points_in_camera, Array(("N", 3)))
     xy, status, d_point, d_params = _core.project(model, param_array, points, jacobians)
     undefined = status == _core.PROJECTION_UNDEFINED
     xy[undefined] = np.nan

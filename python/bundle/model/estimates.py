@@ -100,9 +100,6 @@ def with_estimates(problem: P, values: Mapping[str, Any], *, checked: bool = Fal
         values: new arrays by name; arrays that are missing stay, other names are ignored.
         checked: True to check all arrays again; False: the caller knows that they are valid and
             immutable.
-
-    Raises:
-        InputError: an array is invalid.
     """
     changes: dict[str, Any] = {}
     held: dict[str, dict[str, Any]] = {}

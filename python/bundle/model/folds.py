@@ -59,9 +59,6 @@ def folds_of(
         num_folds: number of folds, from 2 to 1000.
         seed: whole number; another seed gives other folds.
         keep: smallest number of images of a point that remain when a fold is held out.
-
-    Raises:
-        InputError: a number is out of range.
     """
     count = int(number("num_folds", num_folds, minimum=2, maximum=1000, whole=True))
     seed = int(number("seed", seed, minimum=0, whole=True))

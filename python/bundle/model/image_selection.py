@@ -25,10 +25,6 @@ def find_images(argument: str, problem: Problem, selection: Any) -> tuple[int, .
     ``*`` for any characters, ``?`` for one character and ``[ab]`` for a character of a set. Names
     are case-sensitive. A string is split at its commas. For a name with a comma, pass a list of
     entries, or write ``?`` for the comma.
-
-    Raises:
-        InputError: an id does not exist, no name matches the pattern, or the selection has another
-            type; the message begins with the argument.
     """
     if isinstance(selection, str):
         entries: list[Any] = [entry.strip() for entry in selection.split(",")]
@@ -90,12 +86,7 @@ def _is_id(text: str) -> bool:
 
 
 def named_images(argument: str, problem: Problem, pattern: str) -> list[int]:
-    """Return the id of the image with a name, or the ids of images whose names match a pattern.
-
-    Raises:
-        InputError: no name matches, or several images have the name; the message begins with the
-            argument.
-    """
+    """Return the id of the image with a name, or the ids of images whose names match a pattern."""
     names, ids = problem.image_names, problem.image_ids.tolist()
     found = [key for key, name in zip(ids, names, strict=True) if name == pattern]
     if len(found) > 1:

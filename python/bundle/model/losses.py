@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 import bundle._core as _core
-from bundle.base.arrays import as_array
-from bundle.errors import InputError, brief
+from bundle.base.arrays import Array, as_declared
+from bundle.errors import InputError
 from bundle.interface.option_fields import choice, number
 from bundle.interface.options import LOSSES
 
@@ -39,18 +39,10 @@ def evaluate_loss(loss: str, scale: float, squared_norms: ArrayLike) -> NDArray[
 
     Returns:
         (N, 3) array; rho' and rho'' are derivatives by s.
-
-    Raises:
-        InputError: the loss is unknown, or a value is out of its range.
     """
     name = choice("loss", loss, LOSSES)
     scale = number("scale", scale, above=0)
-    squared = as_array("squared_norms", squared_norms)
-    if squared.ndim != 1 or not (squared >= 0).all():
-        raise InputError(
-            "squared_norms: expected a 1-D array of numbers of 0 or more, found "
-            f"{brief(squared_norms)}"
-        )
+    squared = as_declared("squared_norms", squared_norms, Array(("N",), "at least 0"))
     return _core.evaluate_loss(name, scale, squared)
 
 
@@ -63,9 +55,6 @@ def second_order_block(
         rho: (3,) rho, rho', rho'' at ||r||^2.
         residual: (m,) r.
         jacobian: (m, n) J.
-
-    Raises:
-        InputError: shapes are inconsistent.
     """
     return _core.second_order_block(*_checked(rho, residual, jacobian))
 
@@ -85,9 +74,6 @@ def correct(
     Returns:
         The corrected pair; None if the full correction does not exist because the block is singular
         or indefinite.
-
-    Raises:
-        InputError: shapes are inconsistent, rho' is out of range, or the term is unknown.
     """
     arrays = _checked(rho, residual, jacobian)
     _, first, second = arrays[0]
@@ -101,12 +87,10 @@ def correct(
 def _checked(
     rho: ArrayLike, residual: ArrayLike, jacobian: ArrayLike
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    r, three = as_array("residual", residual), as_array("rho", rho)
-    wanted = {"rho": (three, (3,)), "residual": (r, (max(r.size, 1),))}
-    for name, (value, shape) in wanted.items():
-        if value.shape != shape:
-            raise InputError(f"{name}: expected shape {shape}, found {value.shape}")
-    j = as_array("jacobian", jacobian)
-    if j.ndim != 2 or j.shape[0] != r.size or j.shape[1] == 0:
-        raise InputError(f"jacobian: expected shape ({r.size}, n), found {j.shape}")
+    sizes: dict[str | int, int] = {}
+    three = as_declared("rho", rho, Array((3,)))
+    r = as_declared("residual", residual, Array(("m",)), sizes)
+    j = as_declared("jacobian", jacobian, Array(("m", "n")), sizes)
+    if not j.size:
+        raise InputError(f"residual, jacobian: expected numbers, found shape {j.shape}")
     return three, r, j

@@ -11,11 +11,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 import bundle._core as _core
-from bundle.base.arrays import FrozenArrays, freeze, immutable
+from bundle.base.arrays import (
+    Array,
+    FrozenArrays,
+    Index,
+    check_arrays,
+    check_shape,
+    check_values,
+    declare,
+    freeze,
+    immutable,
+    refuse_row,
+)
 from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
 from bundle.base.words import plural
-from bundle.errors import InputError, brief
+from bundle.errors import InputError
 from bundle.interface.tabular import Tabular
 
 TANGENT = {3: 3, 7: 6}
@@ -66,25 +77,39 @@ class PoseGraph(FrozenArrays, Displayed, Tabular):
     notes: tuple[str, ...] = ()
     names: tuple[str, ...] = ()
 
-    def __post_init__(self) -> None:
-        def put(name: str, value: NDArray[Any]) -> None:
-            object.__setattr__(self, name, value)
+    _ARRAYS = declare(
+        poses=Array(("n", "width"), "pose"),
+        edges=Array(("m", 2), Index("n", "indices of poses"), np.int32),
+        measurements=Array(("m", "width"), "pose"),
+        information=Array(("m", "d", "d")),
+        ids=Array(("n",), "whole", np.int64, default="range"),
+        edge_lines=Array(("m",), dtype=np.int64, default=0),
+    )
 
-        for name in ("poses", "measurements", "information"):
-            put(name, immutable(name, getattr(self, name), np.float64))
-        put("edges", immutable("edges", self.edges, np.int32))
-        n, m = len(self.poses), len(self.edges)
-        put("ids", _or_default("ids", self.ids, np.arange(n, dtype=np.int64), np.int64))
-        put(
-            "edge_lines",
-            _or_default("edge_lines", self.edge_lines, np.zeros(m, np.int64), np.int64),
-        )
+    def __post_init__(self) -> None:
+        poses = immutable("poses", self.poses, np.float64)
+        if poses.shape[1:] not in ((3,), (7,)):
+            raise InputError(
+                "poses: expected shape (n, 3), x y angle, or (n, 7), qx qy qz qw tx ty tz, "
+                f"found {poses.shape}"
+            )
+        n, width = poses.shape
         fixed = np.zeros(n, bool) if self.fixed is None else np.asarray(self.fixed)
         if fixed.dtype != np.bool_:
             raise InputError(f"fixed: expected flags, found an array of {fixed.dtype.name}")
-        put("fixed", freeze(fixed.copy()))
-        self._check_shapes(n, m)
-        self._check_values(n)
+        check_shape("fixed", fixed, (n,))
+        object.__setattr__(self, "fixed", freeze(fixed.copy()))
+        if n == 0:
+            raise InputError("poses: expected at least one, found an empty array")
+        check_arrays(self, self._ARRAYS, width=width, d=TANGENT[width])
+        refuse_row(
+            self.edges[:, 0] == self.edges[:, 1],
+            lambda k: f"edges[{k}]: expected two different poses, found {self.edges[k].tolist()}",
+        )
+        unique, counts = np.unique(self.ids, return_counts=True)
+        refuse_row(
+            counts > 1, lambda k: f"ids: expected unique ids, found {unique[k]} more than once"
+        )
 
     def _tables(self) -> dict[str, Mapping[str, Any]]:
         axes = _AXES[self.poses.shape[1]]
@@ -102,68 +127,6 @@ class PoseGraph(FrozenArrays, Displayed, Tabular):
                 "line": self.edge_lines,
             },
         }
-
-    def _check_shapes(self, n: int, m: int) -> None:
-        if self.poses.ndim != 2 or self.poses.shape[1] not in TANGENT:
-            raise InputError(
-                "poses: expected shape (n, 3), x y angle, or (n, 7), qx qy qz qw tx ty tz, "
-                f"found {self.poses.shape}"
-            )
-        ambient, d = self.poses.shape[1], self.tangent_size
-        expected = {
-            "edges": (m, 2),
-            "measurements": (m, ambient),
-            "information": (m, d, d),
-            "ids": (n,),
-            "fixed": (n,),
-            "edge_lines": (m,),
-        }
-        for name, shape in expected.items():
-            if getattr(self, name).shape != shape:
-                raise InputError(
-                    f"{name}: expected shape {shape}, found {getattr(self, name).shape}"
-                )
-        if n == 0:
-            raise InputError("poses: expected at least one, found an empty array")
-
-    def _check_motions(self, name: str) -> None:
-        values = getattr(self, name)
-        finite = np.isfinite(values)
-        if not finite.all():
-            k = int(np.argmin(finite.all(axis=1)))
-            raise InputError(f"{name}[{k}]: expected finite numbers, found {brief(values[k])}")
-        if values.shape[1] == 7:
-            x, y, z, w = values[:, :4].T
-            zero = (x == 0) & (y == 0) & (z == 0) & (w == 0)
-            if zero.any():
-                raise InputError(
-                    f"{name}[{int(np.argmax(zero))}]: expected a quaternion qx qy qz qw, found "
-                    "norm 0"
-                )
-
-    def _check_values(self, n: int) -> None:
-        self._check_motions("poses")
-        self._check_motions("measurements")
-        outside = (self.edges < 0) | (self.edges >= n)
-        if outside.any():
-            k = int(np.argmax(outside.any(axis=1)))
-            raise InputError(
-                f"edges[{k}]: expected indices of poses from 0 to {n - 1}, found "
-                f"{self.edges[k].tolist()}"
-            )
-        loops = self.edges[:, 0] == self.edges[:, 1]
-        if loops.any():
-            k = int(np.argmax(loops))
-            raise InputError(
-                f"edges[{k}]: expected two different poses, found {self.edges[k].tolist()}"
-            )
-        unique, counts = np.unique(self.ids, return_counts=True)
-        if len(unique) < n:
-            raise InputError(
-                f"ids: expected unique ids, found {unique[np.argmax(counts > 1)]} more than once"
-            )
-        if unique[0] < 0:
-            raise InputError(f"ids: expected whole numbers from 0, found {unique[0]}")
 
     @property
     def dimension(self) -> int:
@@ -208,7 +171,7 @@ class PoseGraph(FrozenArrays, Displayed, Tabular):
         # The other arrays are checked and read-only.
         moved = object.__new__(type(self))
         moved.__dict__.update(self.__dict__ | changes, poses=poses)
-        moved._check_motions("poses")
+        check_values("poses", poses, self._ARRAYS["poses"])
         return moved
 
     @cached_property
@@ -248,7 +211,3 @@ class PoseGraph(FrozenArrays, Displayed, Tabular):
         if self.path:
             facts.append(("file", self.path))
         return Display(title=f"PoseGraph in {self.dimension}-D", facts=tuple(facts))
-
-
-def _or_default(name: str, value: Any, default: NDArray[Any], dtype: type) -> NDArray[Any]:
-    return freeze(default) if value is None else immutable(name, value, dtype)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.base.arrays import immutable
+from bundle.base import arrays
 from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
 from bundle.base.words import plural
@@ -52,33 +52,25 @@ class PoseTable(Displayed):
     timestamps_ns: NDArray[np.int64] | None = None
     format: str = "memory"
 
+    _ARRAYS = arrays.declare(
+        poses=arrays.Array(("n", 7), "pose"),
+        timestamps_ns=arrays.Array(("n",), dtype=np.int64, default="none"),
+    )
+
     def __post_init__(self) -> None:
-        poses = np.asarray(immutable("poses", self.poses, np.float64))
-        if poses.ndim != 2 or poses.shape[1] != 7:
-            raise InputError(f"poses: expected shape (n, 7), found {poses.shape}")
-        if not np.isfinite(poses).all():
-            row = int(np.flatnonzero(~np.isfinite(poses).all(axis=1))[0])
-            raise InputError(f"poses: row {row}: expected finite numbers, found {poses[row]}")
-        if len(poses) and np.abs(poses[:, 4:]).max() > LARGEST:
-            row = int(np.abs(poses[:, 4:]).max(axis=1).argmax())
-            raise InputError(
-                f"poses: row {row}: expected coordinates up to {LARGEST:g}, found {poses[row, 4:]}"
-            )
-        zero = np.flatnonzero(~(np.abs(poses[:, :4]).max(axis=1) > 0))
-        if len(zero):
-            raise InputError(f"poses: row {int(zero[0])}: expected a quaternion, found zeros")
+        arrays.check_arrays(self, self._ARRAYS)
+        poses = self.poses
+        arrays.refuse_row(
+            (np.abs(poses[:, 4:]) > LARGEST).any(axis=1),
+            lambda row: (
+                f"poses[{row}]: expected coordinates up to {LARGEST:g}, found {poses[row, 4:]}"
+            ),
+        )
         names = strings("names", self.names or ("",) * len(poses))
         if len(names) != len(poses):
             raise InputError(f"names: expected {len(poses)}, found {len(names)}")
-        object.__setattr__(self, "poses", immutable("poses", unit_poses(poses), np.float64))
+        object.__setattr__(self, "poses", arrays.freeze(unit_poses(poses)))
         object.__setattr__(self, "names", names)
-        if self.timestamps_ns is not None:
-            stamps = immutable("timestamps_ns", self.timestamps_ns, np.int64)
-            if stamps.shape != (len(poses),):
-                raise InputError(
-                    f"timestamps_ns: expected shape ({len(poses)},), found {stamps.shape}"
-                )
-            object.__setattr__(self, "timestamps_ns", stamps)
 
     @classmethod
     def of_problem(cls, problem: Problem) -> PoseTable:

@@ -26,7 +26,7 @@ from bundle.errors import InputError
 from bundle.interface.option_fields import choice
 from bundle.model import rig_arrays, rolling_shutter
 from bundle.model.cameras import camera_models
-from bundle.model.problem_fields import DTYPES, check_values, default, sigmas_or_none, strings
+from bundle.model.problem_fields import ARRAYS, check_values, default, sigmas_or_none, strings
 from bundle.model.pycolmap.deferred_source import DeferredSource
 from bundle.model.pycolmap.problem_source import packed, unpacked
 from bundle.model.selection import select
@@ -143,9 +143,9 @@ class Problem(Displayed):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "format", choice("format", self.format, (*FORMATS, "memory")))
-        for name, dtype in DTYPES.items():
+        for name, one in ARRAYS.items():
             value = getattr(self, name)
-            array = default(self, name) if value is None else immutable(name, value, dtype)
+            array = default(self, name) if value is None else immutable(name, value, one.dtype)
             object.__setattr__(self, name, array)
         object.__setattr__(self, "observation_sigma", sigmas_or_none(self.observation_sigma))
         names = ("",) * self.num_images if self.image_names is None else self.image_names
@@ -281,7 +281,7 @@ class Problem(Displayed):
 
     def without_rigs(self) -> Self:
         """Return a copy without rigs in which each image has its own pose, with the same value."""
-        return self.replace(**dict.fromkeys(rig_arrays.DTYPES))
+        return self.replace(**dict.fromkeys(rig_arrays.ARRAYS))
 
     def _moved(self, **state: Any) -> Self:
         """Return a copy with other arrays, which must be immutable and valid."""

@@ -1,4 +1,7 @@
-"""Types and defaults of a problem's fields, and the checks that are not in the C++ core."""
+"""Arrays of a problem: their declarations and defaults, and the checks that are not in the core.
+
+The core checks shapes, numbers and indices of all arrays in one pass (``_core.validate``).
+"""
 
 from __future__ import annotations
 
@@ -7,58 +10,45 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.base.arrays import filled, freeze, immutable
+from bundle.base.arrays import Array, Index, declare, default_of, filled, immutable, refuse_row
 from bundle.errors import InputError
 from bundle.model import rig_arrays
 from bundle.model.problem_arrays import ProblemArrays
 
 # Fields without a default come first, because the defaults of others depend on their lengths.
-DTYPES: dict[str, type] = {
-    "cam_from_world": np.float64,
-    "camera_params": np.float64,
-    "points": np.float64,
-    "observation_image": np.int32,
-    "observation_point": np.int32,
-    "observation_xy": np.float64,
-    "observation_keypoint": np.int32,
-    "image_ids": np.int64,
-    "image_camera": np.int32,
-    "camera_ids": np.int64,
-    "camera_sizes": np.int64,
-    "point_ids": np.int64,
-    **rig_arrays.DTYPES,
-}
-
-# Fields with a default, and the count that gives their length.
-_ONE_FOR_EACH = {
-    "image_ids": "num_images",
-    "image_camera": "num_images",
-    "camera_ids": "num_cameras",
-    "camera_sizes": "num_cameras",
-    "point_ids": "num_points",
-    "observation_keypoint": "num_observations",
-}
+ARRAYS = declare(
+    cam_from_world=Array(("num_images", 7), "pose"),
+    camera_params=Array(("num_cameras", "width"), "finite"),
+    points=Array(("num_points", 3), "finite"),
+    observation_image=Array(("num_observations",), Index("num_images"), np.int32),
+    observation_point=Array(("num_observations",), Index("num_points"), np.int32),
+    observation_xy=Array(("num_observations", 2), "finite"),
+    observation_keypoint=Array(("num_observations",), dtype=np.int32, default=-1),
+    image_ids=Array(("num_images",), dtype=np.int64, default="range"),
+    image_camera=Array(("num_images",), Index("num_cameras"), np.int32, default="range"),
+    camera_ids=Array(("num_cameras",), dtype=np.int64, default="range"),
+    camera_sizes=Array(("num_cameras", 2), "at least 0", np.int64, default=0),
+    point_ids=Array(("num_points",), dtype=np.int64, default="range"),
+    **rig_arrays.ARRAYS,
+)
 
 
 def default(problem: ProblemArrays, name: str) -> NDArray[Any]:
     """Return the default of an array; the arrays on which it depends must be set."""
-    if name in rig_arrays.DTYPES:
+    if name in rig_arrays.ARRAYS:
         return rig_arrays.default(problem, name)
-    if name not in _ONE_FOR_EACH:
+    declared = ARRAYS[name]
+    if declared.default == "required":
         raise InputError(f"{name}: expected numbers, found None")
-    count, dtype = getattr(problem, _ONE_FOR_EACH[name]), DTYPES[name]
-    if name == "observation_keypoint":
-        return filled((count,), -1, dtype)
-    if name == "camera_sizes":
-        return filled((count, 2), 0, dtype)
+    count = getattr(problem, str(declared.shape[0]))
     if name == "image_camera" and problem.num_cameras != count:
         if problem.num_cameras != 1:
             raise InputError(
                 "image_camera: expected the index of each image's camera, because there are "
                 f"{count} images and {problem.num_cameras} cameras, found None"
             )
-        return filled((count,), 0, dtype)
-    return freeze(np.arange(count, dtype=dtype))
+        return filled((count,), 0, declared.dtype)
+    return default_of(declared, {declared.shape[0]: count})
 
 
 def sigmas_or_none(given: Any) -> NDArray[np.float64] | None:
@@ -89,17 +79,17 @@ def strings(field_name: str, names: Any) -> tuple[str, ...]:
 
 def check_values(problem: ProblemArrays) -> None:
     """Check the values that the core does not check."""
-    negative = (problem.camera_sizes < 0).any(axis=1)
-    if negative.any():
-        camera = int(np.argmax(negative))
-        width, height = problem.camera_sizes[camera]
-        raise InputError(
-            f"camera_sizes: camera {problem.camera_ids[camera]}: expected a width and a height of "
-            f"at least 0, found {width} x {height}"
-        )
-    if problem.num_observations and problem.observation_keypoint.min() < -1:
-        observation = int(np.argmin(problem.observation_keypoint))
-        raise InputError(
-            f"observation_keypoint: observation {observation}: expected a keypoint index, or -1 "
-            f"without a keypoint, found {problem.observation_keypoint[observation]}"
-        )
+    refuse_row(
+        (problem.camera_sizes < 0).any(axis=1),
+        lambda k: (
+            f"camera_sizes: camera {problem.camera_ids[k]}: expected a width and a height of at "
+            f"least 0, found {' x '.join(map(str, problem.camera_sizes[k].tolist()))}"
+        ),
+    )
+    refuse_row(
+        problem.observation_keypoint < -1,
+        lambda k: (
+            f"observation_keypoint: observation {k}: expected a keypoint index, or -1 without a "
+            f"keypoint, found {problem.observation_keypoint[k]}"
+        ),
+    )

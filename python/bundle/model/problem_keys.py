@@ -38,11 +38,7 @@ class ProblemKeys:
         self._indices: dict[str, dict[Any, int]] = {}
 
     def find(self, argument: str, key: Any) -> tuple[str, int]:
-        """Return the kind of a key and its index in the problem's arrays.
-
-        Raises:
-            InputError: the key is invalid, or the problem does not have the variable.
-        """
+        """Return the kind of a key and its index in the problem's arrays."""
         if (
             not isinstance(key, tuple)
             or len(key) != 2
@@ -85,11 +81,7 @@ def _is_whole(found: Any) -> bool:
 
 
 def parameter_names(argument: str, problem: Problem, camera: int) -> tuple[str, ...]:
-    """Return the names of a camera's parameters, by its index.
-
-    Raises:
-        InputError: the camera's model is not supported.
-    """
+    """Return the names of a camera's parameters, by its index."""
     model = problem.camera_models[camera]
     names = camera_models().get(model)
     if names is None:

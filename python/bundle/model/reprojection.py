@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 import bundle._core as _core
+from bundle.base.arrays import check_shape
 from bundle.base.records import dataclass
-from bundle.errors import InputError
 from bundle.interface.option_fields import choice, number
 from bundle.interface.options import CHEIRALITIES
 from bundle.model.cameras import reach
@@ -61,9 +61,6 @@ def resolve_cheirality(problem: Problem, cheirality: str) -> str:
 
     "algebraic" for BAL, and if every lens formula is defined beyond 90 degrees. "zero" if no lens
     formula is defined there. "auto" if it depends on the lens or the angle; the core then decides.
-
-    Raises:
-        InputError: the cheirality is unknown.
     """
     cheirality = choice("cheirality", cheirality, CHEIRALITIES)
     if cheirality != "auto":
@@ -89,11 +86,7 @@ def reprojection_errors(
 def reprojection_error(
     problem: Problem, cheirality: str = "auto", *, num_threads: int = 0
 ) -> ReprojectionError:
-    """Return statistics of the reprojection errors that count under ``cheirality``.
-
-    Raises:
-        InputError: an observed image has a camera model that is not supported.
-    """
+    """Return statistics of the reprojection errors that count under ``cheirality``."""
     errors, behind = reprojection_errors(problem, cheirality=cheirality, num_threads=num_threads)
     return summarize_errors(errors, behind, resolve_cheirality(problem, cheirality))
 
@@ -167,15 +160,10 @@ def linearize(
         problem: the problem; the evaluation is at its values.
         cheirality: as in a solve; rows of observations that do not count are zero.
         rotation_offsets: (num_images, 3) values of w at which to evaluate; 0 by default.
-
-    Raises:
-        InputError: an observed image has a camera model that is not supported, or the offsets have
-            the wrong shape.
     """
     shape = (problem.num_images, 3)
     offsets = np.zeros(shape) if rotation_offsets is None else np.asarray(rotation_offsets, float)
-    if offsets.shape != shape:
-        raise InputError(f"rotation_offsets: expected shape {shape}, found {offsets.shape}")
+    check_shape("rotation_offsets", offsets, shape)
     cheirality = resolve_cheirality(problem, cheirality)
     return Linearization(*_core.linearize(problem, cheirality, np.ascontiguousarray(offsets)))
 
@@ -348,9 +336,6 @@ def worst_images(
         cheirality: as in a solve; observations that do not count are left out.
         most: largest number of images to return.
         num_threads: number of threads; 0: all cores.
-
-    Raises:
-        InputError: an observed image has a camera model that is not supported.
     """
     errors, behind = reprojection_errors(problem, cheirality=cheirality, num_threads=num_threads)
     return worst_of_errors(problem, errors, behind, cheirality, most=most)

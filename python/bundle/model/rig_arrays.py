@@ -16,7 +16,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.base.arrays import distinct, filled, freeze
+from bundle.base.arrays import (
+    Array,
+    Index,
+    check_shape,
+    declare,
+    distinct,
+    filled,
+    freeze,
+    refuse_row,
+)
 from bundle.errors import InputError
 from bundle.model.problem_arrays import ProblemArrays
 from bundle.model.rigid_motions import inverse_poses, multiply_poses, rotation_matrices, unit_poses
@@ -24,16 +33,16 @@ from bundle.model.rigid_motions import inverse_poses, multiply_poses, rotation_m
 _Poses = NDArray[np.float64]
 _Rows = NDArray[np.int32]
 
-DTYPES: dict[str, type] = {
-    "rig_from_world": np.float64,
-    "frame_ids": np.int64,
-    "image_frame": np.int32,
-    "sensor_from_rig": np.float64,
-    "sensor_rig_ids": np.int64,
-    "sensor_camera_ids": np.int64,
-    "image_sensor": np.int32,
-    "frame_rig_ids": np.int64,  # last, because its default depends on the others
-}
+ARRAYS = declare(
+    rig_from_world=Array(("num_frames", 7), "pose", default=0),
+    frame_ids=Array(("num_frames",), dtype=np.int64, default="range"),
+    image_frame=Array(("num_images",), Index("num_frames", lowest=-1), np.int32),
+    sensor_from_rig=Array(("num_sensors", 7), "pose", default=0),
+    sensor_rig_ids=Array(("num_sensors",), dtype=np.int64),
+    sensor_camera_ids=Array(("num_sensors",), dtype=np.int64),
+    image_sensor=Array(("num_images",), Index("num_sensors", lowest=-1), np.int32),
+    frame_rig_ids=Array(("num_frames",), dtype=np.int64),  # its default needs the others
+)
 """Fields of a problem for rigs, in an order in which their defaults can be computed."""
 
 TOLERANCE = 1e-6
@@ -97,7 +106,7 @@ def recomputed_poses(problem: ProblemArrays, changes: Mapping[str, Any]) -> _Pos
             before[name] = np.full(problem.num_images, -1)
     try:
         after = before | {
-            name: np.asarray(changes[name]).astype(DTYPES[name], casting="same_kind")
+            name: np.asarray(changes[name]).astype(ARRAYS[name].dtype, casting="same_kind")
             for name in given
         }
         poses = placed(after)
@@ -110,11 +119,7 @@ def recomputed_poses(problem: ProblemArrays, changes: Mapping[str, Any]) -> _Pos
 
 
 def default(problem: ProblemArrays, name: str) -> NDArray[Any]:
-    """Return the default of a field; fields before it in DTYPES must be set.
-
-    Raises:
-        InputError: the field has no default.
-    """
+    """Return the default of a field; fields before it in ARRAYS must be set."""
     if name in ("rig_from_world", "sensor_from_rig"):
         return filled((0, 7), 0, np.float64)
     num_frames = len(problem.rig_from_world)
@@ -128,15 +133,11 @@ def default(problem: ProblemArrays, name: str) -> NDArray[Any]:
         raise InputError(f"{name}: expected numbers together with {beside}, found None")
     if name == "image_sensor" and num_frames:
         return filled((problem.num_images,), -1, np.int32)
-    return filled((0,), 0, DTYPES[name])
+    return filled((0,), 0, ARRAYS[name].dtype)
 
 
 def settle(problem: ProblemArrays) -> None:
-    """Replace index arrays that contain only -1 by empty arrays if the problem has no frames.
-
-    Raises:
-        InputError: the problem has sensors or indices of sensors, but no frames.
-    """
+    """Replace index arrays that contain only -1 by empty arrays if the problem has no frames."""
     if len(problem.rig_from_world):
         return
     if len(problem.sensor_from_rig):
@@ -146,51 +147,44 @@ def settle(problem: ProblemArrays) -> None:
         )
     for name in ("image_frame", "image_sensor"):
         rows = getattr(problem, name)
-        if rows.shape not in ((0,), (problem.num_images,)):
-            raise InputError(f"{name}: expected shape ({problem.num_images},), found {rows.shape}")
-        if (rows != -1).any():
-            bad = int(np.argmax(rows != -1))
-            raise InputError(
-                f"{name}: image {problem.image_ids[bad]}: expected -1 without frames, found "
-                f"{rows[bad]}"
-            )
+        if rows.shape != (0,):
+            check_shape(name, rows, (problem.num_images,))
+        _expect_none(problem, name, "frames")
         object.__setattr__(problem, name, filled((0,), 0, np.int32))
 
 
 def check(problem: ProblemArrays) -> None:
-    """Check that frames, sensors and rigs are consistent; the core checks all other fields.
-
-    Raises:
-        InputError: a rig does not have the sensors of its frames, a sensor has two images in a
-            frame, or a rig has two reference cameras.
-    """
-    if len(problem.frame_rig_ids) != problem.num_frames:
-        raise InputError(
-            f"frame_rig_ids: expected shape ({problem.num_frames},), "
-            f"found {problem.frame_rig_ids.shape}"
-        )
+    """Check that frames, sensors and rigs are consistent; the core checks all other fields."""
+    check_shape("frame_rig_ids", problem.frame_rig_ids, (problem.num_frames,))
     if problem.num_frames == 0:
         return
-    if not problem.num_sensors and (problem.image_sensor != -1).any():
-        bad = int(np.argmax(problem.image_sensor != -1))
-        raise InputError(
-            f"image_sensor: image {problem.image_ids[bad]}: expected -1 without sensors, found "
-            f"{problem.image_sensor[bad]}"
-        )
+    if not problem.num_sensors:
+        _expect_none(problem, "image_sensor", "sensors")
     images = np.flatnonzero(problem.image_frame >= 0)
     frame, sensor = problem.image_frame[images], problem.image_sensor[images]
     rig = problem.frame_rig_ids[frame]
-    wrong = (sensor >= 0) & (problem.sensor_rig_ids[sensor] != rig) if problem.num_sensors else []
-    if np.any(wrong):
-        bad = int(np.argmax(wrong))
-        raise InputError(
-            f"frame_rig_ids: frame {problem.frame_ids[frame[bad]]}: expected rig "
-            f"{problem.sensor_rig_ids[sensor[bad]]} of the sensor of image "
-            f"{problem.image_ids[images[bad]]}, found rig {rig[bad]}"
-        )
+    refuse_row(
+        (sensor >= 0) & (problem.sensor_rig_ids[sensor] != rig) if problem.num_sensors else (),
+        lambda k: (
+            f"frame_rig_ids: frame {problem.frame_ids[frame[k]]}: expected rig "
+            f"{problem.sensor_rig_ids[sensor[k]]} of the sensor of image "
+            f"{problem.image_ids[images[k]]}, found rig {rig[k]}"
+        ),
+    )
     _check_once(problem, images)
     _check_references(problem, images, rig)
     _check_poses(problem, images)
+
+
+def _expect_none(problem: ProblemArrays, name: str, what: str) -> None:
+    """Check that all indices are -1."""
+    rows = getattr(problem, name)
+    refuse_row(
+        rows != -1,
+        lambda k: (
+            f"{name}: image {problem.image_ids[k]}: expected -1 without {what}, found {rows[k]}"
+        ),
+    )
 
 
 def rig_of_image(problem: ProblemArrays) -> NDArray[np.int64]:
@@ -250,12 +244,13 @@ def _rigs_of_frames(problem: ProblemArrays) -> NDArray[np.int64]:
     of_camera = dict(zip(cameras[settled].tolist(), rig[frames[settled]].tolist(), strict=True))
     for frame, camera in zip(frames[~settled].tolist(), cameras[~settled].tolist(), strict=True):
         rig[frame] = of_camera.get(camera, -1)
-    if (rig < 0).any():
-        bad = problem.frame_ids[int(np.argmax(rig < 0))]
-        raise InputError(
-            f"frame_rig_ids: expected numbers, because no image determines the rig of frame {bad}, "
-            "found None"
-        )
+    refuse_row(
+        rig < 0,
+        lambda k: (
+            "frame_rig_ids: expected numbers, because no image determines the rig of frame "
+            f"{problem.frame_ids[k]}, found None"
+        ),
+    )
     return rig
 
 
@@ -272,15 +267,15 @@ def _check_poses(problem: ProblemArrays, images: Any) -> None:
     on_arm = np.flatnonzero(sensor >= 0)
     arms = np.abs(problem.sensor_from_rig[sensor[on_arm], 4:]).max(axis=1)
     size[on_arm] = np.maximum(size[on_arm], arms)
-    wrong = ~((turn <= TOLERANCE) & (shift <= TOLERANCE * size))
-    if wrong.any():
-        bad = int(np.argmax(wrong))
-        frame = problem.frame_ids[problem.image_frame[images[bad]]]
-        raise InputError(
-            f"cam_from_world: image {problem.image_ids[images[bad]]}: expected sensor_from_rig * "
-            f"rig_from_world of frame {frame}, found a rotation that differs by {turn[bad]:.3g} "
-            f"and a translation that differs by {shift[bad]:.3g}"
-        )
+    refuse_row(
+        ~((turn <= TOLERANCE) & (shift <= TOLERANCE * size)),
+        lambda k: (
+            f"cam_from_world: image {problem.image_ids[images[k]]}: expected sensor_from_rig * "
+            f"rig_from_world of frame {problem.frame_ids[problem.image_frame[images[k]]]}, found "
+            f"a rotation that differs by {turn[k]:.3g} and a translation that differs by "
+            f"{shift[k]:.3g}"
+        ),
+    )
 
 
 def _check_once(problem: ProblemArrays, images: Any) -> None:

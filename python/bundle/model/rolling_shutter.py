@@ -21,11 +21,20 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.base.arrays import FrozenArrays, freeze, immutable
+from bundle.base.arrays import (
+    Array,
+    FrozenArrays,
+    Index,
+    check_arrays,
+    check_type,
+    declare,
+    freeze,
+    refuse_row,
+)
 from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
 from bundle.base.words import plural
-from bundle.errors import InputError, brief
+from bundle.errors import InputError
 from bundle.interface.option_fields import choice, number
 from bundle.model.problem_arrays import ProblemArrays
 
@@ -79,6 +88,13 @@ class RollingShutter(FrozenArrays, Displayed):
     row_time: str = "fixed-point"
     axis: NDArray[np.int8] = field(init=False)
 
+    _ARRAYS = declare(
+        readout=Array(("num_cameras",), "share or nan", default=math.nan),
+        twist=Array(("num_images", 6), "finite"),
+        frames=Array(("num_images",), "finite or nan", default="none"),
+        neighbours=Array(("num_images", 2), Index("num_images", lowest=-1), np.int32, "none"),
+    )
+
     def __post_init__(self) -> None:
         if isinstance(self.direction, str):
             raise InputError(
@@ -90,59 +106,23 @@ class RollingShutter(FrozenArrays, Displayed):
         self._set("direction", directions)
         axis = [DIRECTIONS.index(one) for one in directions]
         self._set("axis", freeze(np.array(axis, np.int8)))
-        count = len(directions)
-        readout = np.full(count, np.nan) if self.readout is None else self.readout
-        self._array("readout", readout, (count,), np.float64)
-        self._array("twist", self.twist, (-1, 6), np.float64)
-        rows = len(self.twist)
-        if self.frames is not None:
-            self._array("frames", self.frames, (rows,), np.float64)
+        check_arrays(self, self._ARRAYS, "rolling_shutter: ", num_cameras=len(directions))
         if self.neighbours is not None:
-            self._array("neighbours", self.neighbours, (rows, 2), np.int32)
+            known = self.neighbours
+            refuse_row(
+                (known < 0).any(axis=1) & (known >= 0).any(axis=1),
+                lambda k: (
+                    "rolling_shutter: neighbours: expected two images or twice -1, found "
+                    f"{known[k].tolist()}"
+                ),
+            )
         if not _is_nan(self.frame_rate):
             rate = number("rolling_shutter: frame_rate", self.frame_rate, above=0)
             self._set("frame_rate", rate)
         self._set("row_time", choice("rolling_shutter: row_time", self.row_time, ROW_TIMES))
-        self._check_values()
-
-    def _array(self, name: str, value: Any, shape: tuple[int, ...], dtype: type) -> None:
-        array = immutable(f"rolling_shutter: {name}", value, dtype)
-        if array.shape[1:] != shape[1:] or shape[0] not in (-1, len(array)):
-            expected = str(shape).replace("-1", "N")
-            raise InputError(
-                f"rolling_shutter: {name}: expected shape {expected}, found {array.shape}"
-            )
-        self._set(name, array)
 
     def _set(self, attribute: str, value: Any) -> None:
         object.__setattr__(self, attribute, value)
-
-    def _check_values(self) -> None:
-        readouts = self.readout
-        wrong = ~np.isnan(readouts) & ~((readouts > 0) & (readouts <= 1))
-        if wrong.any():
-            raise InputError(
-                "rolling_shutter: readout: expected shares of a frame above 0 and at most 1, found "
-                f"{readouts[wrong][0]:g}"
-            )
-        if not np.isfinite(self.twist).all():
-            raise InputError("rolling_shutter: twist: expected finite numbers")
-        if self.frames is not None and np.isinf(self.frames).any():
-            raise InputError("rolling_shutter: frames: expected finite numbers or NaN")
-        if self.neighbours is None:
-            return
-        known = self.neighbours
-        if known.size and not (known.min() >= -1 and known.max() < len(known)):
-            raise InputError(
-                f"rolling_shutter: neighbours: expected indices from -1 to {len(known) - 1}, found "
-                f"{known.min() if known.min() < -1 else known.max()}"
-            )
-        half = (known < 0).any(axis=1) & (known >= 0).any(axis=1)
-        if half.any():
-            raise InputError(
-                "rolling_shutter: neighbours: expected two images or twice -1, found "
-                f"{known[half][0].tolist()}"
-            )
 
     @property
     def is_rolling(self) -> NDArray[np.bool_]:
@@ -168,20 +148,20 @@ class RollingShutter(FrozenArrays, Displayed):
                 "(RollingShutter.frames and neighbours; --frames), found 0 images with both"
             )
         apart = self.frames[self.neighbours[:, 1]] - self.frames[self.neighbours[:, 0]]
-        wrong = tied & ~(apart > 0)
-        if wrong.any():
-            image = int(np.argmax(wrong))
-            raise InputError(
+        refuse_row(
+            tied & ~(apart > 0),
+            lambda image: (
                 f"rolling_shutter: image {problem.image_ids[image]}: expected neighbours in the "
                 f"order of time, found {apart[image]:g} frames from one to the other"
-            )
-        unknown = tied & np.isnan(self.readout[problem.image_camera])
-        if unknown.any():
-            camera = problem.image_camera[int(np.argmax(unknown))]
-            raise InputError(
-                f"rolling_shutter: camera {problem.camera_ids[camera]}: expected a readout for "
-                "tied twists, found an unknown one"
-            )
+            ),
+        )
+        refuse_row(
+            tied & np.isnan(self.readout[problem.image_camera]),
+            lambda image: (
+                f"rolling_shutter: camera {problem.camera_ids[problem.image_camera[image]]}: "
+                "expected a readout for tied twists, found an unknown one"
+            ),
+        )
 
     def replace(self, **changes: Any) -> Self:
         """Return a copy with some fields replaced."""
@@ -199,17 +179,10 @@ class RollingShutter(FrozenArrays, Displayed):
 
 
 def check_counts(problem: ProblemArrays, shutter: Any) -> None:
-    """Check that a rolling shutter has the cameras and images of the problem.
-
-    Raises:
-        InputError: it is something else, or the counts differ.
-    """
+    """Check that a rolling shutter has the cameras and images of the problem."""
     if shutter is None:
         return
-    if not isinstance(shutter, RollingShutter):
-        raise InputError(
-            f"rolling_shutter: expected a bundle.RollingShutter or None, found {brief(shutter)}"
-        )
+    check_type("rolling_shutter", shutter, RollingShutter, "a bundle.RollingShutter or None")
     for what, expected, found in (
         ("cameras", len(problem.camera_params), len(shutter.direction)),
         ("images", len(problem.cam_from_world), len(shutter.twist)),
@@ -221,35 +194,34 @@ def check_counts(problem: ProblemArrays, shutter: Any) -> None:
 
 
 def check(problem: ProblemArrays, shutter: RollingShutter | None) -> None:
-    """Check that a rolling shutter fits a problem whose arrays are valid.
-
-    Raises:
-        InputError: an image has no size, or an image of a rig has a rolling shutter.
-    """
+    """Check that a rolling shutter fits a problem whose arrays are valid."""
     if shutter is None:
         return
     rolls = shutter.is_rolling[problem.image_camera]
     sizes = problem.camera_sizes[problem.image_camera]
     axis = shutter.axis[problem.image_camera]
     length = np.where(axis == 2, sizes[:, 0], sizes[:, 1])
-    if (rolls & (length <= 0)).any():
-        image = int(np.argmax(rolls & (length <= 0)))
-        raise InputError(
+    refuse_row(
+        rolls & (length <= 0),
+        lambda image: (
             f"rolling_shutter: camera {problem.camera_ids[problem.image_camera[image]]}: expected "
             "the size of its images, which gives the time of a row, found size 0"
-        )
-    if len(problem.image_frame) and (rolls & (problem.image_frame >= 0)).any():
-        image = int(np.argmax(rolls & (problem.image_frame >= 0)))
-        raise InputError(
+        ),
+    )
+    refuse_row(
+        rolls & (problem.image_frame >= 0) if len(problem.image_frame) else (),
+        lambda image: (
             f"rolling_shutter: image {problem.image_ids[image]}: expected an image with a pose of "
             "its own, found one of a rig, whose pose several images share"
-        )
-    moved = ~rolls & (np.abs(shutter.twist).sum(axis=1) > 0)
-    if moved.any():
-        raise InputError(
-            f"rolling_shutter: image {problem.image_ids[int(np.argmax(moved))]}: expected a zero "
-            "twist, because its camera has a global shutter"
-        )
+        ),
+    )
+    refuse_row(
+        ~rolls & shutter.twist.any(axis=1),
+        lambda image: (
+            f"rolling_shutter: image {problem.image_ids[image]}: expected a zero twist, because "
+            "its camera has a global shutter"
+        ),
+    )
 
 
 def selected(

@@ -17,7 +17,7 @@ from typing import Any, Generic, Protocol, Self, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bundle.base.arrays import distinct, filled, freeze
+from bundle.base.arrays import distinct, filled, freeze, refuse_row
 from bundle.base.records import dataclass
 from bundle.errors import InputError, brief
 from bundle.model import rig_arrays
@@ -186,12 +186,13 @@ def select(
         take(rows, *arrays_of("cameras"), "camera_ids", "camera_sizes")
         state["camera_models"] = tuple(whole.camera_models[row] for row in rows.tolist())
         renumber("image_camera", rows, whole.num_cameras)
-        if (state["image_camera"] < 0).any():
-            bad = chosen["images"][int(np.argmax(state["image_camera"] < 0))]
-            raise InputError(
+        refuse_row(
+            state["image_camera"] < 0,
+            lambda k: (
                 "cameras: expected the camera of each selected image, that of image "
-                f"{whole.image_ids[bad]} is missing"
-            )
+                f"{whole.image_ids[chosen['images'][k]]} is missing"
+            ),
+        )
     if of_images is not None or of_cameras is not None:
         shutter = whole.rolling_shutter
         if shutter is not None:
@@ -210,11 +211,7 @@ def with_frames(problem: ProblemArrays, images: _Mask) -> _Mask:
 
 
 def _mask(name: str, given: ArrayLike | None, count: int) -> _Mask | None:
-    """Return rows as a mask; None: all of them.
-
-    Raises:
-        InputError: the mask has another length, or an index is out of range.
-    """
+    """Return rows as a mask; None: all of them."""
     if given is None:
         return None
     rows = np.asarray(given)
@@ -226,9 +223,10 @@ def _mask(name: str, given: ArrayLike | None, count: int) -> _Mask | None:
         if rows.size and not (rows.ndim == 1 and np.issubdtype(rows.dtype, np.integer)):
             raise InputError(f"{name}: expected a mask or indices, found {brief(given)}")
         rows = rows.astype(np.int64)
-        if rows.size and not (rows.min() >= 0 and rows.max() < count):
-            bad = rows[(rows < 0) | (rows >= count)][0]
-            raise InputError(f"{name}: expected indices from 0 to {count - 1}, found {bad}")
+        refuse_row(
+            (rows < 0) | (rows >= count),
+            lambda k: f"{name}: expected indices from 0 to {count - 1}, found {rows[k]}",
+        )
         mask = np.zeros(count, bool)
         mask[rows] = True
     return None if mask.all() else mask

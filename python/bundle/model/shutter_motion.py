@@ -162,11 +162,7 @@ def can_roll(problem: Problem) -> bool:
 
 
 def check_same_shutter(problem: Problem, cameras: NDArray[np.int64]) -> None:
-    """Check that cameras have the same direction and readout.
-
-    Raises:
-        InputError: two cameras differ.
-    """
+    """Check that cameras have the same direction and readout."""
     shutter = problem.rolling_shutter
     if shutter is None:
         return

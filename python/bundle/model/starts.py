@@ -74,11 +74,7 @@ def start_without_poses(graph: PoseGraph) -> PoseGraph:
 
 
 def started(graph: PoseGraph, held: NDArray[np.bool_], init: str, num_threads: int) -> Start:
-    """Return the start of the kind ``init``.
-
-    Raises:
-        InputError: odometry was requested, but poses that follow each other by id have no edge.
-    """
+    """Return the start of the kind ``init``."""
     if init == "file":
         return Start(poses=graph.poses, init=init)
     if init == "odometry":

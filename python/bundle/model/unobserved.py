@@ -31,9 +31,6 @@ def require_observations(problem: Counts, name: str) -> None:
     Args:
         problem: the problem.
         name: path or name, for the message.
-
-    Raises:
-        InputError: there are no observations.
     """
     found = _content_without_observations(problem)
     if found:
@@ -69,9 +66,6 @@ def require_tracks(problem: ProblemArrays, name: str, options: PointOptions) -> 
         problem: a problem with observations.
         name: path or name, for the message.
         options: options of the solve.
-
-    Raises:
-        InputError: all points are refined, and none is observed twice.
     """
     if are_images_unrelated(problem, options):
         raise InputError(

@@ -107,11 +107,7 @@ class SceneInBlocks:
         )
 
     def blocks(self) -> Iterator[Block]:
-        """Yield the blocks in order; other threads generate the next blocks in advance.
-
-        Raises:
-            InputError: the scene is impossible, see ``synthesize``.
-        """
+        """Yield the blocks in order; other threads generate the next blocks in advance."""
         count = self.num_blocks
         if count == 1:
             yield self._make(0, self.options.num_points, *self._seeds[0], 0)

@@ -163,9 +163,6 @@ def select_observations(
     Returns:
         Selected pairs. Images with few observations get up to 20 if possible, and all images are
         connected.
-
-    Raises:
-        InputError: the images have too few common points.
     """
     lengths = _fit_lengths(pairs.counts, weights, mean_length)
     if not may_be_shorter and lengths.mean() < _ACCEPTED_SHARE * mean_length:

@@ -90,11 +90,7 @@ def synthesize(
 
 
 def filmed(options: SceneOptions) -> SyntheticScene:
-    """Generate a scene of a moving camera; see :mod:`.video.video_scene`.
-
-    Raises:
-        InputError: the scene is impossible, see :func:`synthesize`.
-    """
+    """Generate a scene of a moving camera; see :mod:`.video.video_scene`."""
     scene = film(options)
     return SyntheticScene(
         problem=scene.problem,
@@ -105,11 +101,7 @@ def filmed(options: SceneOptions) -> SyntheticScene:
 
 
 def assemble(scene: SceneInBlocks) -> SyntheticScene:
-    """Generate all blocks of a scene and return the complete scene.
-
-    Raises:
-        InputError: the scene is impossible, see :func:`synthesize`.
-    """
+    """Generate all blocks of a scene and return the complete scene."""
     options, images = scene.options, scene.images()
     blocks = list(scene.blocks())
     image = np.concatenate([block.image for block in blocks])

@@ -76,9 +76,6 @@ def film(
         motion: motion and structure; None: that of ``options.scene``, seeded by ``options.seed``.
         direction: "rows" or "columns", the order in which the sensor is read.
         turning: False removes the rotation of all twists.
-
-    Raises:
-        InputError: too few points are visible.
     """
     layout, structure, measurement, start_seed = np.random.SeedSequence(options.seed).spawn(4)
     rng = np.random.default_rng(layout)

@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.base.records import dataclass
-from bundle.errors import InputError
-from bundle.model.colmap.rig_records import MAX_ID, check_rigs, edited_rigs
+from bundle.model.colmap.rig_records import MAX_ID, check_ids, check_rigs, edited_rigs
 from bundle.model.colmap.source_records import (
     Contents,
     Frame,
@@ -100,11 +99,7 @@ def _checked(problem: ProblemArrays, source: Any) -> tuple[SourceRecords | None,
         ("image", problem.image_ids, MAX_ID),
         ("point", problem.point_ids, MAX_POINT_ID),
     ):
-        outside = (ids < 0) | (ids > largest)
-        if outside.any():
-            raise InputError(
-                f"{kind}_ids: expected {kind} ids from 0 to {largest}, found {ids[outside][0]}"
-            )
+        check_ids(f"{kind}_ids", f"{kind} ids", ids, largest)
     problem.check_padding()
     records = source_records(source)
     known = records or SourceRecords()
@@ -121,11 +116,6 @@ def model_records(problem: ProblemArrays, source: Any) -> ModelRecords:
         problem: the problem.
         source: source in the form kept by the problem. If it is not a COLMAP model, images without
             a name get names such as image_000007.
-
-    Raises:
-        InputError: COLMAP cannot hold an id, the padding of ``camera_params`` is not zero, a rig
-            has no reference sensor, or a keypoint index does not exist or occurs twice; the message
-            names the field.
     """
     records, numbers = _checked(problem, source)
     known = records or SourceRecords()

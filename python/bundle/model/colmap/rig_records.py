@@ -17,7 +17,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.base.arrays import distinct
+from bundle.base.arrays import distinct, refuse_row
 from bundle.errors import InputError
 from bundle.model import rig_arrays
 from bundle.model.colmap.source_records import (
@@ -40,23 +40,17 @@ _Frames = dict[int, Frame]
 
 
 def check_rigs(problem: ProblemArrays, source: SourceRecords) -> None:
-    """Check that COLMAP can hold the rigs of a problem.
-
-    Raises:
-        InputError: an id is out of range, a sensor is not a camera of the problem, or the reference
-            sensor of a rig is unknown.
-    """
+    """Check that COLMAP can hold the rigs of a problem."""
     for name in ("frame_ids", "frame_rig_ids", "sensor_rig_ids", "sensor_camera_ids"):
         ids = getattr(problem, name)
-        outside = (ids < 0) | (ids > MAX_ID)
-        if outside.any():
-            raise InputError(f"{name}: expected ids from 0 to {MAX_ID}, found {ids[outside][0]}")
-    unknown = ~np.isin(problem.sensor_camera_ids, problem.camera_ids)
-    if unknown.any():
-        raise InputError(
+        check_ids(name, "ids", ids, MAX_ID)
+    refuse_row(
+        ~np.isin(problem.sensor_camera_ids, problem.camera_ids),
+        lambda k: (
             f"sensor_camera_ids: expected cameras of the problem, found camera "
-            f"{problem.sensor_camera_ids[unknown][0]}"
-        )
+            f"{problem.sensor_camera_ids[k]}"
+        ),
+    )
     references = rig_arrays.reference_cameras(problem)
     for name in ("frame_rig_ids", "sensor_rig_ids"):
         for rig_id in distinct(getattr(problem, name)).tolist():
@@ -65,6 +59,14 @@ def check_rigs(problem: ProblemArrays, source: SourceRecords) -> None:
                     f"{name}: rig {rig_id}: expected an image of its reference sensor, which "
                     "COLMAP requires; the problem has no such image"
                 )
+
+
+def check_ids(name: str, words: str, ids: NDArray[np.int64], largest: int) -> None:
+    """Check that ids are from 0 to the largest that a file can hold."""
+    refuse_row(
+        (ids < 0) | (ids > largest),
+        lambda k: f"{name}: expected {words} from 0 to {largest}, found {ids[k]}",
+    )
 
 
 def edited_rigs(problem: ProblemArrays, source: SourceRecords) -> tuple[_Rigs, _Frames]:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import bundle._core as _core
+from bundle.base.arrays import refuse_row
 from bundle.base.records import dataclass
 from bundle.errors import InputError
 from bundle.model.problem_arrays import ProblemArrays
@@ -187,21 +188,17 @@ def number_keypoints(problem: ProblemArrays, num_keypoints: _Indices) -> Keypoin
         problem: the problem.
         num_keypoints: (num_images,) number of keypoints of each image in the source; -1 for an
             image that is not in the source.
-
-    Raises:
-        InputError: a keypoint index is out of the image's range, or occurs twice.
     """
     capacity = num_keypoints[problem.observation_image]
     given = problem.observation_keypoint >= 0
-    beyond = (capacity >= 0) & (problem.observation_keypoint >= capacity)
-    if beyond.any():
-        bad = int(np.argmax(beyond))
-        image_id = problem.image_ids[problem.observation_image[bad]]
-        raise InputError(
+    refuse_row(
+        (capacity >= 0) & (problem.observation_keypoint >= capacity),
+        lambda bad: (
             f"observation_keypoint: observation {bad}: expected one of the {capacity[bad]} "
-            f"keypoints that image {image_id} has in the source, or -1 for a new keypoint, found "
-            f"{problem.observation_keypoint[bad]}"
-        )
+            f"keypoints that image {problem.image_ids[problem.observation_image[bad]]} has in the "
+            f"source, or -1 for a new keypoint, found {problem.observation_keypoint[bad]}"
+        ),
+    )
     _check_once(problem, np.flatnonzero(given))
     is_new = ~given | (capacity < 0)
     added = np.bincount(problem.observation_image[is_new], minlength=problem.num_images)

@@ -86,9 +86,6 @@ def lens_region(
         model: model of the new lens.
         size: width and height of the image, 0 if unknown.
         observed: (N, 2) pixels of the observations.
-
-    Raises:
-        InputError: the new model cannot project observed rays, or the old lens has no rays.
     """
     rays, seen = pixel_rays(old_model, old, observed)
     num_without_ray = int((~seen).sum())

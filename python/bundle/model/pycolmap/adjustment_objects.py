@@ -84,11 +84,7 @@ _GAUGES = {
 def config_of(
     reconstruction: Reconstruction, config: BundleAdjustmentConfig | None
 ) -> AdjustmentConfig:
-    """Return the content of a configuration; None: all images, with the gauge of two cameras.
-
-    Raises:
-        InputError: an id is not in the reconstruction, or an image is not registered.
-    """
+    """Return the content of a configuration; None: all images, with the gauge of two cameras."""
     check_type("reconstruction", reconstruction, Reconstruction)
     registered = frozenset(reconstruction.reg_image_ids())
     if config is None:
@@ -113,11 +109,7 @@ def config_of(
 
 
 def options_of(options: BundleAdjustmentOptions | None) -> ColmapAdjustment:
-    """Translate pycolmap's options; None: its defaults.
-
-    Raises:
-        InputError: an option requests the GPU backend, or no solve can honour it.
-    """
+    """Translate pycolmap's options; None: its defaults."""
     if options is None:
         return _translated(())
     check_type("options", options, BundleAdjustmentOptions)
@@ -225,11 +217,7 @@ class AdjustedFields:
 def adjusted_fields(
     reconstruction: Reconstruction, config: AdjustmentConfig, min_track_length: int
 ) -> AdjustedFields:
-    """Read the observations of named images and points, without points with shorter tracks.
-
-    Raises:
-        InputError: keypoints and tracks do not match, or a value is invalid.
-    """
+    """Read the observations of named images and points, without points with shorter tracks."""
     observations = Observations.of([reconstruction.image(key) for key in sorted(config.images)])
     listed = sorted(config.variable_points | config.constant_points)
     is_whole = len(config.images) == reconstruction.num_reg_images()
@@ -321,9 +309,6 @@ def set_values(
         refined: the sub-problem with its new values.
         images: mask of its images whose poses are set, each with its frame.
         points: mask of its points that are set.
-
-    Raises:
-        InputError: a point was deleted during the solve; nothing is set.
     """
     ids = refined.point_ids[points].tolist()
     for point_id in compress(ids, map(operator.not_, map(reconstruction.exists_point3D, ids))):

@@ -189,10 +189,6 @@ def source_records(source: Any) -> SourceRecords | None:
     Args:
         source: source in the form kept by the problem; may be a model that is not yet converted to
             a reconstruction.
-
-    Raises:
-        InputError: the object cannot be the source of a problem, or is an inconsistent
-            reconstruction.
     """
     if isinstance(source, DeferredSource):
         if source.model is not None:

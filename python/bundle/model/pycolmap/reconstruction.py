@@ -18,7 +18,7 @@ import pycolmap
 from numpy.typing import NDArray
 
 import bundle._core as _core
-from bundle.base.arrays import check_type
+from bundle.base.arrays import check_type, refuse_row
 from bundle.base.records import dataclass
 from bundle.errors import InputError
 from bundle.model import rig_arrays
@@ -34,11 +34,6 @@ def fields_of(reconstruction: pycolmap.Reconstruction) -> dict[str, Any]:
     """Return the fields of a problem from a reconstruction.
 
     The source of the problem is a copy of the reconstruction.
-
-    Raises:
-        InputError: a frame has several images of one camera, or an image of a camera without
-            sensor_from_rig; keypoints and tracks do not match; or :class:`bundle.Problem` rejects a
-            value.
     """
     check_type("reconstruction", reconstruction, pycolmap.Reconstruction)
     reconstruction = pycolmap.Reconstruction(reconstruction)
@@ -201,19 +196,16 @@ class Observations:
         )
 
     def points(self, point_ids: NDArray[np.int64]) -> NDArray[np.int32]:
-        """Return the position of each observed point in `point_ids`, which ascend.
-
-        Raises:
-            InputError: an observed point is not among them.
-        """
+        """Return the position of each observed point in `point_ids`, which ascend."""
         rows = np.searchsorted(point_ids, self.point_id).astype(np.int32)
         found = np.append(point_ids.astype(np.uint64), MAX_POINT_ID + 1)[rows] == self.point_id
-        if not found.all():
-            bad = int(np.argmin(found))
-            raise InputError(
+        refuse_row(
+            ~found,
+            lambda bad: (
                 f"image {self.images[self.image[bad]].image_id}, keypoint {self.keypoint[bad]}: "
                 f"expected a point of the reconstruction, found point {self.point_id[bad]}"
-            )
+            ),
+        )
         return rows
 
     def fields(self, points: NDArray[np.int32]) -> dict[str, Any]:
@@ -329,12 +321,7 @@ class RigFields:
 
 
 def rigs_of(reconstruction: pycolmap.Reconstruction, images: list[pycolmap.Image]) -> RigFields:
-    """Return the fields for the rigs of these images.
-
-    Raises:
-        InputError: a frame has several images of one camera, or an image of a camera without
-            sensor_from_rig.
-    """
+    """Return the fields for the rigs of these images."""
     frame_of = [reconstruction.frame(image.frame_id) for image in images]
     _check_frames(frame_of, {image.image_id for image in images})
     rigs = {rig_id: reconstruction.rig(rig_id) for rig_id in {frame.rig_id for frame in frame_of}}
@@ -429,10 +416,6 @@ def to_pycolmap(problem: ProblemArrays) -> pycolmap.Reconstruction:
     reconstruction with the same ids and rigs. Each image without a rig gets a trivial rig and
     frame. Keypoints are in the order of the problem. Images without a name get names such as
     image_000007.
-
-    Raises:
-        InputError: COLMAP cannot hold an id, or a keypoint index does not exist or occurs twice;
-            the message names the field.
     """
     source = vars(problem)["source"]
     records = model_records(problem, source)

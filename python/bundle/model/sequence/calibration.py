@@ -28,6 +28,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.arrays import at, check_type
 from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
 from bundle.errors import InputError, brief, first_line, nearest, shown
@@ -126,11 +127,9 @@ def load_calibration(path: Path) -> Calibration:
     missing += ["focal"] * (model is None and "focal" not in content)
     if missing:
         raise InputError(f"{shown(path)}: expected the key {missing[0]}; it is missing")
-    try:
+    with at(shown(path)):
         noise = {name: one_number(name, content.pop(name)) for name in _NOISE}
         return Calibration(noise=ImuNoise(**noise), **content)
-    except InputError as error:
-        raise InputError(f"{shown(path)}: {error}") from None
 
 
 def calibration_text(calibration: Calibration) -> str:
@@ -149,11 +148,7 @@ def calibration_text(calibration: Calibration) -> str:
 
 
 def pose_numbers(name: str, value: Any) -> tuple[float, ...]:
-    """Convert qx qy qz qw tx ty tz, or the rows of a 4x4 matrix, to a pose (7,).
-
-    Raises:
-        InputError: it is no rigid motion; the message begins with ``name``.
-    """
+    """Convert qx qy qz qw tx ty tz, or the rows of a 4x4 matrix, to a pose (7,)."""
     found = finite_numbers(name, value)
     if found.shape == (4, 4):
         rotation = found[:3, :3]
@@ -278,17 +273,12 @@ def read_yaml(path: Path) -> dict[Any, Any]:
         place = f": line {mark.line + 1}" if mark is not None else ""
         problem = getattr(error, "problem", None) or first_line(error)
         raise InputError(f"{shown(path)}{place}: expected YAML, found {problem}") from None
-    if not isinstance(found, dict):
-        raise InputError(f"{shown(path)}: expected keys with values, found {brief(found)}")
-    return found
+    check_type(shown(path), found, dict, "keys with values")
+    return dict(found)
 
 
 def finite_numbers(name: str, value: Any) -> NDArray[np.float64]:
-    """Convert a value to an array of finite numbers; strings such as "1e-4" are numbers.
-
-    Raises:
-        InputError: it is something else; the message begins with ``name``.
-    """
+    """Convert a value to an array of finite numbers; strings such as "1e-4" are numbers."""
     try:
         found = np.array(value, dtype=np.float64)
     except (TypeError, ValueError):
@@ -299,11 +289,7 @@ def finite_numbers(name: str, value: Any) -> NDArray[np.float64]:
 
 
 def one_number(name: str, value: Any) -> float:
-    """Convert a value to a finite number.
-
-    Raises:
-        InputError: it is something else; the message begins with ``name``.
-    """
+    """Convert a value to a finite number."""
     found = finite_numbers(name, value)
     if found.ndim or isinstance(value, bool):
         raise InputError(f"{name}: expected a number, found {brief(value)}")

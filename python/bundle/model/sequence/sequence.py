@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import fields
 from decimal import Decimal
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bundle.base.arrays import as_array, check_type, immutable
+from bundle.base.arrays import Array, as_declared, check_arrays, check_type, declare, refuse_row
 from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
 from bundle.errors import InputError, brief
@@ -50,20 +49,18 @@ class Sequence(Displayed):
     xy: NDArray[np.float64]
     calibration: Calibration
 
+    _ARRAYS = declare(
+        imu_timestamps_ns=Array(("n",), dtype=np.int64),
+        gyro=Array(("n", 3)),
+        accel=Array(("n", 3)),
+        track_timestamps_ns=Array(("m",), dtype=np.int64),
+        track_ids=Array(("m",), dtype=np.int64),
+        xy=Array(("m", 2)),
+    )
+
     def __post_init__(self) -> None:
         check_type("calibration", self.calibration, Calibration)
-        columns: dict[str, tuple[int, ...]] = {"gyro": (3,), "accel": (3,), "xy": (2,)}
-        for field in fields(self)[:-1]:
-            kind = np.float64 if field.name in columns else np.int64
-            array = immutable(field.name, getattr(self, field.name), kind)
-            leader = self.track_ids if field.name == "xy" else self.imu_timestamps_ns
-            rows = len(leader) if field.name in columns else array.shape[0]
-            if field.name == "track_ids":
-                rows = len(self.track_timestamps_ns)
-            expected = (rows, *columns.get(field.name, ()))
-            if array.shape != expected:
-                raise InputError(f"{field.name}: expected shape {expected}, found {array.shape}")
-            object.__setattr__(self, field.name, array)
+        check_arrays(self, self._ARRAYS)
         sample: Place = lambda row: f"IMU sample {row}"  # noqa: E731
         place: Place = lambda row: f"observation {row}"  # noqa: E731
         check_imu(self.imu_timestamps_ns, self.gyro, self.accel, sample)
@@ -122,31 +119,17 @@ class Sequence(Displayed):
 def check_stamp_units(
     imu_stamps: Any, track_stamps: Any, calibration: Calibration, imu_place: Place, place: Place
 ) -> None:
-    """Check that stamps are nanoseconds; ``imu_place`` and ``place`` convert a row to text.
-
-    Raises:
-        InputError: as for :func:`bundle.model.sequence.sequence.check_stamp_unit`.
-    """
+    """Check that stamps are nanoseconds; ``imu_place`` and ``place`` convert a row to text."""
     check_stamp_unit(imu_stamps, calibration.imu_rate, "imu_rate", imu_place)
     check_stamp_unit(track_stamps, calibration.camera_rate, "camera_rate", place)
 
 
 def check_imu(stamps: Any, gyro: Any, accel: Any, place: Place) -> None:
-    """Check that IMU samples can be integrated; ``place`` converts a row to text.
-
-    Raises:
-        InputError: fewer than two samples, numbers that are not finite, stamps that decrease or
-            repeat, accelerations in g, or rates in degrees.
-    """
+    """Check that IMU samples can be integrated; ``place`` converts a row to text."""
     if len(stamps) < 2:
         raise InputError(f"{place(0)}: expected at least two IMU samples, found {len(stamps)}")
     for name, values in (("gyro", gyro), ("accel", accel)):
-        wrong = np.flatnonzero(~np.isfinite(values).all(axis=1))
-        if len(wrong):
-            row = int(wrong[0])
-            raise InputError(
-                f"{place(row)}: {name}: expected finite numbers, found {_list(values[row])}"
-            )
+        _check_finite(values, place, f": {name}")
     _check_ascending(stamps, place)
     suspected = suspected_units(gyro, accel)
     if suspected:
@@ -160,46 +143,32 @@ def check_imu(stamps: Any, gyro: Any, accel: Any, place: Place) -> None:
 
 
 def check_tracks(stamps: Any, ids: Any, xy: Any, place: Place) -> None:
-    """Check that observations are sorted by time and id; ``place`` converts a row to text.
-
-    Raises:
-        InputError: the list is empty, a number is not finite, the order is wrong, or an image has a
-            track twice.
-    """
+    """Check that observations are sorted by time and id; ``place`` converts a row to text."""
     if not len(stamps):
         raise InputError(f"{place(0)}: expected observations, found an empty table")
-    wrong = np.flatnonzero(~np.isfinite(xy).all(axis=1))
-    if len(wrong):
-        row = int(wrong[0])
-        raise InputError(f"{place(row)}: x, y: expected finite numbers, found {_list(xy[row])}")
+    _check_finite(xy, place, ": x, y")
     step, other = np.diff(stamps), np.diff(ids)
-    back = np.flatnonzero(step < 0)
-    if len(back):
-        row = int(back[0]) + 1
-        raise InputError(
-            f"{place(row)}: time goes back: expected a stamp of at least {stamps[row - 1]} ns, "
-            f"found {stamps[row]}"
-        )
-    wrong = np.flatnonzero((step == 0) & (other <= 0))
-    if len(wrong):
-        row = int(wrong[0]) + 1
-        if ids[row] == ids[row - 1]:
-            raise InputError(
-                f"{place(row)}: expected a track once per image, found track {ids[row]} twice at "
-                f"{stamps[row]} ns (also in {place(row - 1)})"
-            )
-        raise InputError(
-            f"{place(row)}: expected ids that ascend within an image, found {ids[row]} after "
-            f"{ids[row - 1]}"
-        )
+    refuse_row(
+        step < 0,
+        lambda k: (
+            f"{place(k + 1)}: time goes back: expected a stamp of at least {stamps[k]} ns, "
+            f"found {stamps[k + 1]}"
+        ),
+    )
+    refuse_row(
+        (step == 0) & (other <= 0),
+        lambda k: (
+            f"{place(k + 1)}: expected a track once per image, found track {ids[k]} twice at "
+            f"{stamps[k]} ns (also in {place(k)})"
+            if ids[k] == ids[k + 1]
+            else f"{place(k + 1)}: expected ids that ascend within an image, found {ids[k + 1]} "
+            f"after {ids[k]}"
+        ),
+    )
 
 
 def check_overlap(imu_stamps: Any, image_stamps: Any, where: str) -> None:
-    """Check that images and IMU samples overlap in time.
-
-    Raises:
-        InputError: no image lies between two IMU samples; the message begins with ``where``.
-    """
+    """Check that images and IMU samples overlap in time."""
     inside = (image_stamps >= imu_stamps[0]) & (image_stamps <= imu_stamps[-1])
     if not inside.any():
         raise InputError(
@@ -208,18 +177,25 @@ def check_overlap(imu_stamps: Any, image_stamps: Any, where: str) -> None:
         )
 
 
+def _check_finite(values: Any, place: Place, what: str) -> None:
+    refuse_row(
+        ~np.isfinite(values).all(axis=1),
+        lambda row: (
+            f"{place(row)}{what}: expected finite numbers, found "
+            f"{', '.join(f'{value:g}' for value in values[row])}"
+        ),
+    )
+
+
 def _check_ascending(stamps: Any, place: Place) -> None:
-    wrong = np.flatnonzero(np.diff(stamps) <= 0)
-    if len(wrong):
-        row = int(wrong[0]) + 1
-        what = "a duplicate stamp" if stamps[row] == stamps[row - 1] else "time goes back"
-        raise InputError(
-            f"{place(row)}: {what}: expected more than {stamps[row - 1]} ns, found {stamps[row]}"
-        )
-
-
-def _list(values: Any) -> str:
-    return ", ".join(f"{value:g}" for value in values)
+    refuse_row(
+        np.diff(stamps) <= 0,
+        lambda k: (
+            f"{place(k + 1)}: "
+            f"{'a duplicate stamp' if stamps[k + 1] == stamps[k] else 'time goes back'}: "
+            f"expected more than {stamps[k]} ns, found {stamps[k + 1]}"
+        ),
+    )
 
 
 STANDARD_GRAVITY = 9.80665  # m/s^2
@@ -248,22 +224,23 @@ def check_imu_samples(
             the end of the sensor's range). Also if accelerations seem to be in g instead of m/s^2,
             or rates in degrees.
     """
-    samples = {name: _rows(name, given) for name, given in (("gyro", gyro), ("accel", accel))}
-    if len(samples["gyro"]) != len(samples["accel"]):
-        raise InputError(
-            f"gyro, accel: expected the same number of rows, found {len(samples['gyro'])} and "
-            f"{len(samples['accel'])}"
-        )
+    sizes: dict[Any, int] = {}
+    samples = {
+        name: as_declared(name, given, Array(("n", 3), "finite"), sizes)
+        for name, given in (("gyro", gyro), ("accel", accel))
+    }
     for name, limit, unit in (("gyro", gyro_range, "rad/s"), ("accel", accel_range, "m/s^2")):
         if limit is None:
             continue
-        clipped = np.argwhere(np.abs(samples[name]) >= 0.999 * limit)
-        if len(clipped):
-            row, axis = clipped[0]
-            raise InputError(
-                f"{name}[{row}, {axis}]: expected less than the range of {limit:g} {unit}, found "
-                f"{samples[name][row, axis]:g}: {len(clipped)} saturated values"
-            )
+        found = np.abs(samples[name]).ravel()
+        clipped = found >= 0.999 * limit
+        refuse_row(
+            clipped,
+            lambda k, name=name, limit=limit, unit=unit, clipped=clipped: (  # type: ignore[misc]
+                f"{name}[{k // 3}, {k % 3}]: expected less than the range of {limit:g} {unit}, "
+                f"found {samples[name].flat[k]:g}: {clipped.sum()} saturated values"
+            ),
+        )
     suspected = suspected_units(samples["gyro"], samples["accel"])
     if suspected:
         raise InputError(suspected)
@@ -283,19 +260,6 @@ def suspected_units(gyro: NDArray[np.float64], accel: NDArray[np.float64]) -> st
     if median > DEGREES_SUSPECTED:
         return f"gyro: expected rad/s, found a median rate of {median:.3g}: probably degrees"
     return ""
-
-
-def _rows(name: str, given: ArrayLike) -> NDArray[np.float64]:
-    rows = as_array(name, given)
-    if rows.ndim != 2 or rows.shape[1] != 3:
-        raise InputError(f"{name}: expected shape (n, 3), found {rows.shape}")
-    wrong = np.argwhere(~np.isfinite(rows))
-    if len(wrong):
-        row, axis = wrong[0]
-        raise InputError(
-            f"{name}[{row}, {axis}]: expected a finite number, found {rows[row, axis]}"
-        )
-    return rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -339,20 +303,14 @@ class Recording:
 
 
 def check_recording(recording: Recording) -> None:
-    """Check units, order and overlap of the stamps, and units of the samples.
-
-    Raises:
-        InputError: a check fails; one line with place, expected and found.
-    """
+    """Check units, order and overlap of the stamps, and units of the samples."""
     stamps, place = recording.image_timestamps_ns, recording.image_place
     if len(stamps) < 2:
         raise InputError(f"{place(0)}: expected at least two images, found {len(stamps)}")
-    back = np.flatnonzero(np.diff(stamps) <= 0)
-    if len(back):
-        row = int(back[0]) + 1
-        raise InputError(
-            f"{place(row)}: expected an image after {stamps[row - 1]} ns, found {stamps[row]}"
-        )
+    refuse_row(
+        np.diff(stamps) <= 0,
+        lambda k: f"{place(k + 1)}: expected an image after {stamps[k]} ns, found {stamps[k + 1]}",
+    )
     check_stamp_units(
         recording.imu_timestamps_ns,
         stamps,
@@ -387,9 +345,6 @@ def check_stamp_unit(
         rate: rate of the sensor [Hz].
         name: name of the rate in the calibration.
         place: function that converts a row to text for messages.
-
-    Raises:
-        InputError: the stamps are far too close to each other for the rate.
     """
     times = np.unique(stamps)
     if len(times) < 2:
@@ -405,11 +360,7 @@ def check_stamp_unit(
 
 
 def stamp_of_seconds(word: str, place: str) -> int:
-    """Convert a stamp in seconds to nanoseconds without rounding.
-
-    Raises:
-        InputError: the stamp is not finite, or its nanoseconds exceed 64 bits.
-    """
+    """Convert a stamp in seconds to nanoseconds without rounding."""
     seconds = Decimal(word)
     if seconds.is_finite() and abs(seconds) <= LATEST:
         stamp = int(seconds.scaleb(9))
