@@ -144,12 +144,12 @@ from bundle.planning.comparison.compare_methods import compare as compare
 from bundle.planning.comparison.comparison_result import Comparison as Comparison
 from bundle.planning.comparison.comparison_result import read_comparison as read_comparison
 from bundle.planning.comparison.graph_comparison import GraphComparison as GraphComparison
-from bundle.planning.inspection.factor_graph_inspection import FactorGraphInspection as FactorGraphInspection
+from bundle.planning.inspection.elimination_costs import FactorGraphInspection as FactorGraphInspection
+from bundle.planning.inspection.elimination_costs import PoseGraphInspection as PoseGraphInspection
 from bundle.planning.inspection.graph_inspection import GraphInspection as GraphInspection
 from bundle.planning.inspection.graph_inspection import inspect_graph as inspect_graph
 from bundle.planning.inspection.inspection_result import Inspection as Inspection
 from bundle.planning.inspection.inspection_result import MethodInspection as MethodInspection
-from bundle.planning.inspection.pose_graph_inspection import PoseGraphInspection as PoseGraphInspection
 from bundle.planning.inspection.problem_inspection import inspect as inspect
 from bundle.reports import page as html
 from bundle.reports.page import report as report

@@ -89,7 +89,7 @@ _REPORTS = {
     "chi2:dict tracking degrees_of_freedom:int bad_information:list num_bad_information:int "
     "num_components:int reprojection_error:dict",
     "inspect": "planning.inspection.inspection_result.Inspection.* "
-    "planning.inspection.pose_graph_inspection.PoseGraphInspection.* options "
+    "planning.inspection.elimination_costs.PoseGraphInspection.* options "
     "recommended_command:str nonzeros:str wall_time",
     "merge": "other:dict merge:dict output",
     "refine": "solving.result.Result graphs.pose_graphs.pose_graph_result.PoseGraphResult "

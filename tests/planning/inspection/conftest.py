@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from bundle.planning.inspection import factor_graph_inspection, problem_inspection
+from bundle.planning.inspection import elimination_costs, problem_inspection
 from bundle.planning.inspection.factor_graph_time import FEATURES
 from bundle.planning.inspection.rates import FactorRate, Rates
 
@@ -35,7 +35,7 @@ RATES = Rates(
 def factor_graph_seconds(monkeypatch: pytest.MonkeyPatch) -> dict[str, float]:
     """Let predictions of factor graphs be those for a made-up machine."""
     seconds = {name: 1e-9 * (k + 1) for k, name in enumerate(FEATURES)}
-    monkeypatch.setattr(factor_graph_inspection, "factor_graph_rates", lambda **_: seconds)
+    monkeypatch.setattr(elimination_costs, "factor_graph_rates", lambda **_: seconds)
     return seconds
 
 

@@ -9,7 +9,7 @@ import pytest
 import bundle
 from bundle import _core
 from bundle.planning.inspection import graph_rates, machine_rates
-from bundle.planning.inspection.graph_inspection import pattern_of_edges
+from bundle.planning.inspection.problem_pattern import pattern_of_edges
 
 
 def panels(count, edges, size=3, near=1e6, far=16e6, threads=1):

@@ -5,7 +5,7 @@ import pytest
 
 import bundle
 from bundle.graphs.factors.same_problem import pose_graph_of, problem_of
-from bundle.planning.inspection.factor_graph_inspection import inspect_factor_graph
+from bundle.planning.inspection.elimination_costs import inspect_factor_graph
 from tests.graphs.factors import both_ways
 from tests.graphs.pose_graphs import graphs
 from tests.planning.inspection.test_inspect_pose_graph import chain

@@ -22,7 +22,7 @@ from bundle.planning.comparison.graph_comparison import (
     check_not_varied,
 )
 from bundle.planning.comparison.method import FactorGraphMethod, as_tuple, thread_counts
-from bundle.planning.inspection.factor_graph_inspection import inspect_factor_graph
+from bundle.planning.inspection.elimination_costs import inspect_factor_graph
 
 SOLVERS = ("sparse_normal_cholesky", "dense_normal_cholesky", "square_root")
 TRUST_REGIONS = ("levenberg_marquardt", "gauss_newton", "dogleg", "subspace_dogleg")

@@ -47,7 +47,7 @@ from bundle.io.g2o_files import load_g2o
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.planning.comparison.method import FactorGraphMethod, as_tuple, thread_counts
 from bundle.planning.comparison.recommendation import command_line
-from bundle.planning.inspection.pose_graph_inspection import inspect_pose_graph
+from bundle.planning.inspection.elimination_costs import inspect_pose_graph
 
 ORDERINGS = ("amd", "metis", "natural")
 TRUST_REGIONS = ("gauss_newton", "levenberg_marquardt", "dogleg", "subspace_dogleg")

@@ -1,15 +1,20 @@
-"""Cost of the Cholesky factor of a block-sparse matrix, under each elimination order and dense.
+"""Cost of a step of a pose graph or a factor graph, under each elimination order and dense.
 
 Conventions of all inspections. Nonzeros of a matrix count both triangles and the diagonal; those of
 its factor L, nnz(L), count the lower triangle with the diagonal. A block counts as full. Flops are
 the sum of c^2 + 3 c over the columns of L with c entries below the diagonal
 (``cpp/core/symbolic/factor_counts.h``).
+
+Two variables of a factor graph have a block in Lambda = J^T J if a factor joins them. A factor of k
+variables therefore adds all k (k - 1) / 2 pairs: a prior from a marginalisation makes its variables
+dense. Constant coordinates have no columns.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import math
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import field
 from typing import Any
@@ -18,12 +23,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 import bundle._core as _core
-from bundle.base.display import Display
+from bundle.base.arrays import check_type
+from bundle.base.display import Display, Displayed
+from bundle.base.paths import as_path, is_path
 from bundle.base.records import dataclass
-from bundle.base.words import number, span
-from bundle.planning.inspection.graph_inspection import pattern_of_edges
+from bundle.base.words import number, plural, span
+from bundle.graphs.factors.factor_graph import FactorGraph
+from bundle.graphs.factors.factor_graph import free_pattern as pattern_of_factors
+from bundle.graphs.pose_graphs.edge_weights import check_free_pose
+from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
+from bundle.interface.tabular import Tabular
+from bundle.io.g2o_files import load_g2o
+from bundle.model.pose_graph_arrays import PoseGraph
+from bundle.planning.inspection.factor_graph_time import factor_work
+from bundle.planning.inspection.factor_graph_time import step_terms as factor_step_terms
+from bundle.planning.inspection.graph_rates import free_pattern, panel_work, step_terms
+from bundle.planning.inspection.machine_rates import factor_graph_rates, graph_rates
 from bundle.planning.inspection.peak_memory import Terms, total
-from bundle.planning.inspection.problem_pattern import count_dense
+from bundle.planning.inspection.problem_pattern import BlockPattern, count_dense
 
 CONVENTION = (
     "Nonzeros count both triangles and the diagonal; those of the factor L, its lower triangle "
@@ -33,10 +50,16 @@ CONVENTION = (
 ORDERINGS = ("natural", "amd", "metis", "colamd", "nesdis")
 """Orders of an inspection; of these a solve offers some."""
 
+OF_POSES, OF_FACTORS = ("natural", "amd", "metis"), ("amd", "dense")
+"""Orders that a solve offers for a pose graph, and Ceres for a factor graph."""
+
+MOST_DENSE_COLUMNS = 100
+"""Free coordinates up to which a solve takes a dense matrix (``cpp/core/ceres/solve_graph.cpp``).
+"""
+
 BYTES = 8
 
-Pattern = tuple[NDArray[np.int32], NDArray[np.int64], NDArray[np.int32]]
-Predict = Callable[[Pattern, NDArray[np.int32], Mapping[str, Any]], Terms]
+Predict = Callable[[BlockPattern, NDArray[np.int32], Mapping[str, Any]], Terms]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,23 +92,17 @@ class EliminationCost:
 
 
 def elimination_costs(
-    sizes: NDArray[np.int32],
-    pairs: NDArray[np.int64],
-    taken: Sequence[str],
-    predict: Predict | None = None,
+    pattern: BlockPattern, taken: Sequence[str], predict: Predict
 ) -> tuple[EliminationCost, ...]:
     """Return the cost of each order, then of the dense matrix.
 
-    ``sizes``: (n,) scalars of each variable. ``pairs``: distinct pairs (smaller, larger) of
-    variables with a nonzero block. ``predict``: function from pattern, order and
-    ``_core.count_factor`` to the parts of a step's time; None: unknown.
+    ``predict``: function from pattern, order and ``_core.count_factor`` to the parts of a step's
+    time.
     """
-    pattern = pattern_of_edges(sizes, pairs)
     costs = []
     for name in ORDERINGS:
         order = _core.order_blocks(*pattern, name)
         counts: dict[str, Any] = _core.count_factor(*pattern, order)
-        terms = {} if predict is None else predict(pattern, order, counts)
         cost = EliminationCost(
             ordering=name,
             nnz_factor=int(counts["entries"]),
@@ -95,9 +112,9 @@ def elimination_costs(
             memory_in_bytes=BYTES * int(counts["entries"]),
             is_taken=name in taken,
         )
-        costs.append(with_time(cost, terms))
-    n, columns = len(sizes), int(sizes.sum(dtype=np.int64))
-    dense = count_dense(columns, n * (n - 1) // 2 - len(pairs), n)
+        costs.append(with_time(cost, predict(pattern, order, counts)))
+    n, columns = len(pattern.sizes), pattern.num_columns
+    dense = count_dense(columns, n * (n - 1) // 2 - pattern.num_edges, n)
     return (
         *costs,
         EliminationCost(
@@ -154,3 +171,174 @@ def advise(costs: Sequence[EliminationCost], chosen: str, setting: str) -> str:
         share = 100 - round(100 * flops[least] / flops[chosen])
         words += f" ({least} needs {share} % fewer, but computing it takes longer than it saves)"
     return words + "."
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class PoseGraphInspection(Displayed, Tabular):
+    """Normal equations of a pose graph and the cost of factorising them.
+
+    Attributes:
+        num_poses: number of poses.
+        num_edges: distinct pairs of poses with an edge.
+        block_size: 3 in the plane (SE(2)), 6 in space (SE(3)).
+        nnz: nonzeros of the information matrix over all poses, both triangles and the diagonal.
+        density: share of nonzeros in that matrix.
+        num_free_poses: poses that a solve does not hold constant; the costs are for these.
+        nnz_free: nonzeros of the information matrix over the free poses.
+        costs: one per order, then the dense matrix.
+        auto_ordering: order that ``auto`` selects.
+        num_threads: threads of the predicted times.
+    """
+
+    num_poses: int
+    num_edges: int
+    block_size: int
+    nnz: int
+    density: float
+    num_free_poses: int
+    nnz_free: int
+    costs: tuple[EliminationCost, ...]
+    auto_ordering: str
+    num_threads: int
+
+    @property
+    def recommendation(self) -> str:
+        """Recommended order and the reason, in one sentence."""
+        return advise(self.costs, self.auto_ordering, "--pose-ordering at auto")
+
+    def _display(self) -> Display:
+        poses = f"{plural(self.num_poses, 'pose')}, {plural(self.num_edges, 'edge')}"
+        return display_of(self, "matrix", poses)
+
+
+def inspect_pose_graph(
+    source: Any, num_threads: int = 0, *, recalibrate: bool = False
+) -> PoseGraphInspection:
+    """Count the cost of a step of a pose graph's solve; see :func:`bundle.inspect`.
+
+    ``num_threads``: number of threads of the predicted solve; 0: all cores.
+    """
+    if isinstance(source, PoseGraphResult):
+        source = source.problem
+    elif is_path(source):
+        source = load_g2o(as_path(source))
+    check_type("graph", source, PoseGraph)
+    graph: PoseGraph = source
+    check_free_pose(graph)
+    d = graph.tangent_size
+    held, _, _ = _core.hold_poses(graph)
+    num_edges = len(np.unique(np.sort(graph.edges, axis=1), axis=0))
+    pattern = free_pattern(graph)
+    threads = min(num_threads or _core.hardware_threads(), _core.hardware_threads())
+    rates = graph_rates(threads, recalibrate=recalibrate)
+    nnz = d * d * (graph.num_poses + 2 * num_edges)
+    return PoseGraphInspection(
+        num_poses=graph.num_poses,
+        num_edges=num_edges,
+        block_size=d,
+        nnz=nnz,
+        density=nnz / (d * graph.num_poses) ** 2,
+        num_free_poses=len(pattern.sizes),
+        nnz_free=pattern.nnz,
+        costs=elimination_costs(
+            pattern,
+            OF_POSES,
+            lambda pattern, order, _: step_terms(rates, graph, panel_work(pattern, order, threads)),
+        ),
+        auto_ordering=_core.auto_ordering(graph, held),
+        num_threads=threads,
+    )
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class FactorGraphInspection(Displayed, Tabular):
+    """Normal equations of a factor graph and the cost of factorising them.
+
+    Attributes:
+        num_variables: number of variables.
+        num_factors: number of factors.
+        manifolds: number of variables by manifold.
+        kinds: number of factors by class.
+        num_columns: number of free coordinates.
+        num_free_variables: variables with a free coordinate; the costs are for these.
+        num_edges: distinct pairs of free variables with a common factor.
+        largest_clique: free variables of the factor with most of them.
+        nnz: nonzeros of Lambda over the free coordinates, both triangles and the diagonal.
+        density: share of nonzeros in that matrix.
+        costs: one per order, then the dense matrix.
+        auto_ordering: order that a solve selects.
+        num_threads: threads of the predicted times, which are of Ceres' normal equations with the
+            evaluation of this graph's factors. Times are NaN if a factor failed.
+    """
+
+    num_variables: int
+    num_factors: int
+    manifolds: dict[str, int]
+    kinds: dict[str, int]
+    num_columns: int
+    num_free_variables: int
+    num_edges: int
+    largest_clique: int
+    nnz: int
+    density: float
+    costs: tuple[EliminationCost, ...]
+    auto_ordering: str
+    num_threads: int
+
+    @property
+    def recommendation(self) -> str:
+        """Advice on the order, in one sentence."""
+        if self.auto_ordering == "dense":
+            unknowns = plural(self.num_columns, "free coordinate")
+            return f"A solve takes dense matrices, which are the fastest for {unknowns}."
+        return advise(self.costs, self.auto_ordering, "")
+
+    def _display(self) -> Display:
+        counts = f"{plural(self.num_variables, 'variable')}, {plural(self.num_factors, 'factor')}"
+        return display_of(self, "Lambda", counts)
+
+
+def inspect_factor_graph(
+    graph: FactorGraph, num_threads: int = 0, *, recalibrate: bool = False
+) -> FactorGraphInspection:
+    """Count the cost of a step of a factor graph's solve; see :func:`bundle.inspect`.
+
+    A sample of the factors is evaluated, which calls functions in Python.
+    """
+    graph.check_free()
+    variables, factors = graph.variables, graph.factors
+    pattern = BlockPattern(*pattern_of_factors(variables, factors))
+    columns, nnz = pattern.num_columns, pattern.nnz
+    is_free = {key: sum(v.held) < len(v.coordinates) for key, v in variables.items()}
+    threads = min(num_threads or _core.hardware_threads(), _core.hardware_threads())
+    predict = _prediction(graph, threads, recalibrate)
+    *sparse, dense = elimination_costs(
+        pattern, OF_FACTORS, lambda _pattern, _order, counts: predict(counts)
+    )
+    return FactorGraphInspection(
+        num_variables=len(variables),
+        num_factors=len(factors),
+        manifolds=dict(Counter(variable.manifold for variable in variables.values())),
+        kinds=dict(Counter(type(factor).__name__ for factor in factors)),
+        num_columns=columns,
+        num_free_variables=len(pattern.sizes),
+        num_edges=pattern.num_edges,
+        largest_clique=max(sum(is_free[key] for key in factor.keys) for factor in factors),
+        nnz=nnz,
+        density=nnz / columns**2,
+        costs=(*sparse, with_time(dense, predict({"columns": columns}))),
+        auto_ordering="dense" if columns <= MOST_DENSE_COLUMNS else "amd",
+        num_threads=threads,
+    )
+
+
+def _prediction(
+    graph: FactorGraph, num_threads: int, recalibrate: bool
+) -> Callable[[Mapping[str, Any]], Terms]:
+    """Return a function from counts to the parts of a step's time: none if a factor fails."""
+    try:
+        work = factor_work(graph)
+    except Exception:  # of a user's function; the structure is known without it
+        return lambda _: {}
+    rates = factor_graph_rates(recalibrate=recalibrate)
+    return lambda counts: factor_step_terms(rates, work, counts, num_threads)

@@ -35,6 +35,7 @@ from bundle.errors import InputError, brief, shown
 from bundle.interface.option_fields import choice
 from bundle.interface.planning_options import GRAPH_ORDERINGS
 from bundle.interface.tabular import Tabular
+from bundle.planning.inspection.problem_pattern import BlockPattern, pattern_of_edges
 
 # Largest number of neighbour pairs for which steps are recorded by default. This takes about a
 # second: some hundred variables, or thousands with little fill-in.
@@ -117,8 +118,8 @@ class GraphInspection(Displayed, Tabular):
         )
         return Display(title=f"GraphInspection: {graph}", facts=facts)
 
-    def pattern(self) -> tuple[NDArray[np.int32], NDArray[np.int64], NDArray[np.int32]]:
-        """Return (sizes, column_begin, rows): the lower triangle in the core's format."""
+    def pattern(self) -> BlockPattern:
+        """Return the lower triangle."""
         edges = np.array(self.edges, np.int64).reshape(-1, 2)
         return pattern_of_edges(np.array(self.block_sizes, np.int32), edges)
 
@@ -171,7 +172,6 @@ def inspect_graph(
         record_steps = int((below * below).sum()) <= 2 * MOST_PAIRS_TO_RECORD
     edge_list = tuple((a, b) for a, b in pairs.tolist())
     ordered, block_sizes = tuple(order.tolist()), tuple(sizes.tolist())
-    wide = sizes.astype(np.int64)
     return GraphInspection(
         num_variables=n,
         names=labels,
@@ -183,7 +183,7 @@ def inspect_graph(
         fill=counts["fill_edges"],
         flops=int(counts["flops"]),
         cholmod_flops=int(counts["cholmod_flops"]),
-        nnz=int((wide * wide).sum() + 2 * (wide[pairs[:, 0]] * wide[pairs[:, 1]]).sum()),
+        nnz=pattern.nnz,
         nnz_factor=int(counts["entries"]),
         tree_height=counts["tree_height"],
         block_sizes=block_sizes,
@@ -191,24 +191,12 @@ def inspect_graph(
     )
 
 
-def pattern_of_edges(
-    sizes: NDArray[np.int32], pairs: NDArray[np.int64]
-) -> tuple[NDArray[np.int32], NDArray[np.int64], NDArray[np.int32]]:
-    """Return the lower triangle by block columns of distinct pairs (smaller, larger)."""
-    diagonal = np.arange(len(sizes))
-    columns = np.concatenate([diagonal, pairs[:, 0]])
-    rows = np.concatenate([diagonal, pairs[:, 1]])
-    by_column = np.lexsort((rows, columns))
-    begin = np.concatenate([[0], np.cumsum(np.bincount(columns, minlength=len(sizes)))])
-    return sizes, begin.astype(np.int64), rows[by_column].astype(np.int32)
-
-
 def _find_order(
     ordering: str | Sequence[int],
     num_variables: int,
     pairs: NDArray[np.int64],
     landmarks: NDArray[np.int64],
-    pattern: tuple[NDArray[np.int32], NDArray[np.int64], NDArray[np.int32]],
+    pattern: BlockPattern,
 ) -> tuple[str, NDArray[np.int32]]:
     """Return the name of an order and its permutation."""
     if not isinstance(ordering, str):

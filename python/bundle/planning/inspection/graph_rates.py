@@ -36,9 +36,8 @@ from bundle.base.records import dataclass
 from bundle.graphs.pose_graphs.lie_groups import compose, inverse
 from bundle.graphs.pose_graphs.solve_pose_graph import solve_pose_graph
 from bundle.model.pose_graph_arrays import PoseGraph
-from bundle.planning.inspection.elimination_costs import Pattern
-from bundle.planning.inspection.graph_inspection import pattern_of_edges
 from bundle.planning.inspection.peak_memory import Terms
+from bundle.planning.inspection.problem_pattern import BlockPattern, pattern_of_edges
 from bundle.planning.inspection.rates import fit_rates
 
 NEAR_CACHE, FAR_CACHE = 1e6, 24e6
@@ -130,12 +129,13 @@ class GraphRates:
     efficiency: float = 1.0
 
 
-def free_pairs(graph: PoseGraph) -> tuple[NDArray[np.int64], int]:
-    """Return distinct pairs of free poses with an edge, by their numbers, and the free poses."""
+def free_pattern(graph: PoseGraph) -> BlockPattern:
+    """Return the pattern of the normal equations over the free poses."""
     held, _, _ = _core.hold_poses(graph)
     pairs = np.unique(np.sort(graph.edges.astype(np.int64), axis=1), axis=0).reshape(-1, 2)
     number = np.cumsum(~held) - 1
-    return number[pairs[~held[pairs].any(axis=1)]], int((~held).sum())
+    sizes = np.full(int((~held).sum()), graph.tangent_size, np.int32)
+    return pattern_of_edges(sizes, number[pairs[~held[pairs].any(axis=1)]])
 
 
 def step_terms(rates: GraphRates, graph: PoseGraph, work: Mapping[str, float]) -> Terms:
@@ -239,15 +239,14 @@ def made_graph(kind: str, num_poses: int, tangent_size: int, *, seed: int) -> Po
 
 
 def panel_work(
-    pattern: Pattern, order: NDArray[np.int32], num_threads: int = 1
+    pattern: BlockPattern, order: NDArray[np.int32], num_threads: int = 1
 ) -> dict[str, float]:
     """Return the counts of ``cpp/core/prepare/panel_work.h``, with the caches assumed here."""
     return _core.panel_work(*pattern, order, NEAR_CACHE, FAR_CACHE, num_threads)
 
 
 def _work(graph: PoseGraph, ordering: str, num_threads: int = 1) -> dict[str, float]:
-    pairs, free = free_pairs(graph)
-    pattern = pattern_of_edges(np.full(free, graph.tangent_size, np.int32), pairs)
+    pattern = free_pattern(graph)
     return panel_work(pattern, _core.order_blocks(*pattern, ordering), num_threads)
 
 

@@ -21,9 +21,11 @@ from bundle.interface.options import SolveOptions
 from bundle.io.files import Source, as_problem
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.model.problem import Problem
-from bundle.planning.inspection.factor_graph_inspection import (
+from bundle.planning.inspection.elimination_costs import (
     FactorGraphInspection,
+    PoseGraphInspection,
     inspect_factor_graph,
+    inspect_pose_graph,
 )
 from bundle.planning.inspection.inspection_result import (
     Inspection,
@@ -42,7 +44,6 @@ from bundle.planning.inspection.peak_memory import (
     fused_memory,
     total,
 )
-from bundle.planning.inspection.pose_graph_inspection import PoseGraphInspection, inspect_pose_graph
 from bundle.planning.inspection.problem_pattern import FactorCount, ProblemPattern, find_pattern
 from bundle.planning.inspection.rates import FactorRate, Rates
 from bundle.solving.layout import resolve_defaults

@@ -54,6 +54,12 @@ class BlockPattern(NamedTuple):
         return len(self.rows) - len(self.sizes)
 
     @property
+    def edges(self) -> NDArray[np.int64]:
+        """Pairs (smaller, larger) of coupled blocks, (num_edges, 2)."""
+        columns = np.repeat(np.arange(len(self.sizes)), np.diff(self.column_begin))
+        return np.stack([columns, self.rows], axis=1)[columns != self.rows]
+
+    @property
     def nnz(self) -> int:
         """Nonzeros of both triangles and the diagonal."""
         sizes = self.sizes.astype(np.int64)
@@ -65,6 +71,16 @@ class BlockPattern(NamedTuple):
         return _core.sums_are_double_doubles(
             linear_solver_type.lower(), self.num_columns, len(self.sizes), len(self.rows)
         )
+
+
+def pattern_of_edges(sizes: Sizes, pairs: NDArray[np.int64]) -> BlockPattern:
+    """Return the lower triangle by block columns of distinct pairs (smaller, larger)."""
+    diagonal = np.arange(len(sizes))
+    columns = np.concatenate([diagonal, pairs[:, 0]])
+    rows = np.concatenate([diagonal, pairs[:, 1]])
+    by_column = np.lexsort((rows, columns))
+    begin = np.concatenate([[0], np.cumsum(np.bincount(columns, minlength=len(sizes)))])
+    return BlockPattern(sizes, begin.astype(np.int64), rows[by_column].astype(np.int32))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -25,8 +25,7 @@ from bundle.graphs.pose_graphs.edge_weights import pose_graph_chi2
 from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.model.rigid_motions import rotation_matrices
-from bundle.planning.inspection.factor_graph_inspection import FactorGraphInspection
-from bundle.planning.inspection.pose_graph_inspection import PoseGraphInspection
+from bundle.planning.inspection.elimination_costs import FactorGraphInspection, PoseGraphInspection
 from bundle.planning.inspection.problem_inspection import inspect
 from bundle.reports.terminal.graph_headline import graph_headline
 from bundle.reports.terminal.inputs import contents_of

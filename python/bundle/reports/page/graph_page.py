@@ -16,10 +16,9 @@ from bundle.base.words import amount, span
 from bundle.figures.cost_figures import bar_figure, column_figure
 from bundle.figures.matplotlib.matrix_pattern import MatrixPattern
 from bundle.model.pose_graph_arrays import PoseGraph
-from bundle.planning.inspection.elimination_costs import ORDERINGS
-from bundle.planning.inspection.graph_inspection import inspect_graph, pattern_of_edges
-from bundle.planning.inspection.graph_rates import free_pairs
-from bundle.planning.inspection.pose_graph_inspection import PoseGraphInspection
+from bundle.planning.inspection.elimination_costs import ORDERINGS, PoseGraphInspection
+from bundle.planning.inspection.graph_inspection import inspect_graph
+from bundle.planning.inspection.graph_rates import free_pattern
 from bundle.reports.page.elimination_player import (
     MOST_VARIABLES,
     elimination_data,
@@ -113,7 +112,8 @@ def write_graph_structure(
         InputError: the path cannot hold a page.
         OSError: the page cannot be written.
     """
-    pairs, count = free_pairs(graph)
+    pattern = free_pattern(graph)
+    count = len(pattern.sizes)
     held, _, _ = _core.hold_poses(graph)
     names = [graph.pose_name(pose) for pose in np.flatnonzero(~held).tolist()]
     times = {
@@ -135,17 +135,21 @@ def write_graph_structure(
         ),
     ]
     if count <= MOST_DRAWN:
-        triple = pattern_of_edges(np.full(count, graph.tangent_size, np.int32), pairs)
-        orders = {order: _core.order_blocks(*triple, order) for order in ORDERINGS}
+        orders = {order: _core.order_blocks(*pattern, order) for order in ORDERINGS}
         sections += [
             Section(title="Matrix and factor", text=["Fill is orange."]),
-            orderings(MatrixPattern.of(triple), orders, "matrix"),
+            orderings(MatrixPattern.of(pattern), orders, "matrix"),
         ]
     data = None
     if count <= MOST_VARIABLES:
         graphs = [
             inspect_graph(
-                pairs, count, order, names=names, block_size=graph.tangent_size, record_steps=True
+                pattern.edges,
+                count,
+                order,
+                names=names,
+                block_size=graph.tangent_size,
+                record_steps=True,
             )
             for order in STEPPED
         ]

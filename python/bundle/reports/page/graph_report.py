@@ -29,9 +29,11 @@ from bundle.graphs.pose_graphs.pose_graph_result import (
 )
 from bundle.interface.finding import Finding
 from bundle.model.pose_graph_arrays import PoseGraph
-from bundle.planning.inspection.elimination_costs import CONVENTION
-from bundle.planning.inspection.factor_graph_inspection import FactorGraphInspection
-from bundle.planning.inspection.pose_graph_inspection import PoseGraphInspection
+from bundle.planning.inspection.elimination_costs import (
+    CONVENTION,
+    FactorGraphInspection,
+    PoseGraphInspection,
+)
 from bundle.reports.page.graph_facts import (
     ODOMETRY,
     GraphFacts,
