@@ -43,8 +43,11 @@ from bundle.planning.comparison.comparison_result import (
     PerformanceProfile,
     performance_profiles,
 )
-from bundle.planning.comparison.factor_graph_comparison import compare_factor_graph
-from bundle.planning.comparison.graph_comparison import GraphComparison, compare_graph
+from bundle.planning.comparison.graph_comparison import (
+    GraphComparison,
+    compare_factor_graph,
+    compare_graph,
+)
 from bundle.planning.comparison.method import expand
 from bundle.planning.comparison.recommendation import recommend
 from bundle.planning.comparison.work import Progress, Work

@@ -1,4 +1,8 @@
-"""Comparison of solver methods on a pose graph, with one recommendation.
+"""Comparison of solver methods on a pose graph or a factor graph, with one recommendation.
+
+A factor graph of relative poses or of reprojections is compared as the pose graph or the problem
+that it states (``compare_methods.py``). Any other is solved by Ceres with each linear solver and
+trust region, and by a QR factorisation of its Jacobian.
 
 ``graph_distance`` is in sigmas of the covariance. Let X_a and X_b be two solutions with the same
 constant poses, and Lambda = J^T W J the information of all edges at X_b, with the weights W of the
@@ -27,7 +31,7 @@ from bundle.base.paths import as_path, is_path
 from bundle.base.records import dataclass
 from bundle.base.words import number, plural, seconds
 from bundle.errors import InputError
-from bundle.graphs.factors.factor_graph import FactorGraph
+from bundle.graphs.factors.factor_graph import FactorGraph, GraphResult
 from bundle.graphs.pose_graphs.edge_weights import (
     check_free_pose,
     check_information_exists,
@@ -39,47 +43,25 @@ from bundle.graphs.pose_graphs.solve_pose_graph import solve_pose_graph
 from bundle.interface.environment import Environment
 from bundle.interface.option_fields import choice
 from bundle.interface.option_fields import number as checked_number
-from bundle.interface.options import SolveOptions
+from bundle.interface.options import GraphOptions, SolveOptions
 from bundle.interface.planning_options import BACKENDS, REPEAT, SECONDS_NOT_REPEATED, TIMEOUT
 from bundle.interface.pose_graph_options import PoseGraphOptions
 from bundle.interface.tabular import Tabular
 from bundle.io.g2o_files import load_g2o
 from bundle.model.pose_graph_arrays import PoseGraph
-from bundle.planning.comparison.method import FactorGraphMethod, as_tuple, thread_counts
+from bundle.planning.comparison.method import (
+    FactorGraphMethod,
+    GraphMethod,
+    as_tuple,
+    thread_counts,
+)
 from bundle.planning.comparison.recommendation import command_line
-from bundle.planning.inspection.elimination_costs import inspect_pose_graph
+from bundle.planning.inspection.elimination_costs import inspect_factor_graph, inspect_pose_graph
 
 ORDERINGS = ("amd", "metis", "natural")
 TRUST_REGIONS = ("gauss_newton", "levenberg_marquardt", "dogleg", "subspace_dogleg")
 VARIED = ("backend", "ordering", "trust_region_strategy_type", "num_threads")
-
-
-@dataclass(frozen=True, kw_only=True)
-class GraphMethod:
-    """Options of a compared method, named as in :class:`bundle.PoseGraphOptions`.
-
-    ``ordering`` is "" for Ceres, which chooses its own.
-    """
-
-    backend: str
-    trust_region_strategy_type: str
-    ordering: str
-    num_threads: int
-
-    @property
-    def name(self) -> str:
-        """Return a name such as "fused amd gauss-newton"."""
-        words = (self.backend, self.ordering, self.trust_region_strategy_type.replace("_", "-"))
-        return " ".join(filter(None, words))
-
-    def options(self, base: PoseGraphOptions) -> PoseGraphOptions:
-        """Return the options of a solve by this method."""
-        return base.replace(
-            backend=self.backend,
-            trust_region_strategy_type=self.trust_region_strategy_type,
-            ordering=self.ordering or "auto",
-            num_threads=self.num_threads,
-        )
+VARIED_OF_FACTORS = ("linear_solver_type", "trust_region_strategy_type", "num_threads")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -173,7 +155,7 @@ def compare_graph(
     check_not_varied(options, PoseGraphOptions(), VARIED)
     if options.loss == "auto":
         raise InputError("loss: expected a named loss to compare methods with, found auto")
-    runner = Runner(repeat, timeout, progress)
+    limits = _limits(repeat, timeout, progress)
     methods = _methods(
         ("fused",) if orders_only else _listed("backends", backends),
         _listed("threads", threads),
@@ -183,71 +165,79 @@ def compare_graph(
     # The start is computed once, because all methods must share it.
     started = solve_pose_graph(source, options.replace(max_num_iterations=0)).problem
     base = options.replace(init="file")
-    predicted = _predicted(started, methods)
-    return runner.compare(
+    inspected = {
+        count: {c.ordering: c for c in inspect_pose_graph(started, count).costs}
+        for count in {method.num_threads for method in methods if method.backend == "fused"}
+    }
+
+    def time_of_step(method: GraphMethod) -> float:
+        if method.backend != "fused":
+            return math.nan
+        return inspected[method.num_threads][method.ordering].time_per_step_in_seconds
+
+    def solver(method: GraphMethod) -> Solve:
+        def solve(progress: Callable[[Any], None]) -> tuple[PoseGraphResult, float]:
+            result = solve_pose_graph(started, method.options(base), progress=progress)
+            return result, result.summary.chi2_final
+
+        return solve
+
+    return _compared(
         started,
         options,
+        limits,
         methods,
-        lambda method: _solver(started, method.options(base)),
-        lambda method: predicted.get(method, math.nan),
+        solver,
+        time_of_step,
         lambda method: _command(started, options, method),
     )
 
 
-class Runner:
-    """Checked settings of a comparison, and its runs.
+Limits = tuple[int, float, Callable[[str], None] | None]
+"""Solves of each method, seconds after which one is stopped, and a function of a method's name."""
 
-    Args:
-        repeat: solves of each method.
-        timeout: seconds after which a solve is stopped.
-        progress: called with the name of each method.
+
+def _limits(repeat: int, timeout: float, progress: Callable[[str], None] | None) -> Limits:
+    repeat = checked_number("repeat", repeat, whole=True, minimum=1)
+    timeout = checked_number("timeout", timeout, above=0)
+    check_function("progress", progress)
+    return repeat, timeout, progress
+
+
+def _compared(
+    graph: PoseGraph | FactorGraph,
+    options: PoseGraphOptions | SolveOptions,
+    limits: Limits,
+    methods: Iterable[Any],
+    solver: Callable[[Any], Solve],
+    predicted: Callable[[Any], float],
+    command: Callable[[Any], str],
+) -> GraphComparison:
+    """Solve by each method, and recommend one.
+
+    ``solver``, ``predicted`` and ``command``: solve, predicted seconds of a step (NaN if unknown)
+    and command line of a method.
     """
-
-    def __init__(self, repeat: int, timeout: float, progress: Callable[[str], None] | None) -> None:
-        self.repeat = checked_number("repeat", repeat, whole=True, minimum=1)
-        self.timeout = checked_number("timeout", timeout, above=0)
-        check_function("progress", progress)
-        self.progress = progress
-
-    def compare(
-        self,
-        graph: PoseGraph | FactorGraph,
-        options: PoseGraphOptions | SolveOptions,
-        methods: Iterable[Any],
-        solver: Callable[[Any], Solve],
-        predicted: Callable[[Any], float],
-        command: Callable[[Any], str],
-    ) -> GraphComparison:
-        """Solve by each method, and recommend one.
-
-        Args:
-            graph: common start.
-            options: options of every solve.
-            methods: methods, objects with a ``name``.
-            solver: function of a method that returns its solve.
-            predicted: predicted seconds of a step of a method; NaN if unknown.
-            command: command of a method.
-        """
-        environment = Environment.now()
-        runs = []
-        for method in methods:
-            if self.progress is not None:
-                self.progress(method.name)
-            time = predicted(method)
-            runs.append(measure(method, solver(method), self.repeat, self.timeout, time))
-        best, reason = recommend_run(runs)
-        return GraphComparison(
-            graph=graph,
-            options=options,
-            runs=tuple(runs),
-            recommended=best.method if best else None,
-            reason=reason,
-            command=command(best.method) if best else "",
-            warnings=best.warnings if best else (),
-            repeat=self.repeat,
-            timeout=self.timeout,
-            environment=environment.finished(),
-        )
+    environment = Environment.now()
+    repeat, timeout, progress = limits
+    runs = []
+    for method in methods:
+        if progress is not None:
+            progress(method.name)
+        runs.append(measure(method, solver(method), repeat, timeout, predicted(method)))
+    best, reason = recommend_run(runs)
+    return GraphComparison(
+        graph=graph,
+        options=options,
+        runs=tuple(runs),
+        recommended=best.method if best else None,
+        reason=reason,
+        command=command(best.method) if best else "",
+        warnings=best.warnings if best else (),
+        repeat=repeat,
+        timeout=timeout,
+        environment=environment.finished(),
+    )
 
 
 def check_not_varied(options: Any, defaults: Any, varied: Iterable[str]) -> None:
@@ -255,29 +245,6 @@ def check_not_varied(options: Any, defaults: Any, varied: Iterable[str]) -> None
     for name in varied:
         if getattr(options, name) != getattr(defaults, name):
             raise InputError(f"{name}: expected its default, because it is compared")
-
-
-def _predicted(graph: PoseGraph, methods: Iterable[GraphMethod]) -> dict[GraphMethod, float]:
-    """Return the predicted time of a step of the methods of the fused backend."""
-    times: dict[int, dict[str, float]] = {}
-    found = {}
-    for method in methods:
-        if method.backend == "fused":
-            if method.num_threads not in times:
-                costs = inspect_pose_graph(graph, method.num_threads).costs
-                times[method.num_threads] = {
-                    cost.ordering: cost.time_per_step_in_seconds for cost in costs
-                }
-            found[method] = times[method.num_threads][method.ordering]
-    return found
-
-
-def _solver(graph: PoseGraph, options: PoseGraphOptions) -> Solve:
-    def solve(progress: Callable[[Any], None]) -> tuple[PoseGraphResult, float]:
-        result = solve_pose_graph(graph, options, progress=progress)
-        return result, result.summary.chi2_final
-
-    return solve
 
 
 def _methods(
@@ -325,6 +292,98 @@ def _command(graph: PoseGraph, options: PoseGraphOptions, method: GraphMethod) -
     return command_line(chosen, graph.path or "INPUT")
 
 
+SOLVERS = ("sparse_normal_cholesky", "dense_normal_cholesky", "square_root")
+ORDERS = {"sparse_normal_cholesky": "amd", "dense_normal_cholesky": "dense"}
+_REGIONS = ("levenberg_marquardt", "gauss_newton", "dogleg", "subspace_dogleg")
+
+PREDICTED = ("levenberg_marquardt", "gauss_newton")
+"""Trust regions whose step is one linear solve, which :func:`bundle.inspect` predicts."""
+
+MOST_DENSE_COLUMNS = 2000
+"""Free coordinates up to which dense matrices are compared: 32 MB and a second per step."""
+
+
+def compare_factor_graph(
+    graph: FactorGraph,
+    options: SolveOptions | None = None,
+    *,
+    threads: Iterable[int] = (0,),
+    repeat: int = REPEAT,
+    timeout: float = TIMEOUT,
+    progress: Callable[[str], None] | None = None,
+    changes: dict[str, Any],
+) -> GraphComparison:
+    """Solve a factor graph from its values by every method; see :func:`bundle.compare`."""
+    graph.check_free()
+    chosen = GraphOptions.of(options, changes, "compare")
+    check_not_varied(chosen, GraphOptions(), VARIED_OF_FACTORS)
+    limits = _limits(repeat, timeout, progress)
+    counts = thread_counts("threads", as_tuple("threads", threads))
+    inspected = {count: inspect_factor_graph(graph, count).costs for count in counts}
+
+    def time_of_step(method: FactorGraphMethod) -> float:
+        if method.trust_region_strategy_type not in PREDICTED:
+            return math.nan
+        order = ORDERS.get(method.linear_solver_type)
+        costs = inspected[method.num_threads]
+        return next((c.time_per_step_in_seconds for c in costs if c.ordering == order), math.nan)
+
+    return _compared(
+        graph,
+        chosen,
+        limits,
+        _factor_methods(graph, counts),
+        lambda method: _factor_solver(graph, chosen, method),
+        time_of_step,
+        _expression,
+    )
+
+
+def _factor_methods(graph: FactorGraph, counts: tuple[int, ...]) -> list[FactorGraphMethod]:
+    variables = graph.variables.values()
+    columns = sum(len(v.coordinates) - sum(v.held) for v in variables)
+    has_bounds = any(len(v.lower) for v in variables)
+    solvers = [
+        name
+        for name in SOLVERS
+        if not (name == "dense_normal_cholesky" and columns > MOST_DENSE_COLUMNS)
+        and not (name == "square_root" and has_bounds)
+    ]
+    return [
+        FactorGraphMethod(
+            linear_solver_type=solver, trust_region_strategy_type=region, num_threads=count
+        )
+        for count in counts
+        for solver in solvers
+        for region in (_REGIONS if solver == solvers[0] else _REGIONS[:1])
+        if not (has_bounds and region.endswith("dogleg"))
+    ]
+
+
+def _factor_solver(graph: FactorGraph, options: SolveOptions, method: FactorGraphMethod) -> Solve:
+    arguments = method.arguments()
+    by_root = arguments.pop("square_root", False)
+
+    def solve(progress: Callable[[Any], None]) -> tuple[GraphResult, float]:
+        used = options.replace(**arguments)
+        result = graph.solve(used, square_root=by_root, progress=progress)
+        _, squares, _ = _core.factor_costs(*graph.with_values(result.values).core())
+        return result, float(squares.sum())
+
+    return solve
+
+
+def _expression(method: FactorGraphMethod) -> str:
+    """Return the expression that solves by the method, without arguments at their default."""
+    given = method.arguments()
+    if given["num_threads"] in (0, _core.hardware_threads()):
+        del given["num_threads"]
+    if given["trust_region_strategy_type"] == GraphOptions().trust_region_strategy_type:
+        del given["trust_region_strategy_type"]
+    words = ", ".join(f"{name}={value!r}" for name, value in given.items())
+    return f"graph.solve({words})"
+
+
 NEAR_ENOUGH = 1.15
 """Factor of the shortest time within which methods count as equally fast."""
 
@@ -352,10 +411,10 @@ class GraphRun:
     """
 
     method: Any
-    times_in_seconds: tuple[float, ...]
-    final_cost: float
-    chi2_final: float
-    num_steps: int
+    times_in_seconds: tuple[float, ...] = ()
+    final_cost: float = math.nan
+    chi2_final: float = math.nan
+    num_steps: int = 0
     termination_type: str
     failure: str = ""
     warnings: tuple[str, ...] = ()
@@ -377,17 +436,13 @@ class GraphRun:
 
 
 def measure(
-    method: Any,
-    solve: Solve,
-    repeat: int,
-    timeout: float,
-    predicted: float = math.nan,
+    method: Any, solve: Solve, repeat: int, timeout: float, predicted: float = math.nan
 ) -> GraphRun:
-    """Solve several times by one method.
+    """Solve several times by one method; times in seconds, ``predicted`` that of a step."""
 
-    ``timeout``: seconds after which a solve is stopped. ``predicted``: predicted time of a step in
-    seconds.
-    """
+    def failed(termination: str, failure: str) -> GraphRun:
+        return GraphRun(method=method, termination_type=termination, failure=failure)
+
     times: list[float] = []
     for _ in range(repeat):
         begun = time.perf_counter()
@@ -399,16 +454,16 @@ def measure(
         try:
             result, chi2 = solve(watch)
         except _TimeoutError:
-            return _failed(method, "TIMEOUT", f"stopped after {number(timeout)} s")
+            return failed("TIMEOUT", f"stopped after {number(timeout)} s")
         except InputError:
             raise
         except (RuntimeError, MemoryError) as error:
-            return _failed(method, "FAILURE", str(error).partition("\n")[0] or "no memory")
+            return failed("FAILURE", str(error).partition("\n")[0] or "no memory")
         summary = result.summary
         if summary.interrupted:
             raise KeyboardInterrupt
         if not summary.is_solution_usable:
-            return _failed(method, summary.termination_type, summary.message)
+            return failed(summary.termination_type, summary.message)
         times.append(result.solve_time_in_seconds)
         if times[-1] > SECONDS_NOT_REPEATED:
             break
@@ -427,18 +482,6 @@ def measure(
 
 class _TimeoutError(Exception):
     """Time limit of a solve exceeded."""
-
-
-def _failed(method: Any, termination: str, failure: str) -> GraphRun:
-    return GraphRun(
-        method=method,
-        times_in_seconds=(),
-        final_cost=math.nan,
-        chi2_final=math.nan,
-        num_steps=0,
-        termination_type=termination,
-        failure=failure,
-    )
 
 
 def best_cost(runs: Iterable[GraphRun]) -> float:

@@ -20,6 +20,7 @@ from bundle.interface.planning_options import (
     THREADS,
     TRUST_REGIONS,
 )
+from bundle.interface.pose_graph_options import PoseGraphOptions
 
 _USUAL = "levenberg_marquardt"
 ITERATIVE = ("iterative_schur", "cgnr")
@@ -69,6 +70,34 @@ class Method:
             linear_solver_ordering=self.linear_solver_ordering,
             preconditioner_type=self.preconditioner_type,
             trust_region_strategy_type=self.trust_region_strategy_type,
+            num_threads=self.num_threads,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class GraphMethod:
+    """Options of a compared method, named as in :class:`bundle.PoseGraphOptions`.
+
+    ``ordering`` is "" for Ceres, which chooses its own.
+    """
+
+    backend: str
+    trust_region_strategy_type: str
+    ordering: str
+    num_threads: int
+
+    @property
+    def name(self) -> str:
+        """Return a name such as "fused amd gauss-newton"."""
+        words = (self.backend, self.ordering, self.trust_region_strategy_type.replace("_", "-"))
+        return " ".join(filter(None, words))
+
+    def options(self, base: PoseGraphOptions) -> PoseGraphOptions:
+        """Return the options of a solve by this method."""
+        return base.replace(
+            backend=self.backend,
+            trust_region_strategy_type=self.trust_region_strategy_type,
+            ordering=self.ordering or "auto",
             num_threads=self.num_threads,
         )
 
