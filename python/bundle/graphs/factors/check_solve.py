@@ -15,7 +15,7 @@ import bundle._core as _core
 from bundle.base.records import dataclass
 from bundle.base.words import plural
 from bundle.errors import InputError, brief
-from bundle.graphs.factors.contents import factor_name
+from bundle.graphs.factors.contents import connected, factor_name
 from bundle.graphs.factors.factors import Factor, FunctionFactor
 from bundle.graphs.factors.linear_prior import AnchoredFactor
 from bundle.graphs.factors.spot_check import Candidate, Kind, code_of, spot_check
@@ -27,25 +27,6 @@ RELATIVE = {"between", "relative_pose", "reprojection"}
 
 LARGE = 300
 """Largest number of columns of a prior for which the spectrum takes a millisecond or two."""
-
-
-def find_parts(variables: Mapping[Key, Variable], factors: Sequence[Factor]) -> dict[Key, Key]:
-    """Return for each variable the first variable of its connected component."""
-    parent = {key: key for key in variables}
-
-    def root(key: Key) -> Key:
-        while parent[key] != key:
-            parent[key] = parent[parent[key]]
-            key = parent[key]
-        return key
-
-    order = {key: i for i, key in enumerate(variables)}
-    for factor in factors:
-        roots = {root(key) for key in factor.keys}
-        first = min(roots, key=order.__getitem__)
-        for other in roots:
-            parent[other] = first
-    return {key: root(key) for key in variables}
 
 
 def about_parts(
@@ -170,7 +151,9 @@ def checked(output: Mapping[str, Any], graph: SolvedGraph) -> dict[str, Any]:
     has_bounds = any(len(v.lower) for v in graph.variables.values())
     seconds = time_for_checks(output)
     ends = dict(zip(graph.variables, output["values"], strict=True))
-    parts = find_parts(graph.variables, graph.factors)
+    first: dict[int, Key] = {}
+    labels = connected(graph.variables, graph.factors)
+    parts = {key: first.setdefault(label, key) for key, label in labels.items()}
     sentences = {
         # A step projected onto bounds may miss the model's prediction, as if a Jacobian were wrong.
         "suspicious_steps": ""

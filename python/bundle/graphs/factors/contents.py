@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import pairwise
 from typing import Any, Self
 from weakref import WeakKeyDictionary
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 import bundle._core as _core
@@ -286,3 +288,21 @@ class GraphContents(Displayed):
 def factor_name(position: int, factor: Factor) -> str:
     """Return the name of a factor of a graph for messages."""
     return f"factor {position}, {factor.name}"
+
+
+def connected(
+    variables: Mapping[Key, Variable], factors: Iterable[Factor], *, held_connect: bool = True
+) -> dict[Key, int]:
+    """Return the connected component of each variable: the position of one of its variables.
+
+    ``held_connect``: False if constant variables connect nothing.
+    """
+    place = {key: k for k, key in enumerate(variables)}
+    joins = {key for key, v in variables.items() if held_connect or not (v.held and all(v.held))}
+    pairs = [
+        (place[first], place[second])
+        for factor in factors
+        for first, second in pairwise([key for key in factor.keys if key in joins])
+    ]
+    labels = _core.pose_components(len(place), np.array(pairs, np.int32).reshape(-1, 2))
+    return dict(zip(place, np.asarray(labels).tolist(), strict=True))

@@ -115,12 +115,40 @@ class AnchoredFactor(Factor):
             steps.append(_core.local_coordinates(manifold, old, points[key]))
         return points, np.concatenate(steps)
 
-    def _moved(self, moved: Self, jump: float) -> Self:
-        """Complete the re-anchored prior with its cost jump and sources."""
-        moved._set("cost_jump", jump)
+    def reanchor(self, values: Mapping[Key, ArrayLike]) -> Self:
+        """Return the same prior about other values: eta - Lambda d, or b - R d.
+
+        The matrix stays. On Euclidean variables the cost is the same function up to the constant
+        1/2 d^T Lambda d - eta^T d, which is ``cost_jump`` of the result. The cost of the factor, whose minimum is 0
+        about any point, does not change. On curved manifolds the quadratic form is kept, with the
+        Jacobians of the first linearization point (first-estimate Jacobians).
+
+        Args:
+            values: new linearization points by key; other keys are ignored.
+
+        Raises:
+            InputError: a value is missing or does not lie on its manifold.
+        """
+        points, step = self._step_to(values)
+        matrix, vector = self._form()
+        change = matrix @ step
+        given: dict[str, Any] = {"loss": self.loss, "loss_scale": self.loss_scale}
+        kind: Any = type(self)
+        moved: Self = kind(
+            matrix, vector - change, points, self.keys, manifolds=self.manifolds, **given
+        )
+        moved._set("cost_jump", self._rise(step, change))
         if self._sources:
             moved.made_of(self._sources)
         return moved
+
+    def _form(self) -> tuple[Array, Array]:
+        """Return Lambda and eta, or R and b."""
+        raise NotImplementedError
+
+    def _rise(self, step: Array, change: Array) -> float:
+        """Return 1/2 d^T Lambda d - eta^T d; ``change`` is the matrix times d."""
+        raise NotImplementedError
 
     def _matrix(self) -> Array:
         """Return Lambda."""
@@ -201,33 +229,11 @@ class LinearPrior(AnchoredFactor):
                 f"found {np.shape(self.Lambda)} and {np.shape(self.eta)}"
             )
 
-    def reanchor(self, values: Mapping[Key, ArrayLike]) -> LinearPrior:
-        """Return the same prior about other values: eta - Lambda d, Lambda unchanged.
+    def _form(self) -> tuple[Array, Array]:
+        return np.asarray(self.Lambda), np.asarray(self.eta)
 
-        On Euclidean variables the cost is the same function up to the constant 1/2 d^T Lambda d -
-        eta^T d, which is ``cost_jump`` of the result. The cost of the factor, whose minimum is 0
-        about any point, does not change. On curved manifolds the quadratic form is kept, with the
-        Jacobians of the first linearization point (first-estimate Jacobians).
-
-        Args:
-            values: new linearization points by key; other keys are ignored.
-
-        Raises:
-            InputError: a value is missing or does not lie on its manifold.
-        """
-        points, step = self._step_to(values)
-        slope = np.asarray(self.Lambda) @ step
-        eta = np.asarray(self.eta)
-        moved = LinearPrior(
-            self.Lambda,
-            eta - slope,
-            points,
-            self.keys,
-            manifolds=self.manifolds,
-            loss=self.loss,
-            loss_scale=self.loss_scale,
-        )
-        return self._moved(moved, float(step @ (slope / 2 - eta)))
+    def _rise(self, step: Array, change: Array) -> float:
+        return float(step @ (change / 2 - np.asarray(self.eta)))
 
     def _matrix(self) -> Array:
         return np.asarray(self.Lambda)
@@ -294,31 +300,11 @@ class SquareRootPrior(AnchoredFactor):
         """Information vector R^T b, (n,)."""
         return np.asarray(np.asarray(self.root).T @ np.asarray(self.vector))
 
-    def reanchor(self, values: Mapping[Key, ArrayLike]) -> SquareRootPrior:
-        """Return the same prior about other values: b - R d, R unchanged.
+    def _form(self) -> tuple[Array, Array]:
+        return np.asarray(self.root), np.asarray(self.vector)
 
-        ``cost_jump`` is as in :meth:`bundle.LinearPrior.reanchor`; on Euclidean variables the cost
-        is the same function.
-
-        Args:
-            values: new linearization points by key; other keys are ignored.
-
-        Raises:
-            InputError: a value is missing or does not lie on its manifold.
-        """
-        points, step = self._step_to(values)
-        change = np.asarray(self.root) @ step
-        vector = np.asarray(self.vector)
-        moved = SquareRootPrior(
-            self.root,
-            vector - change,
-            points,
-            self.keys,
-            manifolds=self.manifolds,
-            loss=self.loss,
-            loss_scale=self.loss_scale,
-        )
-        return self._moved(moved, float(change @ (change / 2 - vector)))
+    def _rise(self, step: Array, change: Array) -> float:  # noqa: ARG002
+        return float(change @ (change / 2 - np.asarray(self.vector)))
 
     def _matrix(self) -> Array:
         return self.Lambda

@@ -19,7 +19,6 @@ with independent rows is held, then the coordinate with the largest remaining ro
 
 from __future__ import annotations
 
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -27,7 +26,7 @@ from numpy.typing import NDArray
 
 import bundle._core as _core
 from bundle.base.records import dataclass
-from bundle.graphs.factors.contents import GraphContents
+from bundle.graphs.factors.contents import connected
 from bundle.graphs.factors.variables import Variable
 from bundle.graphs.pose_graphs.lie_groups import adjoint_between
 from bundle.model.rigid_motions import rotation_matrices
@@ -122,22 +121,6 @@ class NullSpace:
         return bool(values[-1] > INDEPENDENT)
 
 
-def components_of(graph: GraphContents) -> NDArray[np.int64]:
-    """Return the component of each variable: the position of one of its variables.
-
-    Constant variables connect nothing.
-    """
-    place = {key: k for k, key in enumerate(graph.keys)}
-    free = [not (v.held and all(v.held)) for v in graph.variables.values()]
-    pairs = [
-        (place[first], place[second])
-        for factor in graph.factors
-        for first, second in pairwise([key for key in factor.keys if free[place[key]]])
-    ]
-    edges = np.array(pairs, np.int32).reshape(-1, 2)
-    return np.asarray(_core.pose_components(len(place), edges), np.int64)
-
-
 def find_null_space(graph: Any) -> NullSpace:
     """Return the null space of a :class:`bundle.FactorGraph`."""
     graph.check_free()
@@ -145,7 +128,7 @@ def find_null_space(graph: Any) -> NullSpace:
     variables = list(graph.variables.values())
     begin = np.concatenate([[0], np.cumsum([len(v.coordinates) for v in variables])])
     constant = np.concatenate([_constant(variable) for variable in variables])
-    labels = components_of(graph)
+    labels = np.array(list(connected(graph.variables, graph.factors, held_connect=False).values()))
     _, _, _, dependent = _core.graph_conditioning(core_variables, core_factors)
     nullity = len(dependent)
     none = np.zeros((len(constant), 0))
