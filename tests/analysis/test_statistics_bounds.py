@@ -7,13 +7,14 @@ import pytest
 
 import bundle
 from bundle.analysis.statistics.covisibility import covisibility
-from bundle.analysis.statistics.depths import (
+from bundle.analysis.statistics.description import describe
+from bundle.analysis.statistics.suspicions import (
+    broken_parts,
     collapsed_observations,
     depths_of_observations,
     summarize,
+    suspicions,
 )
-from bundle.analysis.statistics.description import describe
-from bundle.analysis.statistics.suspicions import broken_parts, suspicions
 from tests.scenes import scene
 
 

@@ -14,7 +14,7 @@ from types import SimpleNamespace
 import pytest
 
 from bundle.interface.options import SolveOptions
-from bundle.planning.comparison import hand_over, process, process_memory, worker
+from bundle.planning.comparison import process, worker
 from bundle.planning.comparison import work as under_way
 from bundle.planning.comparison.process import WorkerEnd, _listen, _take
 from bundle.planning.comparison.work import Work
@@ -92,7 +92,7 @@ def solved(monkeypatch, tmp_path):
             "restart_peak": lambda: knows_growth,
             "limit_growth": lambda *arguments: limits.append(arguments),
         }.items():
-            monkeypatch.setattr(process_memory, name, value)
+            monkeypatch.setattr(process, name, value)
         monkeypatch.setattr(worker, "restore", lambda _: scene())
         channel = (tmp_path / "channel").open("w")
         options = SolveOptions(num_threads=1, max_num_iterations=1)
@@ -141,11 +141,11 @@ def test_what_threads_only_set_aside_is_beyond_the_cap(
 ):
     limits = {resource.RLIMIT_STACK: (stack, stack), resource.RLIMIT_DATA: (hard, hard)}
     applied = []
-    monkeypatch.setattr(process_memory.resource, "getrlimit", limits.__getitem__)
-    monkeypatch.setattr(process_memory.resource, "setrlimit", lambda *given: applied.append(given))
-    monkeypatch.setattr(process_memory.os, "cpu_count", lambda: cores)
-    monkeypatch.setattr(process_memory, "_kibibytes", lambda _, field: SPACE[field])
-    process_memory.limit_growth(300 * MIB, threads)
+    monkeypatch.setattr(process.resource, "getrlimit", limits.__getitem__)
+    monkeypatch.setattr(process.resource, "setrlimit", lambda *given: applied.append(given))
+    monkeypatch.setattr(process.os, "cpu_count", lambda: cores)
+    monkeypatch.setattr(process, "_kibibytes", lambda _, field: SPACE[field])
+    process.limit_growth(300 * MIB, threads)
     limit = (1000 + 300 + reserved) * MIB
     # A limit that is lower already stays.
     assert applied == ([] if limit >= hard > 0 else [(resource.RLIMIT_DATA, (limit, limit))])
@@ -153,16 +153,16 @@ def test_what_threads_only_set_aside_is_beyond_the_cap(
 
 def test_where_the_system_tells_nothing_there_is_no_limit(monkeypatch):
     applied = []
-    monkeypatch.setattr(process_memory.resource, "setrlimit", lambda *given: applied.append(given))
-    monkeypatch.setattr(process_memory, "_kibibytes", lambda *_: 0)
-    process_memory.limit_growth(1, 1)
+    monkeypatch.setattr(process.resource, "setrlimit", lambda *given: applied.append(given))
+    monkeypatch.setattr(process, "_kibibytes", lambda *_: 0)
+    process.limit_growth(1, 1)
     assert applied == []
 
 
 def test_growth_beyond_the_limit_fails_and_below_it_does_not():
     code = (
-        "from bundle.planning.comparison import process_memory; import mmap\n"
-        "process_memory.limit_growth(50 << 20, 1)\n"
+        "from bundle.planning.comparison import process; import mmap\n"
+        "process.limit_growth(50 << 20, 1)\n"
         "below = mmap.mmap(-1, 40 << 20, mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)\n"
         "try: mmap.mmap(-1, 64 << 30, mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)\n"
         "except OSError: print('refused')\n"
@@ -173,7 +173,7 @@ def test_growth_beyond_the_limit_fails_and_below_it_does_not():
 
 def test_a_worker_goes_first_when_memory_ends(tmp_path, monkeypatch):
     """The kernel's score of the real worker, read while it runs; its cores are not kept either."""
-    hand_over.store(make_problem(num_images=6, num_points=500), tmp_path / "problem")
+    worker.store(make_problem(num_images=6, num_points=500), tmp_path / "problem")
     options = SolveOptions(
         num_threads=1,
         backend="ceres",

@@ -13,7 +13,7 @@ import pytest
 
 import bundle
 from bundle.interface.options import SolveOptions
-from bundle.planning.comparison import hand_over, process
+from bundle.planning.comparison import process, worker
 from tests.printed import figures
 from tests.scenes import make_problem, scene
 
@@ -25,7 +25,7 @@ def work(tmp_path):
     def run(problem=None, *, timeout=30.0, memory_cap=0, on_iteration=lambda _: None, **changes):
         folder = tmp_path / "problem"
         if not folder.exists():
-            hand_over.store(problem or scene(), folder)
+            worker.store(problem or scene(), folder)
         request = tmp_path / "request.json"
         options = SolveOptions(num_threads=1, **changes).asdict()
         request.write_text(json.dumps({"options": options, "memory_cap": memory_cap}))
@@ -60,9 +60,9 @@ def is_running(note):
 
 def test_problem_survives_the_way(tmp_path):
     problem = make_problem()
-    hand_over.store(problem, tmp_path / "problem")
+    worker.store(problem, tmp_path / "problem")
     for mode in (None, "r"):
-        back = hand_over.restore(tmp_path / "problem", mode)
+        back = worker.restore(tmp_path / "problem", mode)
         for name in problem.__dataclass_fields__:
             if name != "source":
                 assert (getattr(back, name) == getattr(problem, name)) is not False
@@ -151,9 +151,9 @@ def test_death_is_told(work, instead, script, outcome, words):
 def test_growth_beyond_the_cap_is_ended_at_once(work, instead):
     instead(
         "import os, sys, time\n"
-        "from bundle.planning.comparison import process_memory\n"
+        "from bundle.planning.comparison import process\n"
         "channel = os.fdopen(int(sys.argv[3]), 'w')\n"
-        "print('{\"resident\": %d}' % process_memory.resident_memory(), file=channel, flush=True)\n"
+        "print('{\"resident\": %d}' % process.resident_memory(), file=channel, flush=True)\n"
         "hoard = b'x' * 200_000_000\n"
         "time.sleep(60)\n"
     )

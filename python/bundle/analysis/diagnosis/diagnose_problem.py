@@ -32,7 +32,7 @@ from bundle.analysis.diagnosis.shutter_modes import shutter_modes
 from bundle.analysis.diagnosis.track_table import FEW_SHARED, TrackTable
 from bundle.analysis.diagnosis.unknowns import EquationCounts, Unknowns
 from bundle.analysis.factor_equations import diagnose_factor_graph, with_keys
-from bundle.analysis.statistics.depths import collapsed_observations, depths_of_observations
+from bundle.analysis.statistics.suspicions import collapsed_observations, depths_of_observations
 from bundle.base.records import dataclass
 from bundle.base.words import sorted_ids
 from bundle.graphs.factors.factor_graph import FactorGraph

@@ -6,8 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.analysis.statistics.covisibility import Covisibility, covisibility
-from bundle.analysis.statistics.depths import Depths, depths_of_observations, summarize
-from bundle.analysis.statistics.suspicions import count_repeated, suspicions
+from bundle.analysis.statistics.suspicions import (
+    Depths,
+    count_repeated,
+    depths_of_observations,
+    summarize,
+    suspicions,
+)
 from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
 from bundle.base.words import number, pixels, plural

@@ -119,9 +119,9 @@ class AnchoredFactor(Factor):
         """Return the same prior about other values: eta - Lambda d, or b - R d.
 
         The matrix stays. On Euclidean variables the cost is the same function up to the constant
-        1/2 d^T Lambda d - eta^T d, which is ``cost_jump`` of the result. The cost of the factor, whose minimum is 0
-        about any point, does not change. On curved manifolds the quadratic form is kept, with the
-        Jacobians of the first linearization point (first-estimate Jacobians).
+        1/2 d^T Lambda d - eta^T d, which is ``cost_jump`` of the result. The cost of the factor,
+        whose minimum is 0 about any point, does not change. On curved manifolds the quadratic form
+        is kept, with the Jacobians of the first linearization point (first-estimate Jacobians).
 
         Args:
             values: new linearization points by key; other keys are ignored.

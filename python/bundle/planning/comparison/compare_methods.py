@@ -36,7 +36,7 @@ from bundle.interface.planning_options import (
 from bundle.interface.pose_graph_options import PoseGraphOptions
 from bundle.io.files import Source
 from bundle.model.pose_graph_arrays import PoseGraph
-from bundle.planning.comparison import process_memory
+from bundle.planning.comparison import process
 from bundle.planning.comparison.comparison_result import (
     GAPS,
     Comparison,
@@ -215,7 +215,7 @@ def compare(
     sources: list[Any] = list(problems) if isinstance(problems, list | tuple) else [problems]
     if not sources:
         raise InputError("problems: expected at least one problem, found 0")
-    cap = memory_cap or int(SHARE_OF_FREE_MEMORY * process_memory.available_memory())
+    cap = memory_cap or int(SHARE_OF_FREE_MEMORY * process.available_memory())
     report = progress or (lambda _: None)
     with tempfile.TemporaryDirectory(prefix="bundle-compare-") as folder:
         work = Work(

@@ -44,10 +44,10 @@ from bundle.interface.options import SolveOptions
 from bundle.model.losses import evaluate_loss
 from bundle.model.problem import Problem
 from bundle.model.reprojection import residuals
-from bundle.planning.comparison.hand_over import restore_solution
 from bundle.planning.comparison.measured_run import Run
 from bundle.planning.comparison.method import Method
 from bundle.planning.comparison.process import WorkerEnd
+from bundle.planning.comparison.worker import restore_solution
 
 SAME = 1.0
 """Distance in sigmas up to which two solutions are at the same minimum."""

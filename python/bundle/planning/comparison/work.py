@@ -42,7 +42,7 @@ from bundle.model.rigid_motions import (
     quaternion_rotate,
 )
 from bundle.model.unobserved import require_observations, require_tracks
-from bundle.planning.comparison import hand_over
+from bundle.planning.comparison import worker
 from bundle.planning.comparison.comparison_result import ComparedProblem
 from bundle.planning.comparison.measured_run import Measurement, Prediction, Run
 from bundle.planning.comparison.method import Method
@@ -103,7 +103,7 @@ class Work:
         require_tracks(source, shown(name), self.options)
         if self.perturb:
             source = perturbed(source, self.options, self.perturb, self.seed)
-        hand_over.store(source, self.folder / str(index))
+        worker.store(source, self.folder / str(index))
         return ComparedProblem(
             name=name,
             is_file=is_file,
@@ -146,7 +146,7 @@ class Work:
             yield from self._with_minima(index, runs, interrupted)
 
     def _with_minima(self, index: int, runs: Sequence[Run], interrupted: bool) -> Sequence[Run]:
-        problem = hand_over.restore(self.folder / str(index), mmap_mode="r")
+        problem = worker.restore(self.folder / str(index), mmap_mode="r")
         paths = {run.method: self._solution(index, run.method) for run in runs}
 
         def refine(run: Run, target: Path) -> WorkerEnd:
@@ -161,7 +161,7 @@ class Work:
         return self.folder / f"{index}-{self.methods.index(method)}.npz"
 
     def _predict(self, index: int) -> None:
-        problem = hand_over.restore(self.folder / str(index), mmap_mode="r")
+        problem = worker.restore(self.folder / str(index), mmap_mode="r")
         self.predictions.append(predict(problem, self.options, self.methods))
         self.foreseen.append(
             foresee(problem, self.options, self.methods, self.predictions[index], self.memory_cap)

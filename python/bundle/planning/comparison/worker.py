@@ -1,6 +1,6 @@
 """Worker of one run: ``python -m bundle.planning.comparison.worker FOLDER REQUEST CHANNEL``.
 
-FOLDER contains the problem (see ``hand_over``). REQUEST is a JSON file of options and limits. It
+FOLDER contains the problem. REQUEST is a JSON file of options and limits. It
 may have two paths: "start" has the values to start from, "solution" receives the result.
 CHANNEL is the number of an open file that receives one JSON object per line:
 
@@ -9,6 +9,10 @@ CHANNEL is the number of an open file that receives one JSON object per line:
 - one of ``{"measurement": {...}}``, ``{"refused": why}`` and ``{"out_of_memory": true}``.
 
 Libraries may print to standard output and error.
+
+Problem on disk for other processes: one file per array, for fast reading from the disk cache.
+
+Data that is needed only for writing a model (names, the original reconstruction) is not stored.
 """
 
 from __future__ import annotations
@@ -20,14 +24,19 @@ import resource
 import sys
 import time
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any, Literal, TextIO
+
+import numpy as np
 
 import bundle._core as _core
+from bundle.base.arrays import freeze
 from bundle.errors import InputError
 from bundle.interface.environment import load_average
 from bundle.interface.options import SolveOptions
-from bundle.planning.comparison import process_memory
-from bundle.planning.comparison.hand_over import restore, restore_solution, store_solution
+from bundle.model.estimates import estimates, with_estimates
+from bundle.model.problem import Problem
+from bundle.model.rolling_shutter import RollingShutter
+from bundle.planning.comparison import process
 from bundle.solving.result import Result
 from bundle.solving.solve import solve
 
@@ -60,7 +69,7 @@ def main() -> None:
     """Load the problem, solve it, and report the result."""
     folder, request_path, channel = Path(sys.argv[1]), Path(sys.argv[2]), int(sys.argv[3])
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))  # an abort must not leave a core file
-    process_memory.go_first_when_memory_ends()
+    process.go_first_when_memory_ends()
     request = json.loads(request_path.read_text())
     options = SolveOptions(**request["options"])
     with os.fdopen(channel, "w", encoding="ascii") as file:
@@ -81,16 +90,16 @@ def _run(
     problem = restore(folder)
     if request.get("start") is not None:
         problem = restore_solution(problem, Path(request["start"]))
-    load_peak = process_memory.peak_memory()
-    resident = process_memory.resident_memory()
-    knows_growth = process_memory.restart_peak()
+    load_peak = process.peak_memory()
+    resident = process.resident_memory()
+    knows_growth = process.restart_peak()
     reporter.send({"resident": resident})
     if request["memory_cap"]:
-        process_memory.limit_growth(request["memory_cap"], options.num_threads)
+        process.limit_growth(request["memory_cap"], options.num_threads)
     load, begun, cpu = load_average(), time.perf_counter(), time.process_time()
     result = solve(problem, options, progress=reporter.iteration)
     cpu, wall = time.process_time() - cpu, time.perf_counter() - begun
-    peak = process_memory.peak_memory()
+    peak = process.peak_memory()
     if request.get("solution") is not None and result.summary.is_solution_usable:
         store_solution(result.problem, Path(request["solution"]))
     return {
@@ -110,6 +119,61 @@ def _measured(result: Result) -> dict[str, Any]:
         "iterations": {name: column.tolist() for name, column in result.iterations.items()},
         "build_time_in_seconds": result.build_time_in_seconds,
         "solve_time_in_seconds": result.solve_time_in_seconds,
+    }
+
+
+_REST = "problem.json"
+
+
+def store(problem: Problem, folder: Path) -> None:
+    """Write a problem into a new folder."""
+    folder.mkdir()
+    for name, value in vars(problem).items():
+        if isinstance(value, np.ndarray):
+            np.save(folder / f"{name}.npy", value)
+    rest = {
+        "camera_models": problem.camera_models,
+        "image_names": problem.image_names,
+        "format": problem.format,
+        "rolling_shutter": _as_lists(problem.rolling_shutter),
+    }
+    (folder / _REST).write_text(json.dumps(rest))
+
+
+def restore(folder: Path, mmap_mode: Literal["r"] | None = None) -> Problem:
+    """Read a problem; with mmap_mode "r" only the accessed pages take memory."""
+    # No other process writes to these files, so memory-mapped arrays need no copy.
+    arrays: dict[str, Any] = {
+        path.stem: freeze(np.load(path, mmap_mode=mmap_mode))
+        for path in sorted(folder.glob("*.npy"))
+    }
+    rest = json.loads((folder / _REST).read_text())
+    if rest["rolling_shutter"] is not None:
+        rest["rolling_shutter"] = RollingShutter(**rest["rolling_shutter"])
+    return Problem(**arrays, **rest)
+
+
+def store_solution(problem: Problem, path: Path) -> None:
+    """Write the values that a solve changes."""
+    with path.open("wb") as file:
+        np.savez(file, **dict[str, Any](estimates(problem)))
+
+
+def restore_solution(problem: Problem, path: Path) -> Problem:
+    """Return the problem with the values of a stored solution."""
+    with np.load(path) as arrays:
+        return with_estimates(problem, arrays, checked=True)
+
+
+def _as_lists(shutter: RollingShutter | None) -> dict[str, Any] | None:
+    """Return the fields of rolling shutters as JSON values, which keep every bit."""
+    if shutter is None:
+        return None
+    fields = {field.name: getattr(shutter, field.name) for field in dataclasses.fields(shutter)}
+    del fields["axis"]  # computed from the directions
+    return {
+        name: value.tolist() if isinstance(value, np.ndarray) else value
+        for name, value in fields.items()
     }
 
 

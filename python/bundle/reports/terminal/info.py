@@ -8,8 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from bundle.analysis.statistics.covisibility import Covisibility
-from bundle.analysis.statistics.depths import COLLAPSED
 from bundle.analysis.statistics.description import Description, Distribution
+from bundle.analysis.statistics.suspicions import COLLAPSED
 from bundle.base.tables import Bar
 from bundle.base.words import contents, format_name, number, pixels, plural
 from bundle.errors import shown
