@@ -30,6 +30,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.analysis.statistics.covisibility import by_point, components
 from bundle.base.arrays import distinct
 from bundle.base.components import component_roots
 from bundle.base.records import dataclass
@@ -53,10 +54,7 @@ class TrackTable:
     """
 
     def __init__(self, problem: Problem) -> None:
-        size = max(problem.num_images, 1)
-        code = problem.observation_point.astype(np.int64) * size + problem.observation_image
-        code.sort()
-        self.points, self.images = np.divmod(code[np.diff(code, prepend=-1) != 0], size)
+        self.images, self.points = by_point(problem)
         self._problem = problem
 
     @cached_property
@@ -134,25 +132,14 @@ class TrackTable:
 
     def _pieces(self, images: Ints, points: Ints) -> NDArray[np.int32]:
         problem = self._problem
-        observed = np.zeros(problem.num_images, bool)
-        observed[images] = True
         if problem.num_frames:
+            observed = np.isin(np.arange(problem.num_images), images)
             carried = np.flatnonzero(observed & (problem.image_frame >= 0))
             by_frame = carried[np.argsort(problem.image_frame[carried], kind="stable")]
             images = np.concatenate([images, by_frame])
             last = points[-1] + 1 if len(points) else 0
             points = np.concatenate([points, last + problem.image_frame[by_frame]])
-        starts = np.flatnonzero(np.diff(points, prepend=-1))
-        roots = component_roots(images, starts, problem.num_images)
-        piece = np.full(problem.num_images, -1, np.int32)
-        _, piece[observed], sizes = np.unique(
-            roots[observed], return_inverse=True, return_counts=True
-        )
-        order = np.argsort(-sizes, kind="stable")
-        rank = np.empty(len(order), np.int32)
-        rank[order] = np.arange(len(order))
-        piece[observed] = rank[piece[observed]]
-        return piece
+        return components(images, points, problem.num_images)[0].astype(np.int32)
 
 
 ONE_PLACE = 1e-3

@@ -41,7 +41,7 @@ class Covisibility:
 
 def covisibility(problem: Problem) -> Covisibility:
     """Return the covisibility graph in time linear in the pairs of images that points connect."""
-    images, points = _by_point(problem)
+    images, points = by_point(problem)
     neighbours = _neighbours(images, points, problem.num_images)
     component, sizes = components(images, points, problem.num_images)
     num_pairs, size = int(neighbours.sum()) // 2, problem.num_images
@@ -61,7 +61,7 @@ def shared_points(
 
     Time is linear in the pairs of images that points connect, memory in the distinct ones.
     """
-    images, points = _by_point(problem)
+    images, points = by_point(problem)
     size = max(problem.num_images, 1)
     codes, counts = np.empty(0, np.int64), np.empty(0, np.int64)
     for low, high in _pairs(np.arange(len(images)), images, points):
@@ -95,7 +95,7 @@ def components(
     return component, tuple(int(size) for size in sizes[order])
 
 
-def _by_point(problem: Problem) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def by_point(problem: Problem) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return images and points of all distinct observed pairs, sorted by point, then image."""
     size = max(problem.num_images, 1)
     code = np.sort(problem.observation_point.astype(np.int64) * size + problem.observation_image)

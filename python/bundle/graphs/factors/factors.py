@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import field
 from functools import cached_property
 from time import perf_counter
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -88,6 +88,38 @@ class Factor(FrozenArrays, Displayed):
         return Display(title=type(self).__name__, facts=tuple(facts))
 
 
+class MeasuredFactor(Factor):
+    """Base class of factors whose variables, arrays and arguments of ``_core`` are declared.
+
+    ``_keys``: fields with keys. ``_rows``: fields with arrays of numbers. ``_given``: arguments.
+    ``_size``: rows of the information; 0: as many as the first variable has tangent coordinates.
+    """
+
+    _keys: ClassVar[tuple[str, ...]] = ("key",)
+    _rows: ClassVar[tuple[str, ...]] = ()
+    _given: ClassVar[tuple[str, ...]] = ()
+    _size: ClassVar[int] = 0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._freeze_row(*self._rows)
+        if "information" in self._given:
+            self._freeze_matrix("information")
+
+    @cached_property
+    def keys(self) -> tuple[Key, ...]:
+        """Variables in the order of the Jacobians."""
+        return tuple(getattr(self, name) for name in self._keys)
+
+    def core_arguments(self, name: str, sizes: tuple[int, ...]) -> tuple[Any, ...]:
+        """See :meth:`Factor.core_arguments`."""
+        given = {one: getattr(self, one) for one in self._given}
+        if "information" in given:
+            matrix = np.asarray(given["information"])
+            given["information"] = as_information(name, matrix, self._size or sizes[0])
+        return tuple(given.values())
+
+
 def as_information(name: str, information: Array, size: int) -> Array:
     """Return an information matrix; a number is multiplied by the identity."""
     if information.ndim == 0 or information.shape == (1,):
@@ -101,7 +133,7 @@ def as_information(name: str, information: Array, size: int) -> Array:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PriorFactor(Factor):
+class PriorFactor(MeasuredFactor):
     """Prior on one variable X: e = Log(value^-1 X).
 
     On a Euclidean variable e = X - value: a prior on a point or on the parameters of a camera.
@@ -122,24 +154,11 @@ class PriorFactor(Factor):
     information: ArrayLike
 
     kind = "prior"
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        self._freeze_row("value")
-        self._freeze_matrix("information")
-
-    @property
-    def keys(self) -> tuple[Key, ...]:
-        """Variables in the order of the Jacobians."""
-        return (self.key,)
-
-    def core_arguments(self, name: str, sizes: tuple[int, ...]) -> tuple[Any, ...]:
-        """See :meth:`Factor.core_arguments`."""
-        return self.value, as_information(name, np.asarray(self.information), sizes[0])
+    _rows, _given = ("value",), ("value", "information")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ScalarPriorFactor(Factor):
+class ScalarPriorFactor(MeasuredFactor):
     """Prior on one number x of a Euclidean variable, such as a camera parameter.
 
     The residual is (x - value) / sigma, or (log x - log value) / sigma if ``relative``.
@@ -164,6 +183,7 @@ class ScalarPriorFactor(Factor):
     relative: bool = field(default=False, kw_only=True)
 
     kind = "scalar_prior"
+    _given = ("index", "value", "sigma", "relative")
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -175,18 +195,9 @@ class ScalarPriorFactor(Factor):
         if self.relative and self.value == 0:
             raise InputError(f"{self.name}: value: expected a nonzero number if relative, found 0")
 
-    @property
-    def keys(self) -> tuple[Key, ...]:
-        """Variables in the order of the Jacobians."""
-        return (self.key,)
-
-    def core_arguments(self, name: str, sizes: tuple[int, ...]) -> tuple[Any, ...]:  # noqa: ARG002
-        """See :meth:`Factor.core_arguments`."""
-        return self.index, self.value, self.sigma, self.relative
-
 
 @dataclass(frozen=True, eq=False, repr=False)
-class _RelativeFactor(Factor):
+class _RelativeFactor(MeasuredFactor):
     """Base class of measurements between two variables."""
 
     a: Key
@@ -194,17 +205,12 @@ class _RelativeFactor(Factor):
     measurement: ArrayLike
     information: ArrayLike
 
+    _keys, _rows, _given = ("a", "b"), ("measurement",), ("measurement", "information")
+
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.a == self.b:
             raise InputError(f"{self.name}: expected two different variables, found the same twice")
-        self._freeze_row("measurement")
-        self._freeze_matrix("information")
-
-    @property
-    def keys(self) -> tuple[Key, ...]:
-        """Variables in the order of the Jacobians."""
-        return self.a, self.b
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -227,10 +233,6 @@ class BetweenFactor(_RelativeFactor):
 
     kind = "between"
 
-    def core_arguments(self, name: str, sizes: tuple[int, ...]) -> tuple[Any, ...]:
-        """See :meth:`Factor.core_arguments`."""
-        return self.measurement, as_information(name, np.asarray(self.information), sizes[0])
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RelativePoseFactor(_RelativeFactor):
@@ -251,14 +253,11 @@ class RelativePoseFactor(_RelativeFactor):
     """
 
     kind = "relative_pose"
-
-    def core_arguments(self, name: str, sizes: tuple[int, ...]) -> tuple[Any, ...]:  # noqa: ARG002
-        """See :meth:`Factor.core_arguments`."""
-        return self.measurement, as_information(name, np.asarray(self.information), 6)
+    _size = 6
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PositionFactor(Factor):
+class PositionFactor(MeasuredFactor):
     """Measured position of an antenna on a camera: e = R^T (lever_arm - t) - position.
 
     Attributes:
@@ -282,25 +281,18 @@ class PositionFactor(Factor):
     axes: ArrayLike = field(default=(1.0, 1.0, 1.0), kw_only=True)
 
     kind = "position"
+    _rows = ("position", "lever_arm", "axes")
+    _given = ("position", "lever_arm", "information", "axes")
+    _size = 3
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        self._freeze_row("position", "lever_arm", "axes")
-        self._freeze_matrix("information")
-
-    @property
+    @cached_property
     def keys(self) -> tuple[Key, ...]:
         """Variables in the order of the Jacobians."""
         return (self.key,) if self.offset is None else (self.key, self.offset)
 
-    def core_arguments(self, name: str, sizes: tuple[int, ...]) -> tuple[Any, ...]:  # noqa: ARG002
-        """See :meth:`Factor.core_arguments`."""
-        information = as_information(name, np.asarray(self.information), 3)
-        return self.position, self.lever_arm, information, self.axes
-
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ReprojectionFactor(Factor):
+class ReprojectionFactor(MeasuredFactor):
     """Observation of a point in an image: e = projection(R X + t) - observation, in pixels.
 
     A point behind its camera keeps the error of this formula.
@@ -325,22 +317,12 @@ class ReprojectionFactor(Factor):
     information: ArrayLike = 1.0
 
     kind = "reprojection"
+    _keys, _rows = ("pose", "camera", "point"), ("observation",)
+    _given, _size = ("model", "observation", "information"), 2
 
     def __post_init__(self) -> None:
         super().__post_init__()
         self._set("model", choice(f"{self.name}: model", self.model, camera_models()))
-        self._freeze_row("observation")
-        self._freeze_matrix("information")
-
-    @property
-    def keys(self) -> tuple[Key, ...]:
-        """Variables in the order of the Jacobians."""
-        return self.pose, self.camera, self.point
-
-    def core_arguments(self, name: str, sizes: tuple[int, ...]) -> tuple[Any, ...]:  # noqa: ARG002
-        """See :meth:`Factor.core_arguments`."""
-        information = as_information(name, np.asarray(self.information), 2)
-        return self.model, self.observation, information
 
 
 FactorFunction = Callable[[list[Array]], tuple[Any, Sequence[Any]]]

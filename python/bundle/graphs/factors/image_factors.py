@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Set
 from dataclasses import field
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from bundle.base.records import dataclass
 from bundle.errors import InputError, brief
-from bundle.graphs.factors.factors import Factor, as_information
+from bundle.graphs.factors.factors import MeasuredFactor
 from bundle.graphs.factors.variables import Key
 from bundle.interface.option_fields import number
 from bundle.model.problem import Problem
@@ -29,15 +28,10 @@ FORWARD = (0.0, 0.0, 1.0)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class _AttitudeFactor(Factor):
+class _AttitudeFactor(MeasuredFactor):
     """Base class of factors of the rotation of one pose."""
 
     key: Key
-
-    @property
-    def keys(self) -> tuple[Key, ...]:
-        """Variables in the order of the Jacobians."""
-        return (self.key,)
 
     def _freeze_direction(self, attribute: str) -> None:
         self._freeze_row(attribute)
@@ -73,16 +67,13 @@ class DirectionFactor(_AttitudeFactor):
 
     kind = "direction"
     dependent_residuals = 1
+    _given = ("direction", "axis", "sigma")
 
     def __post_init__(self) -> None:
         super().__post_init__()
         self._freeze_direction("direction")
         self._freeze_direction("axis")
         self._set("sigma", number(f"{self.name}: sigma", self.sigma, above=0))
-
-    def core_arguments(self, name: str, sizes: tuple[int, ...]) -> tuple[Any, ...]:  # noqa: ARG002
-        """See :meth:`Factor.core_arguments`."""
-        return self.direction, self.axis, self.sigma
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -103,15 +94,7 @@ class RotationFactor(_AttitudeFactor):
     information: ArrayLike
 
     kind = "rotation"
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        self._freeze_row("rotation")
-        self._freeze_matrix("information")
-
-    def core_arguments(self, name: str, sizes: tuple[int, ...]) -> tuple[Any, ...]:  # noqa: ARG002
-        """See :meth:`Factor.core_arguments`."""
-        return self.rotation, as_information(name, np.asarray(self.information), 3)
+    _rows, _given, _size = ("rotation",), ("rotation", "information"), 3
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -137,16 +120,13 @@ class HeadingFactor(_AttitudeFactor):
     axis: ArrayLike = field(default=FORWARD, kw_only=True)
 
     kind = "heading"
+    _given = ("axis", "heading", "sigma")
 
     def __post_init__(self) -> None:
         super().__post_init__()
         self._freeze_direction("axis")
         self._set("heading", number(f"{self.name}: heading", self.heading))
         self._set("sigma", number(f"{self.name}: sigma", self.sigma, above=0))
-
-    def core_arguments(self, name: str, sizes: tuple[int, ...]) -> tuple[Any, ...]:  # noqa: ARG002
-        """See :meth:`Factor.core_arguments`."""
-        return self.axis, self.heading, self.sigma
 
 
 # Factors of a rolling shutter's twists: ties to neighbours in a video, and measured velocities.
@@ -157,7 +137,7 @@ class HeadingFactor(_AttitudeFactor):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class TwistTieFactor(Factor):
+class TwistTieFactor(MeasuredFactor):
     """Tie of an image's twist m to the poses of two images of the same video.
 
     Attributes:
@@ -183,20 +163,13 @@ class TwistTieFactor(Factor):
     sigma_v: float
 
     kind = "twist_tie"
+    _keys = ("twist", "readout", "before", "after")
+    _given = ("num_frames", "sigma_w", "sigma_v")
 
     @property
     def dependent_residuals(self) -> int:  # type: ignore[override]
         """Number of residuals without information."""
         return 3 if math.isinf(self.sigma_v) else 0
-
-    @property
-    def keys(self) -> tuple[Key, ...]:
-        """Variables in the order of the Jacobians."""
-        return self.twist, self.readout, self.before, self.after
-
-    def core_arguments(self, name: str, sizes: tuple[int, ...]) -> tuple[Any, ...]:  # noqa: ARG002
-        """See :meth:`Factor.core_arguments`."""
-        return self.num_frames, self.sigma_w, self.sigma_v
 
 
 def twist_ties(
@@ -229,7 +202,7 @@ def twist_ties(
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class VelocityFactor(Factor):
+class VelocityFactor(MeasuredFactor):
     """Measured velocity of an antenna on a camera with a rolling shutter.
 
     e = -R^T (v + w x lever_arm) / readout - velocity, with the twist (w, v) of the image.
@@ -254,18 +227,5 @@ class VelocityFactor(Factor):
     lever_arm: ArrayLike = field(default=(0.0, 0.0, 0.0), kw_only=True)
 
     kind = "velocity"
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        self._freeze_row("velocity", "lever_arm")
-        self._freeze_matrix("information")
-
-    @property
-    def keys(self) -> tuple[Key, ...]:
-        """Variables in the order of the Jacobians."""
-        return self.pose, self.twist, self.readout
-
-    def core_arguments(self, name: str, sizes: tuple[int, ...]) -> tuple[Any, ...]:  # noqa: ARG002
-        """See :meth:`Factor.core_arguments`."""
-        information = as_information(name, np.asarray(self.information), 3)
-        return self.velocity, self.lever_arm, information
+    _keys, _rows = ("pose", "twist", "readout"), ("velocity", "lever_arm")
+    _given, _size = ("velocity", "lever_arm", "information"), 3
