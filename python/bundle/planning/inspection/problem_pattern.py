@@ -57,7 +57,8 @@ class BlockPattern(NamedTuple):
     def edges(self) -> NDArray[np.int64]:
         """Pairs (smaller, larger) of coupled blocks, (num_edges, 2)."""
         columns = np.repeat(np.arange(len(self.sizes)), np.diff(self.column_begin))
-        return np.stack([columns, self.rows], axis=1)[columns != self.rows]
+        pairs: NDArray[np.int64] = np.stack([columns, self.rows], axis=1)[columns != self.rows]
+        return pairs
 
     @property
     def nnz(self) -> int:
