@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 def check_model(run: Run) -> Report:
     """Check INPUT; the exit code is 0 if all is correct, 1 if anything is wrong, 3 undecided."""
-    from bundle.reports.terminal.check import checked
+    from bundle.reports.terminal.analyses import checked
 
     options = run.given(CheckOptions).asdict()
     if run.arguments.all:
@@ -41,7 +41,7 @@ def check_pose_graph(run: Run) -> Report:
     """Check the edges of the pose graph INPUT."""
     from bundle.graphs.factors.checks import check_edges
     from bundle.interface.pose_graph_options import PoseGraphOptions
-    from bundle.reports.terminal.check import checked
+    from bundle.reports.terminal.analyses import checked
 
     settings = _settings(run)
     error = run.given(PoseGraphOptions).error
@@ -55,7 +55,7 @@ def check_pose_graph(run: Run) -> Report:
 def check_object(run: Run) -> Report:
     """Check the factors of the object that INPUT, FILE.py:NAME, names."""
     from bundle.io.python_objects import load_object
-    from bundle.reports.terminal.check import checked
+    from bundle.reports.terminal.analyses import checked
 
     settings, source = _settings(run), run.source
     with _naming(source):
@@ -128,7 +128,7 @@ def _counting(run: Run, noun: str) -> Callable[[int], None]:
 
 def _ended(run: Run, found: GradientReport | FactorCheck, report: Report) -> Report:
     if run.arguments.html is not None:
-        from bundle.reports.page.check_page import write_check  # only for a page
+        from bundle.reports.page.result_pages import write_check  # only for a page
 
         write_check(found, run.arguments.html, str(run.source))
     if not found.ok:

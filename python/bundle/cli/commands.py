@@ -267,7 +267,7 @@ COMMANDS: dict[str, Command] = {
                 options="SolveOptions",
                 keywords="ValidationOptions",
                 gives="priors constraints source flags progress=share",
-                report="reports.terminal.validate:validated",
+                report="reports.terminal.judged:validated",
                 tells="source input found settings",
             )
         },
@@ -323,7 +323,7 @@ COMMANDS: dict[str, Command] = {
                 keywords="CovarianceOptions",
                 gives="priors constraints",
                 saves=True,
-                report="reports.terminal.covariance:uncertainties",
+                report="reports.terminal.analyses:uncertainties",
                 tells="source input found asked target wall",
             ),
             Kind.POSE_GRAPH: Way(
@@ -334,7 +334,7 @@ COMMANDS: dict[str, Command] = {
                 keywords="CovarianceOptions",
                 accepts="relative gauge scale num_threads",
                 saves=True,
-                report="reports.terminal.covariance:uncertainties",
+                report="reports.terminal.analyses:uncertainties",
                 tells="source input found asked target wall",
             ),
         },
@@ -367,7 +367,7 @@ COMMANDS: dict[str, Command] = {
                 names="interface.options:LINEARIZATION",
                 gives="priors constraints",
                 judges=True,
-                report="reports.terminal.diagnose:diagnosed",
+                report="reports.terminal.analyses:diagnosed",
                 tells="source input found asked wall findings",
             ),
             Kind.POSE_GRAPH: Way(
@@ -376,7 +376,7 @@ COMMANDS: dict[str, Command] = {
                 options="PoseGraphOptions",
                 names=_OF_GRAPHS,
                 accepts="num_threads",
-                report="reports.terminal.diagnose:diagnosed",
+                report="reports.terminal.analyses:diagnosed",
                 tells="source input found asked wall",
             ),
         },
@@ -420,7 +420,7 @@ COMMANDS: dict[str, Command] = {
                 reads="a b",
                 stage="comparing",
                 options="EvaluateOptions",
-                report="reports.terminal.evaluate:evaluated",
+                report="reports.terminal.judged:evaluated",
                 tells="source found options",
             )
         },
@@ -459,7 +459,7 @@ COMMANDS: dict[str, Command] = {
                 call="judging.triage.triage_reports:triage",
                 reads="old new",
                 options="TriageOptions",
-                report="reports.terminal.triage:triaged",
+                report="reports.terminal.judged:triaged",
                 tells="source found options",
                 code=lambda found: 0 if found.is_noise else 1,
             )

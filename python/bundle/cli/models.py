@@ -47,7 +47,7 @@ def describe_model(run: Run) -> Report:
 
 def convert_model(run: Run) -> Report:
     """Write the reconstruction INPUT in another format."""
-    from bundle.reports.terminal.convert import converted
+    from bundle.reports.terminal.outputs import converted
 
     problem = run.load(rigs=False)
     edits = cameras_edited(run.given(LensOptions), problem)
@@ -89,7 +89,7 @@ MERGED = "Merged with another model, in the frame of the first."
 def merge_models(run: Run) -> Report:
     """Merge models A and B into OUTPUT."""
     from bundle.editing.merge_models import merge
-    from bundle.reports.terminal.merge import merged_report
+    from bundle.reports.terminal.outputs import merged_report
 
     arguments = run.arguments
     paths = (arguments.a, arguments.b)
@@ -115,7 +115,7 @@ def merge_models(run: Run) -> Report:
 def convert_pose_graph(run: Run) -> Report:
     """Write the pose graph INPUT with or without compression; compute missing poses."""
     from bundle.io.g2o_files import check_g2o_target, save_g2o
-    from bundle.reports.terminal.convert import converted
+    from bundle.reports.terminal.outputs import converted
 
     check_g2o_target(run.target)
     graph = run.load()

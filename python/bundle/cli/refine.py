@@ -200,7 +200,7 @@ def _measure(opened: Opened, solved: Result, progress: Progress) -> float:
 def _has_wrong_jacobians(asked: Refinement, opened: Opened, progress: Progress) -> bool:
     """Check the Jacobians; if any is wrong, report that instead of solving."""
     from bundle.checking import gradient_report, jacobians  # only for --check-gradients
-    from bundle.reports.terminal.check import checked
+    from bundle.reports.terminal.analyses import checked
 
     progress.stage("checking the Jacobians")
     begun, options = perf_counter(), opened.options

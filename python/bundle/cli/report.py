@@ -22,7 +22,7 @@ def report_model(run: Run) -> Report:
     """Write the page of the reconstruction INPUT."""
     from bundle.analysis.statistics.description import describe
     from bundle.reports.page.report_page import write_report
-    from bundle.reports.terminal.convert import reported
+    from bundle.reports.terminal.outputs import reported
 
     source, page = str(run.source), _page(run)
     run.check_knowledge(SolveOptions().refine, page=True)
@@ -87,7 +87,7 @@ def _covariance(run: Run) -> Covariance | None:
 def report_pose_graph(run: Run) -> Report:
     """Write the page of the pose graph INPUT."""
     from bundle.reports.page.graph_report import write_graph_report
-    from bundle.reports.terminal.convert import reported
+    from bundle.reports.terminal.outputs import reported
 
     page = _page(run)
     graph = run.load()

@@ -37,7 +37,7 @@ def make_scene(run: Run) -> Report:
     """Generate a scene; write its start to OUTPUT, and the ground truth next to it."""
     from bundle.io.open import check_target, output_format, save
     from bundle.io.rolling_shutter_file import LOST_ROLLING_SHUTTER
-    from bundle.reports.terminal.synth import synthesized
+    from bundle.reports.terminal.outputs import synthesized
     from bundle.synthetic.blocks import SceneInBlocks
     from bundle.synthetic.streamed import write_bal_scene
     from bundle.synthetic.synthesis import SyntheticScene, assemble, filmed, measured_attitudes
@@ -134,7 +134,7 @@ def _tally(scene: SyntheticScene) -> SceneTally:
 def make_flight(run: Run) -> Report:
     """Generate a flight and write its measurements and ground truth."""
     from bundle.io.sequences.sequence_folder import check_sequence_target
-    from bundle.reports.terminal.synth import made_flight
+    from bundle.reports.terminal.vio_reports import made_flight
     from bundle.synthetic.synthetic_flight import save_flight, synthesize_flight
 
     names = own_options("SceneOptions", "FlightOptions")

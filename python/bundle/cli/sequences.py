@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 def describe_sequence(run: Run) -> Report:
     """Describe the sequence INPUT."""
     from bundle.inertial.vio.odometry import sequence_statistics
-    from bundle.reports.terminal.tracking import described_sequence
+    from bundle.reports.terminal.vio_reports import described_sequence
 
     given = given_sequence(run, run.source)
     statistics = sequence_statistics(given.sequence)
@@ -50,7 +50,7 @@ def describe_sequence(run: Run) -> Report:
 
 def convert_sequence(run: Run) -> Report:
     """Write the sequence INPUT as a folder."""
-    from bundle.reports.terminal.convert import converted_sequence
+    from bundle.reports.terminal.vio_reports import converted_sequence
 
     source, target = run.source, run.target
     check_sequence_target(target)
@@ -127,7 +127,7 @@ def run_vio(run: Run) -> Report:
     from bundle.interface.window_options import WindowOptions
     from bundle.io.atomic import atomic_write as atomic
     from bundle.io.sequences.trajectory_files import load_trajectory, save_tum
-    from bundle.reports.terminal.vio import odometry_report, telemetry_lines, with_loops
+    from bundle.reports.terminal.vio_reports import odometry_report, telemetry_lines, with_loops
 
     arguments, progress = run.arguments, run.progress
     source, target = arguments.sequence, run.target
@@ -172,7 +172,7 @@ def run_vio(run: Run) -> Report:
     if arguments.telemetry is not None:
         atomic.write_text(as_path(arguments.telemetry), telemetry_lines(result))
     if arguments.html is not None:
-        from bundle.reports.page.odometry_page import write_odometry  # for --html only
+        from bundle.reports.page.result_pages import write_odometry  # for --html only
 
         progress.stage(f"writing {shown(arguments.html)}")
         write_odometry(result, arguments.html, truth=truth, error=error, name=Path(source).name)

@@ -45,10 +45,7 @@ def iteration_figure(cost: Array) -> Figure:
 def time_figure(comparison: Comparison, problem: int, *, outcomes: bool = False) -> Figure:
     """Return the distance of each run's cost to the best cost against time, both logarithmic.
 
-    Args:
-        comparison: comparison with the runs.
-        problem: index of the problem.
-        outcomes: True to add the outcome to labels of runs without a usable solution.
+    With ``outcomes``, labels of runs without a usable solution say why.
     """
     names, looks = labels(comparison.methods), styles(comparison.methods)
     marks = []

@@ -53,15 +53,7 @@ class Figure:
 
 
 def over_image(box: Array, name: str, title: str, *marks: Mark, note: str = "") -> Figure:
-    """Return a figure over the image plane.
-
-    Args:
-        box: (4,) left, top, right, bottom [pixels].
-        name: name of the figure.
-        title: title of the figure.
-        *marks: marks in pixels.
-        note: text below the figure.
-    """
+    """Return a figure over the image plane, with left, top, right, bottom and marks in pixels."""
     left, top, right, bottom = box.tolist()
     x, y = Axis(left, right, (), label="x [px]"), Axis(top, bottom, (), label="y [px]")
     return Figure(name=name, title=title, x=x, y=y, marks=marks, note=note, is_image=True)

@@ -115,10 +115,7 @@ def _segments(places: Floats, edges: NDArray[np.int64]) -> Floats:
 def error_figure(chi2: Floats, sizes: NDArray[np.int64], kinds: Sequence[str]) -> Figure | None:
     """Return the share of edges below a chi2 per residual, by kind, with its expectation.
 
-    Args:
-        chi2: (m,) chi2 of the edges.
-        sizes: (m,) number of residuals of an edge.
-        kinds: (m,) kind of an edge.
+    ``sizes`` are numbers of residuals; all arguments have an entry per edge.
     """
     ratio = chi2 / np.maximum(sizes, 1)
     known = ratio[np.isfinite(ratio) & (ratio > 0)]

@@ -34,14 +34,11 @@ WIDE = 20.0
 
 
 def lens_figure(curves: Mapping[str, LensCurve], title: str = "", note: str = "") -> Figure:
-    """Return the figure of distortion against the distance from the principal point.
+    """Return the figure of distortion against the distance from the principal point, by label.
 
-    Args:
-        curves: curves by label. "before" is grey and dashed. The others have sigma bands, and
-            marks at the farthest observation and at the farthest image corner. More than 6 curves
-            are faint, without labels and bands, and have the marks of all together.
-        title: title of the figure.
-        note: text below the figure.
+    The curve "before" is grey and dashed. The others have sigma bands, and marks at the farthest
+    observation and at the farthest image corner. More than 6 curves are faint, without labels and
+    bands, and have the marks of all together.
     """
     lines, places = [], []
     now = [label for label in curves if label != "before"]
@@ -87,13 +84,9 @@ def _places(curves: Sequence[LensCurve], colour: int) -> Places:
 def focal_figure(
     ids: Array, values: Mapping[str, Array], sigmas: Mapping[str, Array], title: str
 ) -> Figure:
-    """Return the focal lengths of several cameras with their standard deviations.
+    """Return the focal lengths [pixels] of several cameras, by parameter, with their sigmas.
 
-    Args:
-        ids: (n,) ids of the cameras.
-        values: (n,) focal lengths by the name of the parameter [pixels].
-        sigmas: (n,) standard deviations by name, NaN where unknown.
-        title: title of the figure.
+    A sigma is NaN where it is unknown.
     """
     words = []
     for name, value in values.items():
@@ -123,12 +116,9 @@ def focal_figure(
 def sigma_figure(
     known: ProjectionUncertainty, distance: float = math.inf, words: str = ""
 ) -> Figure:
-    """Return the figure of the uncertainty over the image, with contours.
+    """Return the figure of the uncertainty over the image at a distance, with contours.
 
-    Args:
-        known: uncertainty of a camera.
-        distance: distance of the points [length unit].
-        words: description of the distance, for the note.
+    ``words`` describe the distance [length unit] in the note.
     """
     sigma = known.sigma(distance)
     seen = sigma[np.isfinite(sigma)]
@@ -242,13 +232,7 @@ def lens_curves(
     cameras: Sequence[int],
     covariances: Mapping[int, NDArray[np.float64]] | None = None,
 ) -> list[LensCurve]:
-    """Return the curves of some cameras; cameras without focal length have none.
-
-    Args:
-        problem: problem with the cameras.
-        cameras: indices of the cameras.
-        covariances: (k, k) by index, as in :func:`lens_curve`.
-    """
+    """Return the curves of some cameras by index; cameras without focal length have none."""
     of = problem.image_camera[problem.observation_image]
     order = np.argsort(of, kind="stable")
     wanted = np.array([*cameras], np.int64)

@@ -329,9 +329,7 @@ def square(center: tuple[float, float], reach: float, labels: tuple[str, str]) -
 def round_down(value: float, slack: float = 1e-12) -> float:
     """Return the largest 1, 2 or 5 times a power of ten up to a value; 1 if it is not positive.
 
-    Args:
-        value: value to round down.
-        slack: share by which the result may exceed the value.
+    The result may exceed the value by the share ``slack``.
     """
     if not math.isfinite(value) or value <= 0:
         return 1.0

@@ -172,13 +172,9 @@ class Placement:
     targets: tuple[PlacedTarget, ...]
 
     def rms(self, kind: str) -> NDArray[np.float64]:
-        """Return root mean squares: east, north, up, horizontal and total [m].
+        """Return (5,) root mean squares: east, north, up, horizontal and total [m]; NaN if unknown.
 
-        Args:
-            kind: "control", "check" or "gps"; "gps" includes only used positions.
-
-        Returns:
-            (5,) root mean squares; NaN where no target or image of this kind has a residual.
+        The kind is "control", "check" or "gps"; "gps" includes only used positions.
         """
         if kind == "gps":
             rows = [image.residual for image in self.images if image.used]

@@ -242,16 +242,10 @@ def _terms(
     follow: Array,
     housing: Array,
 ) -> Array:
-    """Return (n, 3, 2, 2) V_0, V_1, V_2 of pixels; NaN if no ray is imaged there.
+    """Return (n, 3, 2, 2) V_0, V_1, V_2 of (n, 2) pixels; NaN if no ray is imaged there.
 
-    Args:
-        model: model of the camera.
-        params: parameters of the camera.
-        free: columns of the free parameters.
-        xy: (n, 2) pixels.
-        covariance: S of these columns.
-        follow: K, (6, free).
-        housing: n^2 M^+ of the derivation above, (6, 6).
+    ``covariance`` is S of the free columns, ``follow`` K, (6, free), and ``housing`` n^2 M^+ of the
+    derivation above, (6, 6).
     """
     rays, is_seen = pixel_rays(model, params, xy)
     made = project(model, params, rays, jacobians=True)

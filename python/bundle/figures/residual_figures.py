@@ -213,12 +213,9 @@ def profile_figure(field: ResidualField) -> Figure:
 def image_figure(
     image: ImageResiduals, factor: float | None = None, picture: object = None
 ) -> Figure:
-    """Return the residuals of an image, starting at the measurements.
+    """Return the residuals of an image, starting at the measurements, ``factor`` times as long.
 
-    Args:
-        image: residuals of the image.
-        factor: ratio of drawn length to residual; None chooses a round factor.
-        picture: background photograph; None without one.
+    Without a factor, a round one is chosen. ``picture`` is the background.
     """
     box, round_factor = image_frame(image)
     factor = round_factor if factor is None else factor

@@ -117,12 +117,6 @@ def scene_before(
     """Return a view of an earlier state of a problem, with the same points and cameras.
 
     Points and images are matched by id; those that the earlier state lacks stay where they are.
-
-    Args:
-        view: view of the problem.
-        problem: the problem.
-        initial: the earlier state, in the same frame.
-        found: residuals of the earlier state.
     """
     there, point = _matches(problem.point_ids[view.point_indices], initial.point_ids)
     points, errors = view.points.copy(), np.full(len(view.points), np.nan)

@@ -176,9 +176,7 @@ def track_statistics(problem: Problem) -> TrackStatistics:
 def length_figure(tracks: TrackStatistics, longest: int | None = None) -> Figure:
     """Return the number of points against the number of their observations.
 
-    Args:
-        tracks: the distributions.
-        longest: length of the longest track; None: the last class may contain longer ones.
+    Without the length of the longest track, the last class may contain longer ones.
     """
     last = len(tracks.lengths) - 1
     names = [f"{length}" for length in range(last + 1)]

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 import bundle
 from bundle import pictures
 from bundle.figures.projection_uncertainty import contour_levels, projection_uncertainty
-from bundle.reports.page.contours import contour
+from bundle.reports.page.svg_planes import contour
 from tests.analysis.uncertainty.dense import Dense
 from tests.scenes import make_problem, project
 

@@ -8,7 +8,7 @@ import pytest
 import bundle
 from bundle.checking.step_curve import StepCurve
 from bundle.figures.evaluation_figures import step_figure
-from bundle.reports.page.check_page import write_check
+from bundle.reports.page.result_pages import write_check
 from tests.scenes import make_problem
 
 CHART = 'role="img"'

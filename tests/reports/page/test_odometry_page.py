@@ -14,7 +14,7 @@ from bundle.inertial.vio.odometry import run_odometry
 from bundle.inertial.vio.trajectory_comparison import aligned_in_yaw
 from bundle.io.sequences.sequence_folder import save_sequence
 from bundle.io.sequences.trajectory_files import Trajectory
-from bundle.reports.page.odometry_page import write_odometry
+from bundle.reports.page.result_pages import write_odometry
 from bundle.synthetic.synthetic_flight import synthesize_flight
 from tests.reports.page.browser import check_nothing_is_clipped
 from tests.reports.page.reader import Page, check_self_contained

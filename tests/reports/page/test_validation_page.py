@@ -10,7 +10,7 @@ from bundle.figures.evaluation_figures import (
     image_figure,
 )
 from bundle.reports.page.result_pages import write_reported
-from bundle.reports.terminal.validate import validated
+from bundle.reports.terminal.judged import validated
 from tests.judging.validation.validations import LENSES, validation
 from tests.reports.page.browser import check_nothing_is_clipped
 from tests.reports.page.reader import Page, check_self_contained

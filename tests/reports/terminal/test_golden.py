@@ -32,10 +32,8 @@ from bundle.planning.inspection.problem_inspection import inspect
 from bundle.planning.inspection.rank_prediction import NETWORK
 from bundle.reports.sections import Report
 from bundle.reports.terminal import align as align_report
-from bundle.reports.terminal import check, compare, convert, info, refine, synth
-from bundle.reports.terminal import evaluate as evaluate_report
+from bundle.reports.terminal import analyses, compare, info, judged, outputs, refine
 from bundle.reports.terminal import inspect as inspect_report
-from bundle.reports.terminal import validate as validate_report
 from bundle.reports.terminal.screen import laid_out
 from bundle.reports.terminal.solve_data import WallTime
 from bundle.synthetic.synthesis import synthesize
@@ -102,7 +100,7 @@ def checked(monkeypatch):
         return (analytic, *others)
 
     monkeypatch.setattr(_core, "check_reprojections", spoilt)
-    return check.checked(
+    return analyses.checked(
         "garden/sparse/0", problem(), check_jacobians(problem(), num_threads=1), {}, 0.0
     )
 
@@ -110,7 +108,7 @@ def checked(monkeypatch):
 def converted(_):
     lost = ("Image names are left out.", "Colours are left out.")
     output = {"path": "garden.txt", "format": "bal"}
-    return convert.converted("garden/sparse/0", scene(), output, lost)
+    return outputs.converted("garden/sparse/0", scene(), output, lost)
 
 
 def aligned(_):
@@ -128,7 +126,7 @@ def synthesized(_):
     made = synthesize(options)
     output, truth = ({"path": path, "format": "colmap"} for path in ("s", "s_ground_truth"))
     num_cameras = made.problem.num_cameras
-    return synth.synthesized(options, num_cameras, _tally(made), output, truth)
+    return outputs.synthesized(options, num_cameras, _tally(made), output, truth)
 
 
 def normalised(text):
@@ -154,12 +152,12 @@ def evaluated(_):
     made = truth.replace(cam_from_world=poses, camera_params=lens, image_names=names)
     options = EvaluateOptions(align="rigid")
     found = evaluate(made, truth, options)
-    return evaluate_report.evaluated(("refined", "truth"), found, options)
+    return judged.evaluated(("refined", "truth"), found, options)
 
 
 def validated(_):
     made, found = validation()
-    return validate_report.validated("garden/sparse/0", made, found, {})
+    return judged.validated("garden/sparse/0", made, found, {})
 
 
 REPORTS = {

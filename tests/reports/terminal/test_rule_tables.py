@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 from bundle.base.tables import render
 from bundle.reports.terminal.screen import laid_out
-from bundle.reports.terminal.solve_tables import MOST_ROWS, constraint_sections
+from bundle.reports.terminal.solve_data import MOST_ROWS, constraint_sections
 
 
 def prior(pull):

@@ -77,13 +77,7 @@ def figure(
 
 
 def draw(ax: Axes, figure: Figure, title: str | None = None) -> None:
-    """Draw a figure.
-
-    Args:
-        ax: axis to draw on.
-        figure: figure to draw.
-        title: title instead of the figure's own; a long title is cut at its beginning.
-    """
+    """Draw a figure; a long title is cut at its beginning."""
     if not any(isinstance(mark, _WITHOUT_AXES) for mark in figure.marks):
         _set_axes(ax, figure)
     for mark in figure.marks:
@@ -302,11 +296,7 @@ def note_below(ax: Axes, note: str, place: Place = "center") -> float:
 
 
 def legend_below(ax: Axes, below: float = 0.0, place: Place = "center") -> float:
-    """Put the legend below the axis, its label and ``below`` points, where it hides no curve.
-
-    Returns:
-        Its height in points.
-    """
+    """Put the legend below the axis, its label and ``below`` points; return its height [points]."""
     from matplotlib.transforms import offset_copy  # not installed with bundle
 
     handles, names = ax.get_legend_handles_labels()
@@ -333,10 +323,8 @@ def legend_below(ax: Axes, below: float = 0.0, place: Place = "center") -> float
 def keep_room(ax: Axes, below: float, named_rows: bool) -> None:
     """Make a figure of one axis so high that all names fit.
 
-    Args:
-        ax: the only axis; a figure with several axes keeps its height.
-        below: height of note and legend, in points.
-        named_rows: True if the ticks of y are names of rows, which need a line each.
+    ``below`` is the height of note and legend in points. With ``named_rows``, the ticks of y are
+    names of rows, which need a line each. A figure with several axes keeps its height.
     """
     made = ax.get_figure(root=True)
     if made is None or len(made.axes) > 1:

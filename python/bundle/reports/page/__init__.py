@@ -3,12 +3,14 @@
 A browser shows a page without any other file and without network access.
 """
 
-from bundle.reports.page.check_page import write_check
 from bundle.reports.page.inspection_page import write_inspection
-from bundle.reports.page.odometry_page import write_odometry
-from bundle.reports.page.report_by_input import report
-from bundle.reports.page.report_page import write_report
-from bundle.reports.page.result_pages import write_comparison, write_evaluation
+from bundle.reports.page.report_page import report, write_report
+from bundle.reports.page.result_pages import (
+    write_check,
+    write_comparison,
+    write_evaluation,
+    write_odometry,
+)
 
 __all__ = [
     "report",

@@ -83,10 +83,8 @@ def ellipsoid_data(
 ) -> tuple[dict[str, Any] | None, float]:
     """Return ellipsoids for the view, and the factor by which their drawing is enlarged.
 
-    Args:
-        positions: (n, 3) in the frame of the view; of more than 400, every k-th is drawn.
-        covariance: (n, 3, 3) in squared units of the world.
-        unit: unit of the view, in units of the world.
+    Positions are (n, 3) in the frame of the view, of more than 400 every k-th; covariances are
+    (n, 3, 3) in squared units of the world, of which the view's unit has ``unit``.
     """
     good = np.flatnonzero(np.isfinite(covariance).all(axis=(1, 2)))
     good = good[:: max(-(-len(good) // MOST_ELLIPSOIDS), 1)]

@@ -28,8 +28,7 @@ SIDE = 400
 def elimination_section(graphs: Sequence[GraphInspection]) -> str:
     """Return the slider, the graph, the matrix and the cost; the page's data fill them.
 
-    Args:
-        graphs: the same graph under each available order, with at most MOST_VARIABLES variables.
+    The graphs are the same one under several orders, with at most MOST_VARIABLES variables.
     """
     steps = [
         tag("h3", f"Order {escape(order_name(graph))}, every step") + _steps(graph)
@@ -250,14 +249,7 @@ def spread(
 ) -> NDArray[np.int64]:
     """Return up to ``most`` vertices at the largest even step that leaves enough edges.
 
-    Args:
-        low: (num_edges,) first vertex of each edge.
-        high: (num_edges,) second vertex of each edge.
-        num_vertices: number of vertices of the whole graph.
-        most: largest number of vertices; vertices without edges to others are omitted.
-
-    Returns:
-        (n,) vertices, ascending; empty if no step leaves enough edges.
+    They ascend and have edges to others of them; empty if no step leaves enough edges.
     """
     step = -(-num_vertices // most)
     while step > 0:
@@ -282,11 +274,7 @@ def best_connected(
 ) -> NDArray[np.int64]:
     """Return up to ``most`` vertices, grown from the heaviest edge by the largest edge weight.
 
-    Args:
-        low: (num_edges,) first vertex of each edge.
-        high: (num_edges,) second vertex of each edge.
-        count: (num_edges,) weight of each edge.
-        most: largest number of vertices; fewer if no further vertex is connected.
+    Fewer if no further vertex is connected. ``count`` has the weights of the edges.
     """
     if len(count) == 0:
         return np.empty(0, np.int64)

@@ -88,11 +88,7 @@ class GraphFacts:
 
 
 def facts_of_pose_graph(source: PoseGraph | PoseGraphResult) -> GraphFacts:
-    """Return the facts of a pose graph or of the result of its solve.
-
-    Raises:
-        InputError: an edge has an invalid information matrix.
-    """
+    """Return the facts of a pose graph or of the result of its solve."""
     result = source if isinstance(source, PoseGraphResult) else None
     graph = result.problem if result is not None else source
     assert isinstance(graph, PoseGraph)
@@ -125,11 +121,7 @@ def facts_of_pose_graph(source: PoseGraph | PoseGraphResult) -> GraphFacts:
 
 
 def facts_of_factor_graph(graph: FactorGraph, result: GraphResult | None) -> GraphFacts:
-    """Return the facts of a factor graph, at the values of a result if there is one.
-
-    Raises:
-        InputError: the graph has nothing to estimate.
-    """
+    """Return the facts of a factor graph, at the values of a result if there is one."""
     graph.check_free()
     solved = graph if result is None else graph.with_values(result.values)
     costs, chi2, sizes = _core.factor_costs(*solved.core())

@@ -100,18 +100,7 @@ MOST_DRAWN = 20_000
 def write_graph_structure(
     found: PoseGraphInspection, graph: PoseGraph, path: str | os.PathLike[str], *, name: str = ""
 ) -> None:
-    """Write one self-contained HTML page.
-
-    Args:
-        found: inspection of the graph.
-        graph: the graph.
-        path: path of the page. A failed write leaves no partial file.
-        name: name of the graph, for the title.
-
-    Raises:
-        InputError: the path cannot hold a page.
-        OSError: the page cannot be written.
-    """
+    """Write the page of an inspected pose graph."""
     pattern = free_pattern(graph)
     count = len(pattern.sizes)
     held, _, _ = _core.hold_poses(graph)

@@ -61,15 +61,7 @@ def write_graph_report(
     result: GraphResult | None = None,
     name: str = "",
 ) -> tuple[Finding, ...]:
-    """Write the page; see :func:`bundle.report`.
-
-    Returns:
-        Problems of the graph; the page has the same sentences.
-
-    Raises:
-        InputError: the graph has nothing to estimate, or the path cannot hold a page.
-        OSError: the page cannot be written.
-    """
+    """Write the page (see :func:`bundle.report`), and return the problems of the graph."""
     if isinstance(source, FactorGraph):
         facts = facts_of_factor_graph(source, result)
     else:

@@ -267,12 +267,7 @@ def _matrices(problem: Problem, options: SolveOptions) -> list[Section | str]:
 def processes_section(
     predictions: Sequence[RankPrediction], network: tuple[float, float]
 ) -> list[Section]:
-    """Return a table, and charts of step time and memory against the number of processes.
-
-    Args:
-        predictions: predictions of ``predict_ranks``; without any, nothing is drawn.
-        network: gigabits per second, and latency in microseconds.
-    """
+    """Return a table, and charts of step time and memory against the number of processes."""
     rows = sorted(predictions, key=lambda row: row.num_processes)
     figures = [_time(rows), _memory(rows)] if len(rows) > 1 else []
     return [replace(section, figures=figures) for section in rank_sections(rows, network)]

@@ -65,18 +65,8 @@ def write_page(
 ) -> None:
     """Write a page completely, or leave no file if the write fails.
 
-    Args:
-        path: path of the HTML file.
-        title: title of the page, as text.
-        sections: markup of the sections; contents at the side list each :func:`heading`.
-        data: data of the script; a page without data has no script.
-        headline: text at the top of the page; by default the title.
-        script: module that reads the data instead of the elimination player; "" for no module.
-
-    Raises:
-        InputError: the path is a folder, a path above it is no folder, or its suffix is that of
-            another format.
-        OSError: the file cannot be written.
+    Sections are markup; contents at the side list each :func:`heading`. Without data there is no
+    script. ``script`` is a module that reads the data instead of the elimination player; "": none.
     """
     if not is_stream(path):
         check_name(path, *PAGE)

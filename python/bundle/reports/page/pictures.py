@@ -64,17 +64,11 @@ class Photograph:
 def photograph(
     folder: str | os.PathLike[str], name: str, widest: int = WIDEST
 ) -> Photograph | None:
-    """Return the photograph of an image; None if no readable photograph exists.
+    """Return the photograph of an image, up to ``widest`` pixels; None if none is readable.
 
-    Pixels keep their stored orientation, and the EXIF orientation is ignored: reconstructions use
-    the coordinates of the stored pixels.
-
-    Args:
-        folder: folder of the photographs.
-        name: name of the image, a path relative to the folder. If this file does not exist, a file
-            of the same base name directly in the folder is used. Paths that leave the folder are
-            refused.
-        widest: largest width and height of the reduced photograph [pixels].
+    Without a file of this relative name, that of the same base name directly in the folder is used;
+    paths that leave the folder are refused. Pixels keep their stored orientation, and the EXIF
+    orientation is ignored: reconstructions use the coordinates of the stored pixels.
     """
     from PIL import Image
 

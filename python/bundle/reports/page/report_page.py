@@ -14,7 +14,7 @@ from bundle.analysis.statistics.description import Description, describe
 from bundle.analysis.uncertainty.covariance_by_input import covariance as compute_covariance
 from bundle.analysis.uncertainty.covariance_result import Covariance
 from bundle.base.arrays import check_type
-from bundle.base.paths import as_path
+from bundle.base.paths import as_path, is_path
 from bundle.errors import InputError, shown
 from bundle.figures.certainty import Certainty, certainty, largest_eigenvalues
 from bundle.figures.lens_figures import LensCurve, lens_curves, most_observed_cameras
@@ -25,12 +25,17 @@ from bundle.figures.residual_figures import residual_histogram, worst_residuals
 from bundle.figures.scene_view import MOST_POINTS, scene_before, scene_view
 from bundle.figures.structure_figures import covisibility_graph, track_statistics
 from bundle.georeference.similarity import moved
+from bundle.graphs.factors.factor_graph import FactorGraph, GraphResult
+from bundle.graphs.pose_graphs.edge_weights import is_graph, refuse_for_graphs
+from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
 from bundle.interface.finding import Finding, one_list
 from bundle.interface.options import SolveOptions
 from bundle.io.files import Source, as_problem
+from bundle.io.g2o_files import load_g2o
 from bundle.judging.findings.find import find
 from bundle.judging.findings.measured import Measured
 from bundle.judging.findings.next_command import NextCommand
+from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.model.problem import Problem
 from bundle.model.reprojection import Residuals, residuals
 from bundle.reports.page.certainty_section import (
@@ -38,15 +43,19 @@ from bundle.reports.page.certainty_section import (
     projection_data,
     scene_ellipsoids,
 )
-from bundle.reports.page.lens_section import (
+from bundle.reports.page.graph_report import write_graph_report
+from bundle.reports.page.model_sections import (
     MOST_LENSES,
+    contents_of,
     lens_sections,
+    placement_sections,
+    residual_section,
     shutter_data,
     shutter_section,
+    solve_sections,
+    structure_section,
 )
-from bundle.reports.page.overview_section import contents_of, residual_section, solve_sections
 from bundle.reports.page.page import tag, write_page
-from bundle.reports.page.placement_section import placement_sections
 from bundle.reports.page.residual_section import (
     MOST_CLICKED,
     Photographs,
@@ -62,7 +71,6 @@ from bundle.reports.page.scene_section import (
     scene_section,
     upper_limit,
 )
-from bundle.reports.page.structure_section import structure_section
 from bundle.reports.page.table import findings_list, rendered, rounded
 from bundle.reports.page.verdicts import Judged, Verdict, summarised, verdict_list, verdicts
 from bundle.reports.sections import Section, fields, plain
@@ -371,15 +379,8 @@ def report_findings(
 ) -> tuple[Finding, ...]:
     """Return all findings about a model, problems first.
 
-    Args:
-        problem: the model.
-        result: solve that made it, or None.
-        suspicions: possible errors from the description of the model.
-        given: findings of the caller; None finds them.
-        source: path of the model in commands.
-        covariance: covariance of the model, or None.
-        no_covariance: reason why the covariance is missing; "" if it is known.
-        priors: priors of the solve.
+    ``given`` are findings of the caller; None finds them. ``no_covariance`` is the reason why the
+    covariance is missing; "" if it is known.
     """
     singular = Finding(
         kind="no_covariance",
@@ -401,3 +402,51 @@ def report_findings(
             is_minimum=result is not None and result.summary.termination_type == "CONVERGENCE",
         )
     return one_list(undetermined, told, suspicions, given)
+
+
+def report(
+    source: Source | Result | PoseGraph | PoseGraphResult | FactorGraph,
+    path: str | os.PathLike[str],
+    *,
+    result: GraphResult | None = None,
+    name: str = "",
+    **of_reconstructions: Any,
+) -> tuple[str, ...]:
+    """Write one self-contained HTML page about a reconstruction, a pose graph or a factor graph.
+
+    The page of a graph has chi2 by kind of edge against its expectation, the worst edges, rank and
+    certainty, convergence, the cost of each elimination order, and its trajectory in two and three
+    dimensions. A :class:`FactorGraph` of reprojections has the page of the problem that it states.
+
+    Args:
+        source: problem, pose graph or factor graph; the path of a problem or of a pose graph; or
+            the result of a solve. Only a result has values before and after.
+        path: path of the page. A failed write leaves no partial file.
+        result: result of the factor graph ``source``.
+        name: name of the input, for the title.
+        **of_reconstructions: further arguments of :func:`bundle.html.write_report`.
+
+    Returns:
+        One sentence per missing part; the page has the same sentences.
+
+    Raises:
+        InputError: the input or an argument is invalid, or the path cannot hold a page.
+        OSError: the input cannot be read, or the page cannot be written.
+    """
+    check_type("name", name, str)
+    if isinstance(source, FactorGraph):
+        if result is not None:
+            check_type("result", result, GraphResult)
+        solved = source if result is None else source.with_values(result.values)
+        found = solved.as_problem()
+        if found is not None:
+            return write_report(found[0], path, name=name, **of_reconstructions)
+    elif result is not None:
+        raise InputError("result: expected only with a factor graph")
+    if isinstance(source, FactorGraph) or is_graph(source):
+        refuse_for_graphs(**of_reconstructions)
+        if is_path(source):
+            source = load_g2o(as_path(source))
+        write_graph_report(source, path, result=result, name=name)  # type: ignore[arg-type]
+        return ()
+    return write_report(source, path, name=name, **of_reconstructions)  # type: ignore[arg-type]

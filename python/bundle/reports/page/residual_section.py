@@ -30,10 +30,7 @@ def field_sections(
 ) -> list[Section]:
     """Return the figures of all fields; those of the first show, the others are details.
 
-    Args:
-        fields: residual fields, at least one.
-        num_cameras: number of cameras with observations.
-        rows: residuals by row, by label; empty: unknown.
+    ``num_cameras`` counts cameras with observations; ``rows`` are residuals by row, by label.
     """
     words = (
         "Residuals are projection minus measurement. A lens model that fits leaves no pattern. "
@@ -186,14 +183,10 @@ def worst_section(images: Sequence[ImageResiduals], photographs: Photographs) ->
 def image_data(
     images: Sequence[ImageResiduals], photographs: Photographs, sigmas: Mapping[int, float]
 ) -> list[dict[str, Any]]:
-    """Return the largest residuals of images for the page's script.
+    """Return the largest residuals of images, the worst first, for the page's script.
 
-    The photographs of the worst images are in their figures, which the data name.
-
-    Args:
-        images: images, those with the largest RMSE first.
-        photographs: their photographs.
-        sigmas: standard deviation of the position by image id.
+    The photographs of the worst images are in their figures, which the data name. Sigmas are those
+    of positions by image id.
     """
     most = min(max(MOST_VECTORS // max(len(images), 1), 20), 120)
     data = []

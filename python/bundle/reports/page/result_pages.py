@@ -1,33 +1,43 @@
-"""Pages of results: the sections of their reports with all details, and figures."""
+"""Pages of results: sections of their reports with all details, and figures."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from html import escape
+
+import numpy as np
 
 from bundle.base.arrays import check_type
 from bundle.base.paths import as_path
+from bundle.checking import gradient_report
+from bundle.checking.gradient_report import GradientReport, Offender
+from bundle.checking.step_curve import CheckDetails
 from bundle.errors import InputError, brief
+from bundle.figures.evaluation_figures import step_figure
+from bundle.figures.odometry_figures import odometry_figures
+from bundle.graphs.factors import factor_report
+from bundle.graphs.factors.factor_report import FactorCheck
+from bundle.inertial.vio.keyframe_record import alarms_by_kind
+from bundle.inertial.vio.odometry import OdometryResult
+from bundle.inertial.vio.trajectory_comparison import TrajectoryError
+from bundle.io.sequences.trajectory_files import Trajectory
 from bundle.judging.evaluation.check_points import CheckPointEvaluation
 from bundle.judging.evaluation.evaluation_result import Evaluation
 from bundle.planning.comparison.comparison_result import Comparison
 from bundle.planning.comparison.graph_comparison import GraphComparison
-from bundle.reports.page.page import tag, write_page
-from bundle.reports.page.table import findings_list, rendered
-from bundle.reports.sections import Report
+from bundle.reports.page.page import heading, tag, write_page
+from bundle.reports.page.svg import grid
+from bundle.reports.page.table import findings_list, rendered, table
+from bundle.reports.sections import Report, Section, Table
 from bundle.reports.terminal.compare import compared
-from bundle.reports.terminal.evaluate import evaluated
 from bundle.reports.terminal.graph_costs import compared_runs
+from bundle.reports.terminal.judged import evaluated
+from bundle.reports.terminal.vio_reports import odometry_facts
 
 
 def write_reported(report: Report, path: str | os.PathLike[str]) -> None:
-    """Write a report as one self-contained HTML file.
-
-    Raises:
-        InputError: the path is a folder, or a path above it is no folder.
-        OSError: the file cannot be written.
-    """
+    """Write a report as one self-contained HTML file."""
     headline, *more = report.headline or [report.title]
     sections = [tag("p", escape(sentence)) for sentence in more]
     sections += [tag("p", escape(sentence), class_="warn") for sentence in report.warnings]
@@ -72,3 +82,190 @@ def write_comparison(
         return write_reported(compared_runs(comparison, "a graph"), path)
     check_type("comparison", comparison, Comparison)
     return write_reported(compared(comparison), path)
+
+
+SECTIONS = {
+    "Trajectory": ("path", "error"),
+    "Work": ("times", "steps", "costs", "sizes", "fill"),
+    "State of the window": (
+        "nullity",
+        "excitation",
+        "imu_excess",
+        "yaw_sigma",
+        "spectrum",
+        "prior",
+    ),
+    "Biases": ("gyro_bias", "accel_bias"),
+    "Marginalization": ("ages", "landmarks_left"),
+}
+ROWS = 12
+
+
+def write_odometry(
+    result: OdometryResult,
+    path: str | os.PathLike[str],
+    *,
+    truth: Trajectory | None = None,
+    error: TrajectoryError | None = None,
+    name: str = "",
+) -> None:
+    """Write one self-contained HTML page about an odometry.
+
+    Args:
+        result: result of :func:`bundle.run_odometry`.
+        path: path of the page. A failed write leaves no partial file.
+        truth: true trajectory, drawn together with the estimate.
+        error: error of :func:`bundle.inertial.vio.trajectory_comparison.compare_trajectories`, for
+            the table.
+        name: name of the sequence, for the title.
+
+    Raises:
+        InputError: ``result`` is not an odometry result, the truth has fewer than three poses in
+            common with the trajectory, or the path cannot hold a page.
+        OSError: the page cannot be written.
+    """
+    check_type("result", result, OdometryResult)
+    check_type("name", name, str)
+    figures = {figure.name: figure for figure in odometry_figures(result, truth)}
+    facts = [("result", result.message), *odometry_facts(name, result, error)]
+    sections = [Section(facts=facts), _alarms(result)]
+    for title, names in SECTIONS.items():
+        drawn = [figures[key].figure() for key in names if key in figures]
+        sections.append(Section(title=title, figures=drawn))
+    title = f"Odometry of {name}" if name else "Odometry"
+    data = {"figures": [figure.asdict() for figure in figures.values()]}
+    write_page(as_path(path), title, rendered(sections), data, script="")
+
+
+def _alarms(result: OdometryResult) -> Section:
+    """Return each kind of alarm once, with the keyframes that raised it."""
+    begin = int(result.trajectory.timestamps_ns[0])
+    found = alarms_by_kind(result.keyframes)
+    if not found:
+        return Section(title="Alarms", text=["None."])
+    rows = []
+    for raised in found.values():
+        first, last = (f"{1e-9 * (raised[k][0] - begin):.2f}" for k in (0, -1))
+        rows.append([raised[0][1], f"{len(raised)}", first, last])
+    head = ["alarm", "keyframes", "first [s]", "last [s]"]
+    return Section(title="Alarms", tables=[Table.of(head, rows, most=ROWS)])
+
+
+MOST_COLUMNS = 24
+"""Number of columns of a map of errors; further right columns are left out."""
+MOST_ROWS = 40
+MOST_FACTORS = 5
+"""Number of factors with a map and curves, one per finding."""
+
+READING = (
+    "Each curve is the distance of the central difference D(h) = (r(x + h) - r(x - h)) / 2h, "
+    "relative to the size of the column. From the right, truncation falls with h²; from the left, "
+    "rounding errors grow with 1/h. A right Jacobian has a V whose tip is below the tolerance. A "
+    "wrong Jacobian has a floor: no step size reaches it."
+)
+
+
+def write_check(
+    report: GradientReport | FactorCheck, path: str | os.PathLike[str], name: str = "check"
+) -> None:
+    """Write a check as one self-contained HTML file.
+
+    Args:
+        report: result of ``bundle.check_gradients`` or ``bundle.check_jacobians`` with
+            ``details=True``.
+        path: path of the file.
+        name: name of the input.
+
+    Raises:
+        InputError: the report has no details, or the path is a folder.
+        OSError: the file cannot be written.
+    """
+    if isinstance(report, FactorCheck):
+        sections = list(_factors(report))
+    elif isinstance(report, GradientReport):
+        sections = list(_function(report))
+    else:
+        raise InputError(f"report: expected the result of a check, found {brief(report)}")
+    write_page(as_path(path), f"Jacobians: {name}", sections)
+
+
+def _function(report: GradientReport) -> Iterator[str]:
+    yield _headline(gradient_report.outcome(report), report.verdict)
+    points = [entry.sentence for entry in report.undecided]
+    yield _listed([*(found.sentence for found in report.findings), *points])
+    yield tag("p", escape(f"Checked: {report.subject}, {report.num_checked} {report.noun}s."),
+              class_="quiet")  # fmt: skip
+    yield from _worst(report.worst)
+    yield from _details(report, "")
+
+
+def _factors(check: FactorCheck) -> Iterator[str]:
+    yield _headline(factor_report.outcome(check), check.verdict)
+    yield _listed([found.sentence for found in check.findings])
+    yield heading("Kinds of factors")
+    head = ["factors", "verdict", "largest error", "checked", "wrong", "undecided"]
+    yield table(head, factor_report.kind_rows(check), words={1})
+    yield from _worst(check.worst)
+    chosen = list(dict.fromkeys(found.factor for found in check.findings))[:MOST_FACTORS]
+    for name in chosen or list(check.reports)[:1]:
+        yield from _details(check.reports[name], name)
+
+
+def _headline(sentence: str, verdict: str) -> str:
+    kind = {"correct": "recommended", "wrong": "finding problem"}.get(verdict, "finding")
+    return tag("div", tag("p", escape(sentence)), class_=kind)
+
+
+def _listed(sentences: list[str]) -> str:
+    return tag("ul", *(tag("li", escape(sentence)) for sentence in sentences)) if sentences else ""
+
+
+def _worst(worst: tuple[Offender, ...]) -> Iterator[str]:
+    rows = [
+        [
+            entry.parameter,
+            entry.place,
+            str(entry.residual),
+            f"{entry.analytic:.6g}",
+            f"{entry.reference:.6g}",
+            f"{entry.error:.1e}",
+        ]
+        for entry in worst
+        if entry.error > 0
+    ]
+    if rows:
+        yield heading("Worst entries")
+        yield table(["column", "place", "row", "yours", "should be", "error"], rows, words={1})
+
+
+def _details(report: GradientReport, name: str) -> Iterator[str]:
+    if report.details is None:
+        raise InputError("report: expected the result of a check with details=True")
+    title = f"Errors by entry: {name}" if name else "Errors by entry"
+    yield heading(title)
+    for details in report.details:
+        yield _map(details, report.tolerance)
+    yield heading(f"Against the step size: {name}" if name else "Against the step size")
+    yield tag("p", escape(READING), class_="quiet")
+    curves = [curve for details in report.details for curve in details.curves]
+    yield grid([step_figure(curve, report.tolerance) for curve in curves])
+
+
+def _map(details: CheckDetails, tolerance: float) -> str:
+    """Return a table with the error of each entry; a wrong one is bold."""
+    wrong = details.is_wrong.any(axis=0)
+    order = [*np.flatnonzero(wrong), *np.flatnonzero(~wrong)]
+    shown = sorted(int(j) for j in order[:MOST_COLUMNS])
+    rows = range(min(len(details.errors), MOST_ROWS))
+    head = ["column", *(f"row {row}" for row in rows)]
+    lines = [[details.columns[j], *(_cell(details, row, j) for row in rows)] for j in shown]
+    hidden = len(details.columns) - len(shown) or len(details.errors) - len(rows)
+    rest = tag("p", "Further columns or rows are not shown.", class_="quiet") if hidden else ""
+    legend = f"Largest relative error at all points. x: wrong, above {tolerance:g}."
+    return table(head, lines) + tag("p", escape(legend), class_="quiet") + rest
+
+
+def _cell(details: CheckDetails, row: int, column: int) -> str:
+    error = details.errors[row, column]
+    text = "not finite" if not np.isfinite(error) else f"{error:.0e}" if error else "0"
+    return f"x {text}" if details.is_wrong[row, column] else text

@@ -63,13 +63,8 @@ def scene_section(
 ) -> str:
     """Return the view with its controls, and the dialog of an image.
 
-    Args:
-        view: scene to draw.
-        num_points: number of points in the reconstruction.
-        is_solved: True for a view before and after a solve.
-        more: sentence about ellipsoids; "" without ellipsoids.
-        parts: parts that can be hidden, with their names.
-        nouns: singular of points and of cameras.
+    ``more`` is a sentence about ellipsoids, ``parts`` what can be hidden, with its names, ``nouns``
+    the singular of points and of cameras.
     """
     states = [
         tag("button", name, type="button", data_state=name.lower(), aria_pressed=str(pressed))
@@ -129,11 +124,7 @@ def scene_data(
 ) -> dict[str, Any]:
     """Return the numbers of the view; arrays are base64 of little-endian 32-bit floats.
 
-    Args:
-        view: scene to draw.
-        before: the scene before a solve; None without a solve.
-        others: values per point that may colour the points in place of their errors.
-        error: name and unit of the errors.
+    ``others`` may colour the points in place of their errors, which have a name and a unit.
     """
     # Many cameras are drawn smaller, so that they do not hide the scene.
     frustum = FRUSTUM * view.reach / max(1.0, (len(view.centers) / MANY) ** 0.5)

@@ -36,13 +36,8 @@ def table(
 ) -> str:
     """Return a table of text; on a narrow page, each row becomes a list of its cells.
 
-    Args:
-        head: names of the columns.
-        rows: cells; the first cell of a row is its name.
-        words: columns of sentences, which wrap.
-        best: index of the highlighted row.
-        rows_shown: number of visible rows; the others are folded away if there are two or more.
-            None shows all rows.
+    ``words`` are the columns of sentences, which wrap; ``best`` is the highlighted row. Rows after
+    ``rows_shown`` are folded away if there are two or more.
     """
     if rows_shown is not None and len(rows) > rows_shown + 1:
         rest = None if best is None else best - rows_shown

@@ -21,15 +21,7 @@ MOST_IMAGES = 10
 def alignment(
     path: str, problem: Problem, aligned: Alignment, output: dict[str, str], lost: Sequence[str]
 ) -> Report:
-    """Return the report on an alignment: the place of the model and the errors.
-
-    Args:
-        path: path of the input.
-        problem: problem before the alignment.
-        aligned: result of the alignment.
-        output: path and format of the output.
-        lost: data that the output's format cannot store.
-    """
+    """Return the report on an alignment of a problem: the place of the model and the errors."""
     rows = [
         *input_facts(path, aligned.problem),
         ("scale", f"{number(aligned.similarity.scale)} per length unit of the input"),

@@ -16,10 +16,8 @@ from bundle.reports.sections import Section, Table
 def control_points(points: Sequence[ControlPointError], *, adjusted: bool = False) -> list[Section]:
     """Return the errors of control and check points; empty without points.
 
-    Args:
-        points: points to list.
-        adjusted: True after a solve: the table has sigmas, only the length of each leave-one-out
-            error, and the size of an error that would be found.
+    After a solve (``adjusted``) the table has sigmas, only the length of each leave-one-out error,
+    and the size of an error that would be found.
     """
     if not points:
         return []

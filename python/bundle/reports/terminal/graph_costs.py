@@ -105,13 +105,7 @@ def compared_graph(
 ) -> Report:
     """Return a row for each run, and a recommendation.
 
-    Args:
-        path: path of the input.
-        graph: common start of the solves.
-        found: result of the comparison.
-        options: options of every solve.
-        wall_time: seconds.
-        orders_only: True if the methods differ in the elimination order alone.
+    ``orders_only``: the methods differ in the elimination order alone.
     """
     recommendation = None
     if found.recommended is not None:

@@ -17,8 +17,7 @@ from bundle.interface.finding import DETAILS, Finding
 from bundle.model.problem import Problem
 from bundle.model.pycolmap.problem_source import imported_source
 from bundle.reports.sections import Column, Report, Section, Table, fields
-from bundle.reports.terminal.camera_tables import rig_sections, shutter_fact
-from bundle.reports.terminal.inputs import about_input, input_facts
+from bundle.reports.terminal.inputs import about_input, input_facts, rig_sections, shutter_fact
 from bundle.reports.terminal.refine import worst_sections
 
 CAMERAS = (

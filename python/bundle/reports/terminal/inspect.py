@@ -46,17 +46,10 @@ def inspected(
     network: tuple[float, float],
     wall_time: float,
 ) -> Report:
-    """Return the report.
+    """Return the report on a problem with predictions for several processes.
 
-    Args:
-        path: path of the input.
-        problem: the inspected problem.
-        inspection: predictions for this problem.
-        options: options of the inspection.
-        names: names of the options that affect an inspection.
-        ranks: predictions for several processes.
-        network: network of these predictions: gigabits per second, latency in microseconds.
-        wall_time: seconds.
+    ``names`` are the options that affect an inspection; the network has gigabits per second and
+    latency in microseconds.
     """
     facts = [*input_facts(path, problem, rigs=True), *size_facts(inspection), ("", CONVENTION)]
     command = recommended_command(inspection, options, shown(path))
@@ -269,14 +262,7 @@ def _rank_data(ranks: Sequence[RankPrediction], network: tuple[float, float]) ->
 def inspected_shape(
     shape: Mapping[str, int], counts: SchurCounts, needs: ProblemNeeds, wall_time: float
 ) -> Report:
-    """Return the report.
-
-    Args:
-        shape: num_cameras, num_points and track_length.
-        counts: flops of a step.
-        needs: memory and disk of a solve.
-        wall_time: seconds.
-    """
+    """Return the report on num_cameras, num_points and track_length in this order."""
     cameras, points, track = shape.values()
     terms = [
         ("invert V_p", "27 per point", counts.points),

@@ -14,14 +14,17 @@ from bundle.model.content_digests import content_digests
 from bundle.model.problem import Problem
 from bundle.model.reprojection import ImageError
 from bundle.reports.sections import Column, Report, Section, Table
-from bundle.reports.terminal.camera_tables import (
+from bundle.reports.terminal.inputs import (
+    about_input,
     edit_data,
     edit_rows,
+    input_facts,
+    rig_fact,
     sensor_sections,
     solved_data,
     solved_sentences,
+    written,
 )
-from bundle.reports.terminal.inputs import about_input, input_facts, rig_fact, written
 from bundle.reports.terminal.solve_data import (
     ERRORS,
     ROUNDS,
@@ -183,7 +186,7 @@ def _facts(
 
 
 def _loops(closed: LoopClosing) -> list[Section]:
-    from bundle.reports.terminal.solve_tables import loops_section  # most solves close no loops
+    from bundle.reports.terminal.solve_data import loops_section  # most solves close no loops
 
     return [loops_section(closed)]
 
@@ -241,7 +244,7 @@ def _places(georeference: Georeference | None) -> tuple[list[str], list[str]]:
 def _constraints(solved: Result) -> list[Section]:
     if not solved.constraints:
         return []
-    from bundle.reports.terminal.solve_tables import constraint_sections  # most have none
+    from bundle.reports.terminal.solve_data import constraint_sections  # most have none
 
     return constraint_sections(solved.constraints)
 
@@ -274,7 +277,7 @@ def _part(solved: Result) -> list[tuple[str, str]]:
 def _processes(record: ProcessRecord | None) -> list[Section]:
     if record is None:
         return []
-    from bundle.reports.terminal.solve_tables import process_sections  # only under mpirun
+    from bundle.reports.terminal.solve_data import process_sections  # only under mpirun
 
     return process_sections(record)
 

@@ -25,10 +25,7 @@ def laid_out(
 ) -> list[Block | str]:
     """Return a report, or sections alone, with an empty line between the parts.
 
-    Args:
-        report: the report, or sections of a report.
-        verbose: True to show details and all findings.
-        most_findings: number of findings to show otherwise.
+    ``verbose`` shows details and all findings.
     """
     if not isinstance(report, Report):
         return _sections(report, verbose)

@@ -1,31 +1,50 @@
-"""Report of `bundle vio`, and of its two loops."""
+"""Reports on visual-inertial sequences: `bundle info`, `convert`, `vio` and its two loops."""
 
 from __future__ import annotations
 
 import json
 import math
 from collections import Counter
+from collections.abc import Sequence as Many
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from bundle.base.waiting_time import Waiting
 from bundle.base.words import number, plural
 from bundle.errors import shown
-from bundle.inertial.tracking.track_recording import Tracking
-from bundle.inertial.two_loops.replay import TwoLoopsResult
 from bundle.inertial.vio.keyframe_record import KeyframeRecord, alarms_by_kind
-from bundle.inertial.vio.odometry import OdometryResult
-from bundle.inertial.vio.trajectory_comparison import TrajectoryError
 from bundle.interface.finding import Finding
 from bundle.model.content_digests import content_digests
 from bundle.model.sequence.sequence import Sequence
-from bundle.model.sequence.sequence_findings import SequenceFinding
 from bundle.reports.sections import Report, Section, Table, plain
-from bundle.reports.terminal.inputs import about_sequence
 from bundle.reports.terminal.solve_data import environment_data
-from bundle.reports.terminal.tracking import tracking_headline, tracking_section
+
+if TYPE_CHECKING:
+    from bundle.inertial.tracking.track_recording import Tracking
+    from bundle.inertial.two_loops.replay import TwoLoopsResult
+    from bundle.inertial.vio.odometry import OdometryResult, SequenceStatistics
+    from bundle.inertial.vio.trajectory_comparison import TrajectoryError
+    from bundle.interface.scene_options import FlightOptions
+    from bundle.model.sequence.sequence_findings import SequenceFinding
+
+
+def contents_of_sequence(sequence: Sequence) -> str:
+    """Return text such as "6001 IMU samples, 601 images, 307 tracks, 13316 observations"."""
+    nouns = ("IMU sample", "image", "track", "observation")
+    return ", ".join(map(plural, _counts(sequence), nouns))
+
+
+def about_sequence(path: str, format: str, sequence: Sequence) -> dict[str, Any]:
+    """Return path, format and counts of a sequence for programs."""
+    names = ("num_imu_samples", "num_images", "num_tracks", "num_observations")
+    return {"path": path, "format": format, **dict(zip(names, _counts(sequence), strict=True))}
+
+
+def _counts(sequence: Sequence) -> tuple[int, int, int, int]:
+    tracks = len(np.unique(sequence.track_ids))
+    return len(sequence.gyro), sequence.num_frames, tracks, len(sequence.xy)
 
 
 def odometry_report(
@@ -42,17 +61,8 @@ def odometry_report(
 ) -> Report:
     """Return start, keyframes, times, alarms, and errors if there is a truth.
 
-    Args:
-        source: path of the sequence.
-        format: format of the sequence.
-        sequence: the sequence before the odometry.
-        result: result of the odometry.
-        error: error against the truth; None without a truth.
-        written: path of the trajectory; None if it was not written.
-        wall_time: seconds.
-        findings: suspicious properties of the sequence; they precede the alarms.
-        waiting: time in which others held the cores.
-        tracking: statistics of tracking; None if the sequence has tracks.
+    Findings are those about the sequence; they precede the alarms. Without tracking, the sequence
+    has tracks. ``written`` is the path of the trajectory.
     """
     said = _warnings(result, findings)
     return Report(
@@ -215,11 +225,7 @@ def with_loops(
 ) -> Report:
     """Return the report of an odometry, extended by that of its two loops.
 
-    Args:
-        report: report of the odometry.
-        result: result of both loops.
-        error: error of the published poses against the truth; None without a truth.
-        written: path of the published poses; None if they were not written.
+    Error and ``written`` are those of the published poses.
     """
     return replace(
         report,
@@ -285,3 +291,182 @@ def _data(
         "error": error,
         "output": None if written is None else {"path": written, "format": "tum"},
     }
+
+
+def tracking_headline(tracking: Tracking) -> str:
+    """Return the number of tracks, their length, and the share that the checks ended."""
+    lost = 100 * sum(tracking.share_lost.values())
+    return (
+        f"{plural(tracking.num_tracks, 'track', grouped=True)} of "
+        f"{number(tracking.mean_track_length)} images on average, "
+        f"{tracking.tracks_per_image:.0f} per image, tracked in {number(tracking.time)} s; checks "
+        f"ended {lost:.1f} % per image. "
+        f"{_offset(tracking)}"
+    )
+
+
+def tracking_section(sequence: Sequence, tracking: Tracking) -> Section:
+    """Return facts: units, axes, time offset, tracks and checks."""
+    calibration, check = sequence.calibration, tracking.check
+    outside = (
+        f", {tracking.num_outside} others outside the IMU samples" if tracking.num_outside else ""
+    )
+    lost = ", ".join(f"{100 * share:.1f} % {name}" for name, share in tracking.share_lost.items())
+    agreement = "not compared: the camera hardly turns"
+    if check.num_pairs:
+        agreement = (
+            f"rotations of tracks and gyroscope differ by {100 * check.unexplained:.1f} % (median "
+            f"of {check.num_pairs} image pairs)"
+        )
+        if math.isfinite(check.angle_sigma):
+            agreement += f"; camera_from_imu is within {number(check.angle)} degrees"
+    noise = calibration.noise
+    return Section(
+        facts=[
+            ("camera", f"{calibration.camera_model}, {calibration.camera_rate:g} Hz, pixels from "
+                       "the centre of the first one"),
+            ("IMU", f"{calibration.imu_rate:g} Hz, rad/s and m/s^2; noise densities "
+                    f"{noise.gyro_noise_density:g} rad/s/sqrt(Hz), "
+                    f"{noise.accel_noise_density:g} m/s^2/sqrt(Hz)"),
+            ("axes", agreement),
+            ("time", _offset(tracking)),
+            ("tracks", f"{plural(tracking.num_tracks, 'track')} in {tracking.num_images} images"
+                       f"{outside}"),
+            ("ended", f"per image: {lost}"),
+            ("predicted", f"motion of {100 * tracking.share_predicted:.0f} % of the images, by the "
+                          "gyroscope"),
+        ],
+        notes=tracking.notes,
+        is_detail=True,
+    )  # fmt: skip
+
+
+def _offset(tracking: Tracking) -> str:
+    used = f"{1e3 * tracking.time_offset:.4g} ms were added to the stamps of images"
+    check = tracking.check
+    if not math.isfinite(check.time_sigma):
+        return f"{used}."
+    implied = 1e3 * (tracking.time_offset + check.time_shift)
+    return f"{used}; the tracks imply {implied:.1f} ms (sigma {1e3 * check.time_sigma:.1f})."
+
+
+def described_sequence(
+    path: str,
+    format: str,
+    sequence: Sequence,
+    statistics: SequenceStatistics,
+    findings: Many[SequenceFinding | Finding],
+    tracking: Tracking | None = None,
+) -> Report:
+    """Return the report on a sequence; without tracking, it has tracks."""
+    camera = sequence.calibration.camera_model or "normalised image coordinates"
+    rest = statistics.static_start
+    start = f"at rest for {rest:.2f} s" if rest else "moving"
+    wrong = [finding.sentence for finding in findings]
+    headline = [
+        f"{contents_of_sequence(sequence)} over {sequence.duration:.1f} s.",
+        f"Starts {start}; excitation {number(statistics.excitation)} m/s^2: {statistics.verdict}.",
+        *([] if tracking is None else [tracking_headline(tracking)]),
+        *([] if wrong else ["Nothing looks wrong."]),
+    ]
+    rows = [
+        ("input", f"{shown(path)} (visual-inertial sequence)"),
+        ("", contents_of_sequence(sequence)),
+        ("camera", camera),
+        ("duration", f"{sequence.duration:.3f} s of IMU, {statistics.overlap:.3f} s with images"),
+        ("rates", f"{statistics.imu_rate:.4g} Hz IMU, {statistics.camera_rate:.4g} Hz images"),
+        ("gaps", f"{plural(statistics.num_imu_gaps, 'gap')} of the IMU, "
+                 f"{plural(statistics.num_image_gaps, 'gap')} of the images"),
+        ("start", start),
+        ("excitation", f"{number(statistics.excitation)} m/s^2: {statistics.verdict}"),
+    ]  # fmt: skip
+    spread = [
+        (label, *(number(values[key]) for key in ("min", "median", "mean", "max")))
+        for label, values in (
+            ("tracks per image", statistics.tracks_per_image),
+            ("track length", statistics.track_length),
+        )
+    ]
+    noise = sequence.calibration.noise
+    sensors = [
+        (
+            "gyroscope [rad/s]",
+            number(statistics.gyro_noise_density),
+            number(noise.gyro_noise_density),
+        ),
+        (
+            "accelerometer [m/s^2]",
+            number(statistics.accel_noise_density),
+            number(noise.accel_noise_density),
+        ),
+    ]
+    tables = [
+        Table.of(("", "min", "median", "mean", "max"), spread),
+        Table.of(("noise density, per sqrt(Hz)", "at rest", "calibration"), sensors),
+    ]
+    return Report(
+        command="info",
+        input=about_sequence(path, format, sequence),
+        headline=headline,
+        warnings=wrong,
+        sections=[
+            Section(facts=rows, tables=tables, is_detail=True),
+            *([] if tracking is None else [tracking_section(sequence, tracking)]),
+        ],
+        data={
+            "calibration": sequence.calibration,
+            "statistics": statistics,
+            "findings": findings,
+            **({} if tracking is None else {"tracking": tracking}),
+        },
+    )
+
+
+def converted_sequence(
+    path: str,
+    format: str,
+    sequence: Sequence,
+    output: str,
+    findings: Many[SequenceFinding | Finding] = (),
+    tracking: Tracking | None = None,
+) -> Report:
+    """Return the report on a visual-inertial sequence; without tracking, the input has tracks."""
+    wrote = f"Wrote {shown(output)} (visual-inertial sequence)"
+    lost = [] if tracking is None else ["images"]
+    rest = "Nothing is lost." if tracking is None else tracking_headline(tracking)
+    return Report(
+        command="convert",
+        input=about_sequence(path, format, sequence),
+        headline=[f"{wrote}: {contents_of_sequence(sequence)}. {rest}"],
+        warnings=[] if tracking is None else [f"{finding.sentence}." for finding in findings],
+        sections=[
+            Section(facts=[("input", shown(path))], is_detail=True),
+            *([] if tracking is None else [tracking_section(sequence, tracking)]),
+        ],
+        data={
+            "output": {"path": output, "format": "sequence"},
+            "lost": lost,
+            **({} if tracking is None else {"tracking": tracking, "findings": findings}),
+        },
+    )
+
+
+def made_flight(path: str, sequence: Sequence, options: FlightOptions) -> Report:
+    """Return the report on a flight."""
+    counts = about_sequence(path, "sequence", sequence)
+    wrote = f"Wrote {shown(path)} (visual-inertial sequence)"
+    return Report(
+        command="synth",
+        headline=[
+            f"{wrote}: {contents_of_sequence(sequence)}.",
+            "Its ground_truth.csv has the true poses at the stamps of the images.",
+        ],
+        data={
+            "options": options.asdict(),
+            "output": {"path": path, "format": "sequence"},
+            "ground_truth": {"path": f"{path.rstrip('/')}/ground_truth.csv", "format": "euroc"},
+            "contents": {
+                key: value for key, value in counts.items() if key not in ("path", "format")
+            },
+        },
+    )

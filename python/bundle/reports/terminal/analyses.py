@@ -1,0 +1,335 @@
+"""Reports of `bundle check`, `covariance` and `diagnose` on a reconstruction or a graph."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.analysis.diagnosis.diagnosis_result import Diagnosis, GraphDiagnosis
+from bundle.analysis.uncertainty.covariance_result import Covariance, GraphCovariance
+from bundle.base.words import number, plural
+from bundle.checking import gradient_report
+from bundle.checking.gradient_report import GradientReport
+from bundle.errors import shown
+from bundle.graphs.factors import factor_report
+from bundle.graphs.factors.factor_report import FactorCheck
+from bundle.interface.finding import Finding, one_list
+from bundle.model.cameras import camera_models
+from bundle.model.pose_graph_arrays import PoseGraph
+from bundle.model.problem import Problem
+from bundle.reports.sections import Column, Report, Section, Table, fields
+from bundle.reports.terminal.inputs import about_input, input_facts
+
+OF_FACTORS = ("ok", "verdict", "num_factors", "num_checked", "findings", "groups", "worst")
+"""Properties of a check of factors for programs."""
+
+
+def checked(
+    path: str,
+    given: Problem | PoseGraph | None,
+    found: GradientReport | FactorCheck,
+    options: dict[str, Any],
+    wall_time: float,
+) -> Report:
+    """Return the report on the Jacobians of a problem or a pose graph; None: of Python objects."""
+    words: Any = factor_report if isinstance(found, FactorCheck) else gradient_report
+    subject = []
+    if isinstance(found, FactorCheck):
+        data = {name: getattr(found, name) for name in OF_FACTORS}
+    else:
+        subject = gradient_report.subject(found)
+        ends = ("low", "high", "count")
+        bins = [dict(zip(ends, one, strict=True)) for one in found.histogram]
+        data = fields(found) | {"histogram": bins}
+        del data["details"]
+    is_detail = found.verdict != "wrong"
+    return Report(
+        command="check",
+        input=about_input(path, given),
+        headline=[words.outcome(found)],
+        sections=[
+            Section(text=words.mistakes(found)),
+            Section(facts=input_facts(path, given), text=subject, is_detail=True),
+            Section(text=words.measurements(found), is_joined=True, is_detail=is_detail),
+        ],
+        data={"options": options, **data, "wall_time": {"total": wall_time}},
+    )
+
+
+# Report of `bundle covariance` on a reconstruction or on a pose graph.
+#
+# It contains only sigmas; the command writes the matrices to a file.
+
+MOST_CAMERAS = 10
+"""Number of listed cameras."""
+
+
+def uncertainties(
+    path: str,
+    given: Problem | PoseGraph,
+    cov: Covariance | GraphCovariance,
+    options: Mapping[str, Any],
+    target: str,
+    wall_time: float,
+) -> Report:
+    """Return the report on a reconstruction or a pose graph; ``target`` has the matrices."""
+    pose = _sigmas(cov.pose_covariance)
+    cameras: list[Section] = []
+    data: dict[str, Any] = {"gauge": cov.gauge}
+    if isinstance(cov, Covariance) and isinstance(given, Problem):
+        spread = [("rotation [rad]", pose[:, :3]), ("translation", pose[:, 3:])]
+        spread.append(("point", _sigmas(cov.point_covariance)))
+        gauge, whole, warnings = cov.gauge.replace("_", " "), "of the model", _null_points(cov)
+        cameras = _cameras(given, cov)
+        sigmas = zip(cov.camera_ids, _sigmas(cov.camera_covariance), strict=True)
+        data["robust"] = cov.robust
+        data["cameras"] = [
+            {"id": int(key), "model": given.camera_models[row], "sigma": sigma}
+            for row, (key, sigma) in enumerate(sigmas)
+        ]
+        data["points_without_parallax"] = cov.null_point_ids
+    else:
+        assert isinstance(cov, GraphCovariance)
+        parts = [pose[:, :2], pose[:, 2:]] if pose.shape[1] == 3 else [pose[:, 3:], pose[:, :3]]
+        spread = [*zip(("translation", "rotation [rad]"), parts, strict=True)]
+        gauge, whole, warnings = _held(cov), "of the graph", [*cov.notes]
+        data |= {"held_pose_ids": cov.held_pose_ids, "robust": "weights"}
+    facts = [*input_facts(path, given), ("gauge", gauge), _sigma0(cov), ("scale", _scale(cov))]
+    pairs = zip(cov.relative_ids, cov.relative_covariance, strict=True)
+    return Report(
+        command="covariance",
+        input=about_input(path, given),
+        headline=[_sigmas_in_words(spread, whole), _certainty(cov)],
+        warnings=warnings,
+        sections=[
+            Section(facts=[("output", shown(target))]),
+            Section(facts=facts, is_detail=True),
+            *_spread(spread),
+            *cameras,
+        ],
+        data={
+            "options": dict(options),
+            **data,
+            "scale": cov.scale,
+            "sigma0": cov.sigma0,
+            "dof": cov.dof,
+            "relative": [{"ids": ids, "covariance": values} for ids, values in pairs],
+            "notes": cov.notes,
+            "output": {"path": target, "format": "npz"},
+            "wall_time": {"total": wall_time},
+        },
+    )
+
+
+def _held(cov: GraphCovariance) -> str:
+    """Return the gauge of a graph with the poses that it holds."""
+    held = {
+        "first": f"{plural(len(cov.held_pose_ids), 'pose')} constant, besides fixed ones",
+        "inner": "inner constraints (minimum trace)",
+        "none": "by fixed poses",
+    }
+    return f"{cov.gauge}: {held[cov.gauge]}"
+
+
+def _sigma0(cov: Covariance | GraphCovariance) -> tuple[str, str]:
+    return "sigma0", f"{number(cov.sigma0)} ({plural(cov.dof, 'degree')} of freedom)"
+
+
+def _certainty(cov: Covariance | GraphCovariance) -> str:
+    """Return sigma0 and the gauge in a sentence."""
+    gauge = cov.gauge.replace("_", " ")
+    return f"sigma0 {number(cov.sigma0)} ({plural(cov.dof, 'degree')} of freedom); gauge {gauge}."
+
+
+def _sigmas_in_words(parts: Sequence[tuple[str, NDArray[np.float64]]], unit: str) -> str:
+    """Return the median and the 95th percentile of each standard deviation in a sentence."""
+    said = []
+    for name, values in _lengths(parts):
+        median, p95 = map(number, np.percentile(values, [50, 95]))
+        said.append(f"{name} {median} / {p95}")
+    if not said:
+        return "No variable is free: there is no standard deviation."
+    return f"Sigma (median / 95th percentile, length unit {unit}): {', '.join(said)}."
+
+
+def _scale(cov: Covariance | GraphCovariance) -> str:
+    if cov.scale != "unit" and (isinstance(cov, GraphCovariance) or cov.robust != "sandwich"):
+        return "times sigma0"
+    if isinstance(cov, GraphCovariance):
+        return "the information of the edges"
+    if cov.robust == "sandwich":
+        return "sandwich, from the scatter of the residuals"
+    return "residual sigma of 1 px, or as given"
+
+
+def _spread(parts: Iterable[tuple[str, NDArray[np.float64]]]) -> list[Section]:
+    """Return quantiles of standard deviations; empty if none is known."""
+    cells = []
+    for name, values in _lengths(parts):
+        quantiles = np.percentile(values, [0, 50, 95, 100])
+        cells.append((name, f"{len(values)}", *map(number, quantiles)))
+    head = ("sigma", "count", "min", "median", "95th pct", "max")
+    return [Section(tables=[Table.of(head, cells)], is_detail=True)] if cells else []
+
+
+def _lengths(
+    parts: Iterable[tuple[str, NDArray[np.float64]]],
+) -> list[tuple[str, NDArray[np.float64]]]:
+    """Return the known standard deviations of each part, as lengths of their vectors."""
+    lengths = [(name, np.linalg.norm(sigma, axis=1)) for name, sigma in parts]
+    known = [(name, values[np.isfinite(values)]) for name, values in lengths]
+    return [(name, values) for name, values in known if len(values)]
+
+
+def _cameras(problem: Problem, cov: Covariance) -> list[Section]:
+    cells = []
+    for row in range(min(len(cov.camera_ids), MOST_CAMERAS)):
+        model = problem.camera_models[row]
+        sigma = _sigmas(cov.camera_covariance[row])
+        for j, name in enumerate(camera_models().get(model, ())):
+            value = problem.camera_params[row, j]
+            shown_sigma = "held" if np.isnan(sigma[j]) else number(float(sigma[j]))
+            label = f"{cov.camera_ids[row]} {model}" if j == 0 else ""
+            cells.append((label, name, number(float(value)), shown_sigma))
+    if not cells:
+        return []
+    more = len(cov.camera_ids) - MOST_CAMERAS
+    table = Table.of(("camera", "parameter", "value", "sigma"), cells, left=2)
+    text = [f"and {plural(more, 'camera')} more"] if more > 0 else []
+    return [Section(tables=[table], text=text, is_detail=True)]
+
+
+def _null_points(cov: Covariance) -> list[str]:
+    sentences = list(cov.notes)
+    null = cov.null_point_ids
+    if len(null):
+        ids = ", ".join(map(str, null[:8])) + (", ..." if len(null) > 8 else "")
+        sentences.append(
+            f"{plural(len(null), 'point')} without parallax: the unobservable direction is "
+            f"left out (ids {ids})."
+        )
+    return sentences
+
+
+def _sigmas(covariances: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return standard deviations: square roots of the diagonals."""
+    variances = np.diagonal(covariances, axis1=-2, axis2=-1)
+    return np.sqrt(np.maximum(variances, 0))  # NaN stays NaN
+
+
+MOST_EIGENVALUES = 4
+MOST_EDGES = 10
+"""Number of suspicious edges shown."""
+
+SUSPICIOUS = (
+    Column("suspicious edges", lambda one: f"{one.edge[0]} {one.edge[1]}"),
+    Column("line", lambda one: one.line or "-"),
+    Column("chi2", "chi2", number),
+    Column("test", "test", number),
+    Column("degrees of freedom", "degrees"),
+)
+
+
+def diagnosed(
+    path: str,
+    given: Problem | PoseGraph,
+    diagnosis: Diagnosis | GraphDiagnosis,
+    options: Mapping[str, Any],
+    wall_time: float,
+    found: Sequence[Finding] = (),
+) -> Report:
+    """Return the report on a reconstruction or a pose graph, with further findings about it."""
+    data = fields(diagnosis)
+    suspicious: list[Section] = []
+    if isinstance(diagnosis, Diagnosis):
+        sizes, noun = [len(part.image_ids) for part in diagnosis.components], "image"
+        matrix = ("reduced camera system", "as it is")
+        data["rank_gap"] = diagnosis.rank_gap
+    else:
+        sizes, noun = [len(part.pose_ids) for part in diagnosis.components], "pose"
+        matrix = ("normal equations", "as they are")
+        no_ids: dict[str, Any] = {"image_ids": [], "camera_ids": []}
+        data["weak_modes"] = [fields(mode) | no_ids for mode in diagnosis.weak_modes]
+        data |= {"points_without_parallax": [], "collapsed": []}
+        rows = diagnosis.suspicious_edges[:MOST_EDGES]
+        suspicious = [Section(tables=[Table(SUSPICIOUS, rows)])] if rows else []
+    facts = [
+        *input_facts(path, given, rigs=True),
+        ("rank", diagnosis.verdict),
+        ("eigenvalues", _eigenvalues(diagnosis)),
+        ("pieces", _pieces(sizes, noun)),
+    ]
+    problems = [entry for entry in diagnosis.findings if entry.is_problem]
+    return Report(
+        command="diagnose",
+        input=about_input(path, given),
+        headline=_headline(diagnosis, sizes, noun),
+        findings=one_list(problems, found),
+        sections=[
+            Section(facts=facts, is_detail=True),
+            Section(tables=[_condition(*matrix, diagnosis)], is_detail=True),
+            *suspicious,
+            *_notes(diagnosis),
+        ],
+        data={
+            "options": dict(options),
+            "ok": diagnosis.ok,
+            **data,
+            "findings": one_list(diagnosis.findings, found),
+            "digits": {
+                "normal_equations": diagnosis.digits_normal_equations,
+                "square_root": diagnosis.digits_square_root,
+            },
+            "wall_time": {"total": wall_time},
+        },
+    )
+
+
+def _condition(title: str, unscaled: str, diagnosis: Diagnosis | GraphDiagnosis) -> Table:
+    digits = (str(diagnosis.digits_normal_equations), str(diagnosis.digits_square_root))
+    return Table.of(
+        (title, "condition number", "digits: normal equations", "digits: QR"),
+        [
+            (unscaled, number(diagnosis.condition_number_unscaled), "", ""),
+            ("scaled", number(diagnosis.condition_number), *digits),
+        ],
+    )
+
+
+def _headline(diagnosis: Diagnosis | GraphDiagnosis, sizes: Sequence[int], noun: str) -> list[str]:
+    """Return the rank, then the condition number and the connected components."""
+    verdict = diagnosis.verdict.rstrip(".")
+    held = ""
+    if isinstance(diagnosis, GraphDiagnosis) and np.isfinite(diagnosis.condition_number):
+        held = diagnosis.held_words
+    condition = f"Condition number {number(diagnosis.condition_number)} (scaled{held})"
+    return [
+        f"{verdict[0].upper()}{verdict[1:]}.",
+        f"{condition}; {_pieces(sizes, noun)}{'; no problem found' if diagnosis.ok else ''}.",
+    ]
+
+
+def _notes(diagnosis: Diagnosis | GraphDiagnosis) -> list[Section]:
+    others = [entry.sentence for entry in diagnosis.findings if not entry.is_problem]
+    return [Section(facts=[("notes", "")], notes=others, is_detail=True)] if others else []
+
+
+def _eigenvalues(diagnosis: Diagnosis | GraphDiagnosis) -> str:
+    """Return the smallest eigenvalues as text."""
+    if not len(diagnosis.eigenvalues):
+        return "-"
+    if isinstance(diagnosis, GraphDiagnosis):
+        lowest = ", ".join(f"{value:.3g}" for value in diagnosis.eigenvalues)
+        return f"{lowest}, ... (scaled normal equations)"
+    lowest = ", ".join(f"{value:.3g}" for value in diagnosis.eigenvalues[:MOST_EIGENVALUES])
+    null = f"zeros up to {diagnosis.max_null_eigenvalue:.1g}, then " if diagnosis.nullity else ""
+    return f"{null}{lowest}, ... (scaled reduced camera system)"
+
+
+def _pieces(sizes: Sequence[int], noun: str) -> str:
+    listed = ", ".join(map(str, sizes[:5])) + (", ..." if len(sizes) > 5 else "")
+    members = noun if sizes == [1] else f"{noun}s"
+    return f"{plural(len(sizes), 'connected component')} ({listed} {members})" if sizes else "none"

@@ -1,0 +1,246 @@
+"""Reports of `bundle convert`, `merge`, `report` and `synth` on what they wrote."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from bundle.base.words import contents, format_name, format_size, number, pixels, plural
+from bundle.editing.merge_result import Merge
+from bundle.errors import shown
+from bundle.interface.finding import Finding
+from bundle.interface.scene_options import SceneOptions
+from bundle.model.pose_graph_arrays import PoseGraph
+from bundle.model.problem import Problem
+from bundle.model.unobserved import unobserved
+from bundle.reports.sections import Column, Report, Section, Table
+from bundle.reports.terminal.inputs import (
+    about_input,
+    contents_of,
+    edit_data,
+    edit_rows,
+    import_notes,
+    input_facts,
+    shutter_data,
+    shutter_moves,
+    written,
+)
+from bundle.synthetic.streamed import SceneTally
+
+if TYPE_CHECKING:
+    from bundle.editing.edit_record import CameraEdits
+    from bundle.editing.rolling_shutters import GlobalShutterModel
+
+
+def converted(
+    path: str,
+    given: Problem | PoseGraph,
+    output: dict[str, str],
+    lost: Sequence[str],
+    edits: CameraEdits | None = None,
+    moved: GlobalShutterModel | None = None,
+) -> Report:
+    """Return the report on a reconstruction or a pose graph."""
+    content = given if edits is None else edits.problem
+    warnings = [] if edits is None else [*edits.warnings]
+    notes, more = [], edit_rows(edits)
+    if isinstance(content, Problem):
+        warnings += filter(None, [unobserved(content)])
+    if isinstance(given, Problem):
+        notes = import_notes(given)
+    else:
+        more = [("", note) for note in given.notes]
+    rest = "These data are lost:" if lost else "Nothing is lost."
+    return Report(
+        command="convert",
+        input=about_input(path, given),
+        headline=[
+            f"Wrote {written(output)[1]}: {contents_of(content)}. {rest}",
+            *shutter_moves(moved),
+        ],
+        warnings=warnings,
+        sections=[
+            Section(facts=edit_rows(edits), notes=[*lost, *notes]),
+            Section(facts=[*input_facts(path, given), *more], is_detail=True),
+        ],
+        data={**edit_data(edits), **shutter_data(moved), "output": output, "lost": lost},
+    )
+
+
+def reported(
+    path: str,
+    given: Problem | PoseGraph,
+    page: str,
+    notes: Sequence[str],
+    wall_time: float,
+    findings: Sequence[Finding] = (),
+) -> Report:
+    """Return the report of `bundle report` about the page that it wrote, and what that lacks."""
+    size = f" ({format_size(Path(page).stat().st_size)})" if Path(page).is_file() else ""
+    return Report(
+        command="report",
+        input=about_input(path, given),
+        headline=[f"Wrote {shown(page)}{size}: {contents_of(given)}."],
+        warnings=notes,
+        findings=findings,
+        sections=[Section(facts=input_facts(path, given, rigs=True), is_detail=True)],
+        data={
+            "notes": notes,
+            "wall_time": {"total": wall_time},
+            "output": {"path": page, "format": "html"},
+        },
+    )
+
+
+def merged_report(
+    paths: tuple[str, str],
+    problems: tuple[Problem, Problem],
+    merged: Merge,
+    output: dict[str, str],
+    lost: Sequence[str],
+) -> Report:
+    """Return the report: shared images, merged parts, remaining freedoms, and the next step.
+
+    In the data, ``input`` is A and ``other`` is B.
+    """
+    counts, shared = merged.counts, plural(len(merged.shared_images), "shared image")
+    rows = []
+    for label, path, problem in zip("AB", paths, problems, strict=True):
+        rows += [(label, shown(path)), ("", contents(problem))]
+    free = merged.free_before - merged.determined
+    rows += [
+        ("shared", f"{plural(len(merged.shared_images), 'image')}, {merged.num_pairs} point pairs"),
+        (
+            "gauge",
+            f"{merged.free_before} free degrees of two models, {merged.determined} determined by "
+            f"{shared}: {free} left",
+        ),
+        ("scale", f"{number(merged.similarity.scale)} length units of A per unit of B"),
+        ("joined points", f"{counts.num_points_joined}"),
+    ]
+    if counts.num_points_joined:
+        rows.append(
+            ("", f"rms {pixels(merged.rms_pixels)} px, {number(merged.rms_points)} units of A")
+        )
+    rows += [
+        ("shared centres", f"rms {number(merged.rms_centers)} units of A"),
+        (
+            "added",
+            f"{plural(counts.num_images, 'image')}, {plural(counts.num_cameras, 'camera')}, "
+            f"{plural(counts.num_points_added, 'point')}, "
+            f"{plural(counts.num_observations, 'observation')}",
+        ),
+        (
+            "disagreeing",
+            f"{plural(counts.num_points_apart, 'point')} apart, {counts.num_points_dropped} "
+            f"dropped; {plural(counts.num_observations_dropped, 'observation')} dropped",
+        ),
+    ]
+    joined = plural(counts.num_points_joined, "point", grouped=True)
+    if counts.num_points_joined:
+        joined += f" (rms {pixels(merged.rms_pixels)} px)"
+    # One model keeps half of the freedoms of two.
+    undetermined = merged.free_before - merged.free_before // 2 - merged.determined
+    left = ""
+    if undetermined > 0:
+        left = f" {plural(undetermined, 'degree')} of freedom between the models stay open."
+    headline = [
+        f"Merged by {shared}: joined {joined}, added {plural(counts.num_images, 'image')} and "
+        f"{plural(counts.num_points_added, 'point', grouped=True)}.{left}",
+        f"The merged model has {contents(merged.problem)}.",
+    ]
+    path = shlex.quote(output["path"])
+    next_step = Finding(
+        kind="not_adjusted",
+        sentence="Nothing is adjusted yet.",
+        command=f"bundle refine {path} -o {path}",
+    )
+    return Report(
+        command="merge",
+        input=about_input(paths[0], problems[0]),
+        headline=headline,
+        warnings=(*merged.notes, *lost),
+        findings=[next_step],
+        sections=[Section(facts=[written(output)]), Section(facts=rows, is_detail=True)],
+        data={
+            "other": about_input(paths[1], problems[1]),
+            "merge": merged.asdict(),
+            "output": output,
+        },
+    )
+
+
+EMPTY: Mapping[str, str] = {}
+ERRORS = ("rmse", "median", "p95", "max")
+
+
+def synthesized(
+    options: SceneOptions,
+    num_cameras: int,
+    tally: SceneTally,
+    output: dict[str, str],
+    truth: dict[str, str],
+    measured: Mapping[str, str] = EMPTY,
+    lost: Sequence[str] = (),
+) -> Report:
+    """Return the report on a scene with its start, its truth and its measured attitudes by kind."""
+    counts = {
+        "num_cameras": num_cameras,
+        "num_images": options.num_images,
+        "num_points": options.num_points,
+        "num_observations": tally.num_observations,
+        "num_outliers": tally.num_outliers,
+    }
+    things = ("image", "camera", "point", "observation", "outlier")
+    contents = ", ".join(plural(counts[f"num_{thing}s"], thing) for thing in things)
+    where = f"{shown(truth['path'])} ({format_name(truth['format'])})"
+    start, goal = tally.errors["start"], tally.errors["ground_truth"]
+    headline = [
+        f"Wrote {written(output)[1]}: {contents}.",
+        f"The ground truth is {where}. RMSE {pixels(start.rmse)} px at the start, "
+        f"{pixels(goal.rmse)} px at the truth.",
+    ]
+    headline += [f"Measured {kind}: {shown(path)}." for kind, path in measured.items()]
+    sizes = {"track_length": tally.track_length(), "observations_per_image": tally.image_size()}
+    names = [("track length", "track_length"), ("observations per image", "observations_per_image")]
+    spread = [(label, sizes[name]) for label, name in names]
+    errors = [
+        (label, tally.errors[name])
+        for label, name in (("start", "start"), ("ground truth", "ground_truth"))
+    ]
+    return Report(
+        command="synth",
+        headline=headline,
+        warnings=lost,
+        sections=[
+            Section(
+                is_detail=True,
+                tables=[
+                    Table([Column("", 0), *map(_spread, ("min", "median", "mean", "max"))], spread),
+                    Table([Column("error in pixels", 0), *map(_error, ERRORS)], errors),
+                ],
+            )
+        ],
+        data={
+            "options": options.asdict(),
+            "output": output,
+            "ground_truth": truth,
+            **({"measured": dict(measured)} if measured else {}),
+            **counts,
+            **sizes,
+            "reprojection_error": tally.errors,
+        },
+    )
+
+
+def _spread(key: str) -> Column:
+    def find(row: tuple[str, Mapping[str, float]]) -> float:
+        return row[1][key]
+
+    return Column(key, find, number)
+
+
+def _error(key: str) -> Column:
+    return Column(key, lambda row: getattr(row[1], key), pixels)
