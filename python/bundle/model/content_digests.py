@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bundle.model.estimates import estimates
+
 if TYPE_CHECKING:
     from bundle.model.pose_graph_arrays import PoseGraph
     from bundle.model.problem import Problem
@@ -20,7 +22,7 @@ PARTS = {
     "Problem": {
         "structure": ("observation_image", "observation_point"),
         "measurements": ("observation_xy", "observation_sigma"),
-        "start": ("cam_from_world", "points", "camera_params"),
+        "start": (),  # all that a solve estimates
     },
     "PoseGraph": {
         "structure": ("ids", "edges", "fixed"),
@@ -40,7 +42,10 @@ def content_digests(given: Problem | PoseGraph | Sequence) -> dict[str, str]:
     """Return a digest of 16 hexadecimal digits for structure, measurements and start."""
     classes = (kind.__name__ for kind in type(given).__mro__)
     parts = next(PARTS[name] for name in classes if name in PARTS)
-    return {name: _digest([getattr(given, one) for one in names]) for name, names in parts.items()}
+    values = {name: [getattr(given, one) for one in names] for name, names in parts.items()}
+    if parts is PARTS["Problem"]:
+        values["start"] = [array for array in estimates(given).values() if len(array)]
+    return {name: _digest(of) for name, of in values.items()}
 
 
 def _digest(values: list[Any]) -> str:

@@ -53,7 +53,7 @@ class Variable(NamedTuple):
 POSE_WIDTH = 7
 """Columns of a pose, on SE(3); all other variables are vectors."""
 
-VARIABLES = (
+VARIABLES = [
     Variable("cam_from_world", "image", "images", POSE_WIDTH, 6, "pose"),
     Variable("camera_params", "camera", "cameras", 0, 0, "none"),
     Variable("points", "point", "points", 3, 3, "point", division="own"),
@@ -61,7 +61,8 @@ VARIABLES = (
     Variable("sensor_from_rig", "sensor", "sensors", POSE_WIDTH, 6, "lengths", slice(4, 7)),
     Variable("twist", "twist", "images", 6, 6, "lengths", slice(3, 6), "alone", SHUTTER),
     Variable("readout", "readout", "cameras", 1, 1, "none", slice(0), "alone", SHUTTER),
-)
+]
+"""All variables; readers look at the table when they are called."""
 
 
 class _Problem(Protocol):
@@ -78,6 +79,16 @@ P = TypeVar("P", bound=_Problem)
 def arrays_of(rows: str) -> tuple[str, ...]:
     """Return the names of the arrays of a problem itself with one row per image, frame, ..."""
     return tuple(one.name for one in VARIABLES if one.rows == rows and not one.holder)
+
+
+def kinds(holder: str = "") -> tuple[str, ...]:
+    """Return the kinds of keys of the variables with a holder."""
+    return tuple(one.kind for one in VARIABLES if one.holder == holder)
+
+
+def variable_of(kind: str) -> Variable:
+    """Return the variable whose keys have this kind."""
+    return next(one for one in VARIABLES if one.kind == kind)
 
 
 def estimates(

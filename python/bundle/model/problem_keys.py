@@ -12,14 +12,8 @@ import numpy as np
 
 from bundle.errors import InputError, brief
 from bundle.model.cameras import camera_models
-from bundle.model.estimates import SHUTTER, VARIABLES
+from bundle.model.estimates import kinds, variable_of
 from bundle.model.problem import Problem
-
-KINDS = tuple(one.kind for one in VARIABLES if not one.holder)
-SHUTTER_KINDS = tuple(one.kind for one in VARIABLES if one.holder == SHUTTER)
-"""Kinds of keys of rolling shutters: the twist of an image, the readout of a camera."""
-
-_OWNER = {one.kind: one.rows.removesuffix("s") for one in VARIABLES}
 
 
 class ProblemKeys:
@@ -61,7 +55,9 @@ class ProblemKeys:
     def _ids(self, kind: str) -> list[Any]:
         problem = self._problem
         if kind != "sensor":
-            ids: list[Any] = getattr(problem, f"{_OWNER[kind]}_ids").tolist()
+            ids: list[Any] = getattr(
+                problem, f"{variable_of(kind).rows.removesuffix('s')}_ids"
+            ).tolist()
             return ids
         rigs, cameras = problem.sensor_rig_ids.tolist(), problem.sensor_camera_ids.tolist()
         return list(zip(rigs, cameras, strict=True))
@@ -93,9 +89,9 @@ def parameter_names(argument: str, problem: Problem, camera: int) -> tuple[str, 
 
 def touched_ids(factors: Iterable[Any]) -> dict[str, list[Any]]:
     """Return the ids of the variables of factors by kind; keys of unknown kind are left out."""
-    touched: dict[str, list[Any]] = {kind: [] for kind in KINDS}
+    touched: dict[str, list[Any]] = {kind: [] for kind in kinds()}
     keys: list[Any] = [key for factor in factors for key in factor.keys]
     for key in keys:
-        if isinstance(key, tuple) and len(key) == 2 and key[0] in KINDS:  # others: error later
+        if isinstance(key, tuple) and len(key) == 2 and key[0] in touched:  # others: error later
             touched[key[0]].append(key[1])
     return touched

@@ -22,7 +22,7 @@ from bundle.interface.judging_options import MOST_PERCENT, HoldOutOptions
 from bundle.interface.option_fields import number
 from bundle.interface.options import SolveOptions
 from bundle.io.files import Source, as_problem
-from bundle.model.estimates import estimates, with_estimates
+from bundle.model.estimates import arrays_of, estimates, with_estimates
 from bundle.model.folds import folds_of, keys, mix
 from bundle.model.problem import Problem
 from bundle.model.reprojection import HeldOut, errors_or_nan, summarize_clipped
@@ -237,9 +237,10 @@ def with_values(problem: Problem, refined: Problem, state: State | None = None) 
     """
     values = estimates(refined)
     if state is not None and refined.num_points != problem.num_points:
-        points = problem.points.copy()
-        points[state.point_mask] = refined.points
-        values["points"] = freeze(points)
+        for name in arrays_of("points"):
+            whole = getattr(problem, name).copy()
+            whole[state.point_mask] = values[name]
+            values[name] = freeze(whole)
     return with_estimates(problem, values)
 
 

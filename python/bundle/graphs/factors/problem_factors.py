@@ -30,12 +30,9 @@ from bundle.graphs.factors.factor_graph import FactorGraph
 from bundle.graphs.factors.factor_report import FactorCheck
 from bundle.graphs.factors.factors import Factor
 from bundle.graphs.factors.variables import Array, Key, as_list
-from bundle.model.estimates import POSE_WIDTH, VARIABLES, estimates
+from bundle.model.estimates import POSE_WIDTH, SHUTTER, estimates, kinds, variable_of
 from bundle.model.problem import Problem
-from bundle.model.problem_keys import KINDS, SHUTTER_KINDS, ProblemKeys, parameter_names
-
-_ARRAYS = {one.kind: one for one in VARIABLES}
-
+from bundle.model.problem_keys import ProblemKeys, parameter_names
 
 _WITHOUT_SCALE = ("twist_tie", "direction", "rotation", "heading")
 """Kinds of factors that a change of the scale does not change, or that lower their cost by it."""
@@ -95,8 +92,8 @@ class ProblemFactors:
 
     def __init__(self, problem: Problem, factors: Iterable[Factor]) -> None:
         self._problem, self._values = problem, estimates(problem)
-        kinds = KINDS if problem.rolling_shutter is None else (*KINDS, *SHUTTER_KINDS)
-        self._keys = ProblemKeys(problem, kinds, "variable")
+        known = kinds() if problem.rolling_shutter is None else (*kinds(), *kinds(SHUTTER))
+        self._keys = ProblemKeys(problem, known, "variable")
         self._graph = FactorGraph()
         self._places: list[tuple[str, int]] = []
         for position, factor in enumerate(as_list("factors", "factors", factors)):
@@ -117,7 +114,7 @@ class ProblemFactors:
     def values_in(self, output: Mapping[str, Any]) -> dict[Key, Array]:
         """Return the values of the variables in the output of the core's solver, by key."""
         return {
-            key: np.atleast_1d(np.asarray(output[_ARRAYS[kind].name])[index])[: len(value)]
+            key: np.atleast_1d(np.asarray(output[variable_of(kind).name])[index])[: len(value)]
             for (kind, index), (key, value) in zip(
                 self._places, self._graph.values.items(), strict=True
             )
@@ -158,7 +155,7 @@ class ProblemFactors:
         """
         values = self._graph.values
         variables = [
-            (kind, index, _ARRAYS[kind].tangent or len(values[key]))
+            (kind, index, variable_of(kind).tangent or len(values[key]))
             for (kind, index), key in zip(self._places, self._graph.keys, strict=True)
         ]
         return variables, self._graph.information()[0]
@@ -178,7 +175,7 @@ class ProblemFactors:
         self._places.append((kind, index))
 
     def _value(self, name: str, kind: str, index: int) -> tuple[Array, str]:
-        of = _ARRAYS[kind]
+        of = variable_of(kind)
         value = np.atleast_1d(self._values[of.name][index])
         if kind == "camera":
             value = value[: len(parameter_names(name, self._problem, index))]

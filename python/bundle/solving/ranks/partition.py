@@ -27,9 +27,9 @@ from bundle.errors import InputError
 from bundle.model.estimates import SHUTTER, VARIABLES
 from bundle.model.problem import Problem
 
-# Arrays of the full problem that each part has unchanged; arrays of rigs only if it has rigs.
+# Arrays of the full problem that each part has unchanged, beside the shared variables; arrays of
+# rigs only if it has rigs.
 _SHARED = (
-    *(one.name for one in VARIABLES if one.division == "shared"),
     *("image_ids", "image_camera", "image_names", "camera_ids", "camera_models", "camera_sizes"),
     *("image_frame", "image_sensor"),
     *("frame_ids", "frame_rig_ids", "sensor_rig_ids", "sensor_camera_ids"),
@@ -38,7 +38,6 @@ _SHARED = (
 
 
 _OWN = (
-    *(one.name for one in VARIABLES if one.division == "own"),
     *("point_ids", "observation_image", "observation_point"),
     *("observation_xy", "observation_keypoint", "observation_sigma"),
 )
@@ -129,9 +128,13 @@ class ProblemPart:
         return dataclasses.replace(self, **own, shared=self.shared | shared)
 
 
+def _variables(division: str) -> list[str]:
+    return [one.name for one in VARIABLES if one.division == division]
+
+
 def shared_of(problem: Problem) -> dict[str, Any]:
     """Return the arrays of the full problem that each part has unchanged."""
-    return {name: getattr(problem, name) for name in _SHARED}
+    return {name: getattr(problem, name) for name in (*_variables("shared"), *_SHARED)}
 
 
 def part_of(
@@ -142,7 +145,7 @@ def part_of(
     The indices of the points are ascending; the sections are those of all points.
     """
     mine = problem.select(points=points).problem
-    own = {name: getattr(mine, name) for name in _OWN}
+    own = {name: getattr(mine, name) for name in (*_variables("own"), *_OWN)}
     return ProblemPart(**own, point_section=section[points], shared=shared_of(problem))
 
 
