@@ -52,7 +52,7 @@ REFUSED: dict[str, dict[str, str]] = {
         "model -o out --hold-out ten": "--hold-out",
         "model -o out --hold-out-seed 3": "--hold-out-seed: valid only with --hold-out",
         "model -o out --hold-out 0.01":
-            "--hold-out: expected a share of one observation or more",
+            "--hold-out: expected at least one observation in 0.01 %",
         "bal.txt -o t.txt --init chordal": "--init",
         "bal.txt -o t.txt --trust-region gauss-newton": "--trust-region",
     },

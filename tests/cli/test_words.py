@@ -146,7 +146,7 @@ def test_images_that_contradict_frames_are_noted(run, tmp_path, kind, turn, note
     assert done.code == 0
     assert done.err.startswith("note: ") == noted
     if noted:
-        assert f"1 image is elsewhere in images{suffix}" in done.err
+        assert f"1 image has in images{suffix} another pose" in done.err
         assert f"{np.degrees(turn):.3g} degrees" in done.err
 
 

@@ -392,9 +392,8 @@ def _weak_modes(
             GraphWeakMode(
                 kind="weak_direction",
                 sentence=f"{_named(keys)}: the factors determine "
-                f"{_motion(graph, space, direction)} weakly, with a sigma {inflation} times that "
-                "with all other coordinates known. Add a factor, or check the information of "
-                "these.",
+                f"{_motion(graph, space, direction)} weakly: the sigma is {inflation} times that "
+                "with all other coordinates known. Add a factor, or check their information.",
                 pose_ids=keys,
                 edges=_factors_of(graph, keys),
                 eigenvalue=float(values[k]),

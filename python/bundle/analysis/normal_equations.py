@@ -90,7 +90,7 @@ class NormalEquations(Protocol):
     Attributes:
         words: nouns of the input.
         num_gauge: null directions in which whole components move.
-        num_floating: components of which each has covariances about itself alone.
+        num_floating: components, each with covariances relative to itself.
         squares: r^T W r of each term.
         weighted_squares: their sum, with the weights of a loss.
         cost: 1/2 sum rho.
@@ -264,8 +264,8 @@ def selected_covariance(
         notes.append(not_converged(200 * found.tests.decrease / squares, without_loss))
     if equations.num_floating > 1:
         notes.append(
-            f"{plural(equations.num_floating, 'component')} without a fixed pose: the covariances "
-            "of each are about itself alone."
+            f"{plural(equations.num_floating, 'component')} without a fixed pose: covariances "
+            "are relative to the component."
         )
     if found.inflation > LOST:
         digits = plural(max(0, round(16 - np.log10(found.inflation))), "digit")
@@ -283,7 +283,7 @@ def _undetermined(equations: NormalEquations, blocks: Sequence[int]) -> InputErr
     return InputError(
         f"graph: expected {words.term}s that determine all {words.block}s but for the gauge, found "
         f"{words.block if len(names) == 1 else words.block + 's'} {', '.join(names[:3])}{more} "
-        f"with a direction open; {words.command} says which"
+        f"with an undetermined direction; {words.command} names it"
     )
 
 

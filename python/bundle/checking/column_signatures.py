@@ -55,7 +55,7 @@ def factors(evidence: Evidence) -> None:
             note = where.get(columns[0], "")
             if kind == "factor" and len(columns) > 1 and len(columns) == _num_used(evidence):
                 alone = "residual" if abs(ratios[0]) < 1 else "Jacobians"
-                note += f"; every column is, as if the weights multiplied the {alone} alone"
+                note += f" (all columns: the weights may multiply only the {alone})"
             sentence = f"{evidence.names(columns)}: {words}{note}"
             evidence.found(kind, columns, sentence, ratios[0])
             continue
@@ -150,7 +150,7 @@ def zero_entries(evidence: Evidence) -> None:
             evidence.found(
                 "missing_term",
                 [j],
-                f"{evidence.columns[j].name}: zero in residual {rows}, although that depends on it",
+                f"{evidence.columns[j].name}: zero in residual {rows}, which depends on it",
             )
 
 

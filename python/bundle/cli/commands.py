@@ -221,7 +221,7 @@ COMMANDS: dict[str, Command] = {
             a.options("SolveOptions", "options of every solve", without=a.compared_options()),
             a.pose_graph(
                 ("error", "init", "information", "loss", "loss_on"),
-                "a pose graph (.g2o), of which backends and threads are compared too",
+                "pose graphs (.g2o), where backends and threads are compared too",
             ),
         ),
         ways={
@@ -304,9 +304,8 @@ COMMANDS: dict[str, Command] = {
             a.options("SolveOptions", "what is refined, as in the solve", a.INFORMATION),
             a.RULES,
             a.georeference(
-                "The priors of the refine that made INPUT, by the same flags: in metres east, "
-                "north, up about the middle of the control points, or of the positions where there "
-                "are none, where it has put INPUT. Nothing is moved.",
+                "The priors with which `bundle refine` made INPUT, by the same flags. INPUT is not "
+                "moved.",
                 "--gps exif",
             ),
             a.pose_graph(
@@ -435,8 +434,8 @@ COMMANDS: dict[str, Command] = {
             a.RIG_CONFIG,
             a.RULES,
             a.georeference(
-                "The priors of the refine that made INPUT, by the same flags: how certain it is "
-                "depends on them. Nothing is moved.",
+                "The priors with which `bundle refine` made INPUT, by the same flags: standard "
+                "deviations depend on them. INPUT is not moved.",
                 "--gps exif and residuals of the worst images on their photographs",
             ),
         ),

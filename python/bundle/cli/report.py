@@ -69,7 +69,7 @@ def placed(source: str) -> tuple[dict[str, Any] | None, tuple[str, ...]]:
     except (OSError, ValueError):
         found = None
     if not isinstance(found, dict) or not {"gps", "gcps", "reference_system"} <= found.keys():
-        return None, (f"{shown(str(path))} is not what bundle refine writes: left out.",)
+        return None, (f"{shown(str(path))} was not written by bundle refine: left out.",)
     return found, ()
 
 

@@ -81,8 +81,8 @@ def breakdown_figure(comparison: Comparison, problem: int) -> Figure:
         name="breakdown",
         title="Where the time went",
         marks=(StackedBars(rows, " s"),),
-        note="The fused backend eliminates the points while it computes Jacobians: its linear "
-        "solver is that of the reduced system alone.",
+        note="The fused backend eliminates the points while it computes Jacobians: the time of its "
+        "linear solver is that of the reduced system only.",
     )
 
 

@@ -114,7 +114,7 @@ def _work(frames: _Keyframes, budget: float) -> list[LineFigure]:
 
 def _contradiction(frames: _Keyframes) -> LineFigure:
     return LineFigure(
-        name="imu_excess", title="IMU cost by its expectation from the noise", x_label=TIME,
+        name="imu_excess", title="IMU cost divided by its expected value", x_label=TIME,
         y_label="ratio",
         lines=(
             frames.line("ratio", lambda r: r.imu_excess),

@@ -66,7 +66,7 @@ def position_figure(place: Placement) -> Figure | None:
         x=x,
         y=y,
         marks=(_dots(known, residuals), Ellipses(_moment(residuals)[None], 1)),
-        note="Ellipse: one root mean square in every direction. Grey: without influence.",
+        note="Ellipse: the RMS in each direction. Grey: without influence.",
         is_plan=True,
     )
 

@@ -96,7 +96,7 @@ class ShutterOptions(Options):
     row_time: str = option(
         "fixed-point",
         "--row-time",
-        "time at which a point is read: that of the row where the image sees it (fixed-point), or "
-        "where it was measured (observed), which draws free twists to wrong values",
+        "row whose time is the time of an observation. fixed-point: the row of the projection. "
+        "observed: the row of the measurement, which biases free twists",
         choices=("fixed-point", "observed"),
     )

@@ -164,9 +164,8 @@ class SolveOptions(Options):
     convergence: str = option(
         "sigmas",
         "--convergence",
-        "end of a solve without a loss. sigmas: at the function tolerance, and less than about 0.1 "
-        "standard deviations of the solution from the minimum. ceres: at the function tolerance, "
-        "as Ceres ends",
+        "stopping rule without a loss. sigmas: the function tolerance is reached, and the minimum "
+        "is less than about 0.1 standard deviations away. ceres: the function tolerance is reached",
         choices=CONVERGENCE_RULES,
     )
     function_tolerance: float = option(
@@ -208,7 +207,7 @@ class SolveOptions(Options):
         "--refine",
         "parameters to refine, out of "
         + ", ".join((*REFINABLE, SENSORS)).replace("_", "-")
-        + "; the last, where sensors are on their rigs, is --refine-sensor-from-rig",
+        + "; --refine-sensor-from-rig adds the last, the poses of sensors on their rigs",
         metavar="LIST",
     )
     fixed_camera_ids: tuple[int, ...] = option(
@@ -245,10 +244,10 @@ class SolveOptions(Options):
     twists: str = option(
         "free",
         "--twists",
-        "motion of images with rolling shutters during their readout. free: its own, six numbers "
-        "per image. tied: its own, but near the readout times the motion per frame between the "
-        "neighbours in the video. hard: equal to that, which makes all standard deviations too "
-        "small",
+        "motion of a rolling-shutter camera during readout. free: six parameters per image. tied: "
+        "the same, with a prior that the motion equals the readout times the motion per frame "
+        "between the neighbours in the video. hard: exactly this value; all standard deviations "
+        "are then too small",
         choices=TWISTS,
     )
     twist_sigma: tuple[float, ...] = option(

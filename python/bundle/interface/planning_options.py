@@ -109,7 +109,7 @@ class CompareOptions(Options):
     repeat: int = option(
         REPEAT,
         "--repeat",
-        "runs of each method, of which the median counts; a run of more than "
+        "runs of each method; their median counts; a run of more than "
         f"{SECONDS_NOT_REPEATED:g} s is not repeated",
         minimum=1,
         metavar="N",

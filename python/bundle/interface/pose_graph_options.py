@@ -40,8 +40,8 @@ class PoseGraphOptions(Options):
         "--init",
         "start of the solve: the poses of the file, a chain of edges, a tree of edges, or the "
         "chordal relaxation (two linear solves). lower: the chordal relaxation if it costs less "
-        "than the file's poses and there is no loss, otherwise these. auto: the start from which "
-        "the solve ends lowest",
+        "than the file's poses and there is no loss, otherwise the file's poses. auto: the start "
+        "that leads to the lowest cost",
         choices=("lower", "file", "odometry", "spanning_tree", "chordal", "auto"),
     )
     information: str = option(

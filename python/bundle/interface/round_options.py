@@ -125,7 +125,7 @@ class OutOfCoreOptions(Options):
         "--out-of-core",
         "keep observations and points in files in this folder, of a local disk; the result has the "
         "same bits. For BAL files and binary COLMAP models, without rounds and other inputs. The "
-        "files have no names and end with the process",
+        "files are temporary and have no names",
         metavar="DIR",
         value="path",
     )

@@ -86,9 +86,8 @@ def lm_diagonal(which: str, default: float) -> Any:
     return option(
         default,
         f"--{which}-lm-diagonal",
-        f"{'smallest' if which == 'min' else 'largest'} entry of the diagonal of J^T J, with "
-        "scaled columns, by which Levenberg-Marquardt multiplies its damping; other values need "
-        "Ceres as the backend",
+        f"{'lower' if which == 'min' else 'upper'} bound of the diagonal of J^T J (scaled columns) "
+        "in Levenberg-Marquardt's damping; other values need --backend ceres",
         above=0.0,
         metavar="X",
     )

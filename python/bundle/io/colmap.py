@@ -237,8 +237,8 @@ def write(problem: Problem, folder: Path, *, binary: bool) -> tuple[str, ...]:
         losses.append(f"{records.num_new_points} points are not in the source and get no colour.")
     if records.num_renumbered:
         losses.append(
-            f"{records.num_renumbered} keypoints get another index: of images that are not in a "
-            "source, only the observed keypoints are known."
+            f"{records.num_renumbered} keypoints are renumbered: without a source of their image, "
+            "only observed keypoints are known."
         )
     return (*losses, *_lost(problem, binary=binary))
 
@@ -268,8 +268,7 @@ def _lost_in_text(problem: Problem) -> tuple[str, ...]:
     if not spaces:
         return ()
     return (
-        f"{spaces} image names have spaces: they are in the text files, but COLMAP reads "
-        "only their first word back.",
+        f"{spaces} image names have spaces: COLMAP reads only their first word from text files.",
     )
 
 
@@ -386,11 +385,11 @@ def note_contradiction(folder: Path, image_poses: _Poses, poses: _Poses) -> None
     if not other.any():
         return
     suffix, count = _suffix(folder), int(other.sum())
-    images = "1 image is" if count == 1 else f"{count} images are"
+    images = "1 image has" if count == 1 else f"{count} images have"
     warnings.warn(
-        f"{shown(folder)}: {images} elsewhere in images{suffix} than frames{suffix} and "
-        f"rigs{suffix} say, by up to {np.degrees(angle.max()):.3g} degrees and {shift.max():.3g} "
-        "units; the frames count, as for COLMAP",
+        f"{shown(folder)}: {images} in images{suffix} another pose than in frames{suffix} and "
+        f"rigs{suffix} (up to {np.degrees(angle.max()):.3g} degrees and {shift.max():.3g} units); "
+        "the frames are used, as in COLMAP",
         NoteWarning,
         stacklevel=4,
     )

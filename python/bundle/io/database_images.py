@@ -66,8 +66,8 @@ def database_sizes(path: Path, names: Sequence[str]) -> NDArray[np.int64]:
     for index, name in enumerate(names):
         if not name:
             raise InputError(
-                f"{place}: expected images with names, by which the database has their sizes, "
-                f"found image {index} without"
+                f"{place}: expected image names, to find their sizes in the database, "
+                f"found image {index} without a name"
             )
         size = known.get(name)
         if size is None:

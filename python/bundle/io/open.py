@@ -352,7 +352,7 @@ def _files_of_other_format(folder: Path, format: str) -> tuple[str, ...]:
     suffix = ".txt" if format == "colmap" else ".bin"
     names = [name for name in sorted(MODEL_FILES) if name.endswith(suffix)]
     going = [name for name in names if (folder / name).exists()]
-    return (f"Files of the model that was there before go: {', '.join(going)}.",) if going else ()
+    return (f"Files of the previous model are removed: {', '.join(going)}.",) if going else ()
 
 
 def _check_problem(problem: Problem) -> None:

@@ -35,8 +35,8 @@ if TYPE_CHECKING:
     from bundle.io.formats.file_values import Node
 
 LOST_ROLLING_SHUTTER = (
-    "The rolling shutter is left out: a reader takes the observations for those of a camera that "
-    "does not move (convert --global-shutter moves them)."
+    "The rolling shutter is left out: other programs assume a global shutter (convert "
+    "--global-shutter corrects the observations)."
 )
 
 _CAMERA = ("camera_id", "direction", "readout")

@@ -84,9 +84,7 @@ class GaugeFreedom(Displayed):
     def sentence(self) -> str:
         """Describe the gauge freedom in words."""
         if self.degrees == 0:
-            return (
-                "nothing is free: the world is where its positions, scale and directions are given"
-            )
+            return "nothing is free: position, rotation and scale of the world are given"
         named = {6: " (position and rotation; the scale is given)", 7: " (a similarity)"}
         one = self.num_pieces == 1 and not self.num_loose
         words = (

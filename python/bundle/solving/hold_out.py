@@ -124,12 +124,12 @@ def choose(
         images = 3 if percent <= _IN_THREE_FOLDS else 4
         if len(rows) and quota.max() == 0 and seen.max() > FEWEST_OF_IMAGE:
             raise InputError(
-                f"{name}: expected a share of one observation or more in an image, found "
-                f"{percent:g} % of at most {seen.max()}"
+                f"{name}: expected at least one observation in {percent:g} % of an image, found at "
+                f"most {seen.max()} observations in an image"
             )
         raise InputError(
-            f"{name}: expected observations to hold out {percent:g} % of, found 0 in images of "
-            f"more than {FEWEST_OF_IMAGE} observations, of points that {images} images see"
+            f"{name}: expected observations of points in at least {images} images, in images of "
+            f"more than {FEWEST_OF_IMAGE} observations, found 0"
         )
     return held
 

@@ -124,8 +124,8 @@ def refuse_shrinking(layout: Layout) -> None:
         return
     if known is None or not known.holds_scale:
         raise InputError(
-            "gauge: expected two-cameras, positions or velocities with tied twists, which always "
-            "fit a smaller world better, found gauge none without these"
+            "gauge: expected two-cameras, positions or velocities, because tied twists fit a "
+            "smaller world better, found gauge none"
         )
 
 

@@ -233,7 +233,9 @@ def test_images_may_be_at_the_ends_and_an_offset_may_lead_beyond():
     for moved, word in ((stamps + 1, "1 image is outside"), (stamps - 1, "1 image is outside")):
         with pytest.raises(InputError, match=word):
             ImageIntervals(samples, moved)
-    with pytest.raises(InputError, match=r"all images are outside: stamps in another unit\? 1000 "):
+    with pytest.raises(
+        InputError, match=r"all images are outside: stamps in another unit\? Multiplied by 1000"
+    ):
         ImageIntervals(samples, stamps // 1000)
 
 

@@ -44,14 +44,14 @@ def records(result: OdometryResult, changed: dict[int, dict[str, Any]]) -> list[
 def test_camera_and_imu_may_contradict_each_other_at_a_fifth_of_the_keyframes(
     result: OdometryResult,
 ) -> None:
-    alarm = {"alarms": (f"{DISAGREEMENT}: the IMU costs much",)}
+    alarm = {"alarms": (f"{DISAGREEMENT}: the IMU cost is high",)}
     for count, expected in ((20, ""), (21, "21 of 100")):
         found = _lost_reason(records(result, {4 * k: alarm for k in range(count)}))
         assert expected in found and bool(found) == bool(expected)
 
 
 def test_a_burst_of_contradictions_counts(result: OdometryResult) -> None:
-    alarm = {"alarms": (f"{DISAGREEMENT}: the IMU costs much",)}
+    alarm = {"alarms": (f"{DISAGREEMENT}: the IMU cost is high",)}
     for last, expected in ((46, ""), (47, "3.5 s")):  # from 40 on: 3 and 3.5 s
         found = _lost_reason(records(result, dict.fromkeys(range(40, last + 1), alarm)))
         assert expected in found and bool(found) == bool(expected)

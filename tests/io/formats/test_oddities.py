@@ -101,7 +101,7 @@ def test_a_point_without_views_and_a_repeated_view(tmp_path) -> None:
     (tmp_path / "a.out").write_text("\n".join([*lines, "1 2 3", "0 0 0", "0", ""]))
     found = bundle.load(tmp_path / "a.out", image_size="unknown")
     assert (found.num_points, found.num_observations) == (31, problem.num_observations + 1)
-    assert any("not numbered" in note for note in found.source.notes)
+    assert any("numbers are not used" in note for note in found.source.notes)
     assert found.source.rmse == pytest.approx(found.source.source_rmse, abs=1e-9)
 
 

@@ -64,7 +64,7 @@ def test_motion_vetoes_a_lens_per_image_and_chooses_the_lens_beside_a_shutter(or
     assert finding.evidence["gain"] == pytest.approx(gain, abs=0.1)
     pays = gain > 2
     assert finding.command == (f"{found.command} --rolling-shutter rows" if pays else "")
-    assert ("cost more certainty" in finding.sentence) != pays
+    assert ("increase standard deviations" in finding.sentence) != pays
     # The scores are those beside a shutter, the errors of the table those without.
     assert found.sigma == pytest.approx(0.4, rel=0.15)
     assert chosen.score < 0.9 * chosen.held_out_rmse / found.sigma / np.sqrt(2)

@@ -93,7 +93,7 @@ def test_images_with_few_observations_keep_them():
     problem = make_problem(num_images=5, num_points=FEWEST_OF_IMAGE + 1)
     held = choose(problem, 50)
     assert np.bincount(problem.observation_image[held], minlength=5).max() == 1
-    with pytest.raises(bundle.InputError, match="expected observations to hold out"):
+    with pytest.raises(bundle.InputError, match="expected observations of points in at least"):
         choose(make_problem(num_images=5, num_points=FEWEST_OF_IMAGE), 50)
 
 
@@ -114,5 +114,5 @@ def test_percent_out_of_range(percent):
 def test_points_of_two_images_cannot_lose_an_observation():
     problem = make_problem(num_images=6, num_points=60, track=2)
     assert (folds_of(problem) == -1).all()
-    with pytest.raises(bundle.InputError, match="3 images see"):
+    with pytest.raises(bundle.InputError, match="at least 3 images"):
         bundle.hold_out(problem)

@@ -205,9 +205,10 @@ def _about_edges(
     return [
         problem(
             "suspicious_edges",
-            f"{plural(len(suspicious), noun)} with an error that one right {noun} in a million has "
-            f"(chi2 of the test on degrees of freedom{against}): {'; '.join(listed)}{more}. A "
-            f"wrong {noun} spoils its neighbours' errors, too: look at the first, or "
+            f"{plural(len(suspicious), noun)} whose error only one correct {noun} in a million "
+            f"exceeds (chi2 of the test on degrees of freedom{against}): "
+            f"{'; '.join(listed)}{more}. A wrong {noun} also raises the errors of its neighbours: "
+            "check the first one, or "
             f"{words.doubt}.",
         )
     ]
@@ -234,9 +235,9 @@ def _about_minimum(decrease: float, cost: float) -> list[Finding]:
     return [
         note(
             "no_minimum",
-            f"This is no minimum: a step of a solve would lower the cost by about "
-            f"{number(min(100.0, 100 * decrease / cost))} %. Which edges the others contradict is "
-            "told at a minimum only: refine first.",
+            f"Not at a minimum: one more step would lower the cost by about "
+            f"{number(min(100.0, 100 * decrease / cost))} %. Wrong edges can be identified only at "
+            "a minimum: refine first.",
         )
     ]
 
@@ -248,8 +249,8 @@ def _about_noise(scale: float) -> list[Finding]:
     return [
         note(
             "optimistic_information",
-            f"Errors scatter {number(float(np.sqrt(scale)))} times as much as the information "
-            "says: it is optimistic, or many edges are wrong.",
+            f"Errors are {number(float(np.sqrt(scale)))} times as large as the information "
+            "states: the information is too optimistic, or many edges are wrong.",
         )
     ]
 
@@ -258,11 +259,11 @@ def _about_unchecked(tests: Tests, noun: str) -> list[Finding]:
     unchecked = int((np.isfinite(tests.redundancy) & (tests.rank == 0)).sum())
     if not unchecked:
         return []
-    whole = "all of them" if unchecked == len(tests.rank) else plural(unchecked, noun)
+    whole = "any of them" if unchecked == len(tests.rank) else plural(unchecked, noun)
     return [
         note(
             "unchecked_edges",
-            f"No other {noun} checks {whole}: in no loop, an error would not show.",
+            f"No other {noun} checks {whole}, because they are in no loop.",
         )
     ]
 
@@ -276,8 +277,8 @@ def _about_unjudged(
     return [
         note(
             "unjudged_edges",
-            f"{plural(count, 'edge')} so far from held poses that rounding hides whether others "
-            "contradict them: fix a pose near them, or cut the graph, to judge them.",
+            f"{plural(count, 'edge')} cannot be tested: too far from fixed poses, so that rounding "
+            "dominates. Fix a pose near them, or cut the graph.",
         )
     ]
 
@@ -322,9 +323,9 @@ def _component_modes(
             GraphWeakMode(
                 kind="component",
                 sentence=f"{_named(graph, members)} ({plural(part.num_edges, 'edge')}): no "
-                f"edge joins this component with the largest, of "
-                f"{plural(len(components[0].pose_ids), 'pose')}; {free}. An edge between poses "
-                f"{first} and {second}, the nearest by their ids, would join it to another.",
+                f"edge joins this component to the largest one "
+                f"({plural(len(components[0].pose_ids), 'pose')}); {free}. An edge between poses "
+                f"{first} and {second}, the nearest by their ids, would join two components.",
                 pose_ids=part.pose_ids,
                 edges=(),
                 eigenvalue=0.0,
@@ -350,10 +351,10 @@ def _open(graph: PoseGraph, joint: Joint) -> GraphWeakMode:
     what = _coordinates(graph, joint, joint.vectors[:, :count])
     return GraphWeakMode(
         kind="open_joint",
-        sentence=f"{_named(graph, joint.poses)} against the others: {edges} "
-        f"{'says' if len(joint.edges) == 1 else 'say'} nothing of {what}, which leaves "
-        f"{plural(count, 'direction')} open. Give the information a value there, add an edge, or "
-        "fix a pose among them.",
+        sentence=f"{_named(graph, joint.poses)} relative to the others: {edges} "
+        f"{'has' if len(joint.edges) == 1 else 'have'} no information on {what}: "
+        f"{plural(count, 'direction')} undetermined. Add this information, add an edge, or "
+        "fix one of these poses.",
         pose_ids=_ids(graph, joint),
         edges=_pairs(graph, joint.edges),
         eigenvalue=0.0,
@@ -366,12 +367,12 @@ def _weak(graph: PoseGraph, joint: Joint) -> GraphWeakMode:
     count = joint.num_weak
     lowest = float(joint.eigenvalues[first])
     what = _coordinates(graph, joint, joint.vectors[:, first : first + count])
-    hangs = "hangs" if len(joint.poses) == 1 else "hang"
+    depend = "depends" if len(joint.poses) == 1 else "depend"
     return GraphWeakMode(
         kind="weak_joint",
-        sentence=f"{_named(graph, joint.poses)} {hangs} on {_edges(graph, joint.edges)}, "
-        f"which leaves a sigma of up to {number(1 / np.sqrt(lowest))} times that of a typical edge "
-        f"in {what}. Add an edge, or check the information of this one.",
+        sentence=f"{_named(graph, joint.poses)} {depend} on {_edges(graph, joint.edges)} alone: "
+        f"the sigma of {what} is up to {number(1 / np.sqrt(lowest))} times that of a typical edge. "
+        f"Add an edge, or check the information of this one.",
         pose_ids=_ids(graph, joint),
         edges=_pairs(graph, joint.edges),
         eigenvalue=lowest,
@@ -388,9 +389,9 @@ def _together(graph: PoseGraph, joints: Joints, count: int) -> GraphWeakMode:
     ids = sorted_ids(graph.ids, moved)
     return GraphWeakMode(
         kind="open_together",
-        sentence=f"{_named(graph, moved)} against the others: edges without information in some "
-        f"direction leave {plural(count, 'direction')} open together, beside what single groups of "
-        "poses can do. Add an edge with full information among them.",
+        sentence=f"{_named(graph, moved)} relative to the others: several edges with singular "
+        f"information together leave {plural(count, 'more direction')} undetermined. Add an edge "
+        "with full information among them.",
         pose_ids=ids,
         edges=(),
         eigenvalue=0.0,

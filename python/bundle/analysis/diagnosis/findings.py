@@ -217,8 +217,8 @@ def _drift(drift: ScaleDrift | None) -> Iterator[Finding]:
         each = f" ({drift.per_step:.3g} per step)" if drift.num_steps > 1 else ""
         yield _note(
             "scale_drift",
-            f"The solve scaled the world by {drift.factor:.3g} in {steps}{each}: nothing but the "
-            "gauge holds the scale of a world without rigs and positions.",
+            f"The solve scaled the world by {drift.factor:.3g} in {steps}{each}: without "
+            "rigs and positions, only the gauge holds the scale.",
         )
 
 
@@ -293,7 +293,7 @@ def rigs_without_baseline(problem: Problem) -> Iterator[Finding]:
         yield Finding(
             kind="rig_without_baseline",
             is_problem=True,
-            sentence=f"Rig {rig}: its {int(own.sum()) + 1} sensors stand at one place, so that it "
-            "gives no scale: that of the world is arbitrary, as without a rig. Give the sensors "
-            "their distances (sensor_from_rig), or the scale by positions or control points.",
+            sentence=f"Rig {rig}: its {int(own.sum()) + 1} sensors are at one place, so the scale "
+            "of the world is arbitrary. Give the distances of the sensors (sensor_from_rig), "
+            "positions or control points.",
         )

@@ -134,8 +134,8 @@ def _without_collapsed(
         WeakMode(
             kind="collapsed_scale",
             sentence=f"{plural(dimension, 'null direction')} of images on which points have "
-            f"collapsed in scale, and of their cameras ({named('image', named_images)}): beside "
-            "derivatives that large, what the other observations say is lost to rounding.",
+            f"collapsed in scale, and of their cameras ({named('image', named_images)}): their "
+            "derivatives are so large that all other observations are lost to rounding.",
             image_ids=named_images,
             camera_ids=named_cameras,
             eigenvalue=0.0,
@@ -335,12 +335,12 @@ def mode_of_poses(
         what = (
             f"only {plural(count, 'point')} shared with the others"
             if kind == "few_shared_points"
-            else "no point is seen by two of the others as well"
+            else "none of their points is seen by two of the others"
         )
         return WeakMode(
             kind=kind,
-            sentence=f"{named('Image', sorted_ids(ids, loose))} against the others, in "
-            f"{plural(dimension, 'direction')}: {what}, which leaves {how} open. Match more points "
+            sentence=f"{named('Image', sorted_ids(ids, loose))} relative to the others: {what}, "
+            f"which leaves {how} open ({plural(dimension, 'direction')}). Match more points "
             "between them and the others, or hold them.",
             image_ids=sorted_ids(ids, loose),
             camera_ids=(),
@@ -406,12 +406,12 @@ def component_modes(
             WeakMode(
                 kind="component",
                 sentence=f"{named('Image', part.image_ids)} ({plural(part.num_points, 'point')}): "
-                "another component than the largest, of "
-                f"{plural(len(components[0].image_ids), 'image')}, with which no point is shared. "
-                "Position, rotation and scale against it are arbitrary. Common points of images "
-                f"{near[0]} and {near[1]}, the nearest to each other, would join them "
+                "no point is shared with the largest component "
+                f"({plural(len(components[0].image_ids), 'image')}), so that their relative "
+                "position, rotation and scale are arbitrary. Match points between the nearest "
+                f"images, {near[0]} and {near[1]} "
                 f"({plural(near[2], 'point')} of the former and {near[3]} of the latter are seen "
-                "by two images or fewer).",
+                "by at most two images).",
                 image_ids=part.image_ids,
                 camera_ids=(),
                 eigenvalue=0.0,

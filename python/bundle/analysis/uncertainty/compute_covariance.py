@@ -105,7 +105,7 @@ def intrinsics_covariance(
 
 
 HARD_TWISTS = (
-    "Hard twists leave out that a camera's motion differs from that of its neighbours: standard "
+    "Hard twists ignore that a camera's motion differs from that of its neighbours: standard "
     "deviations are too small, those of readouts by a factor of about 5. Use tied twists."
 )
 

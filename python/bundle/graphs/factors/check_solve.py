@@ -117,7 +117,7 @@ def about_priors(factors: Sequence[Factor]) -> str:
         return ""
     name, warning = found[0]
     more = f" ({len(found)} priors in all)" if len(found) > 1 else ""
-    return f"Do not trust a prior, {name}: {warning}{more}."
+    return f"The prior {name} is unreliable: {warning}{more}."
 
 
 Conditioning = tuple[float, float, int, list[int]]

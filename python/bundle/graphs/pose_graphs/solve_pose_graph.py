@@ -271,7 +271,5 @@ def _about_components(num_components: int) -> str:
         return ""
     held = plural(num_components, "component")
     return (
-        f"The graph has {held} without a connecting edge: each floats by itself, "
-        "relative to its fixed poses or its first one; their relative placement is "
-        "undetermined."
+        f"The graph has {held} without a connecting edge: their relative placement is undetermined."
     )

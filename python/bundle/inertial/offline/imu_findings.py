@@ -137,7 +137,7 @@ def _contradiction(known: Evidence, others: Sequence[ImuFinding]) -> ImuFinding 
     too_small = max(1 / (one * known.noise_scale) if one else 0.0 for one in known.noise)
     named = [one.kind for one in others if one.kind in CAUSES and "offset" not in one.evidence]
     if known.is_quadratic and agreement.images_variance > OUTLIERS:
-        kind, cause = "outliers", "the images alone have outliers, on which no robust loss acts"
+        kind, cause = "outliers", "the images have outliers, and no robust loss was given"
     if not cause and known.axes:
         kind, cause = "accel_axes", known.axes
     if not cause and arm > LONG_ARM:
@@ -148,19 +148,19 @@ def _contradiction(known: Evidence, others: Sequence[ImuFinding]) -> ImuFinding 
     if not cause:
         kind, cause = "unknown", CAUSES["unknown"]
         if too_small > 1:
-            kind, cause = "imu_noise", "the samples show more noise than the calibration has"
+            kind, cause = "imu_noise", "the samples have more noise than the calibration states"
         scale = known.noise_scale * max(ratio**0.5, too_small)
         flags = ("--imu-noise-scale", f"{scale:.2g}")
         if not known.is_converged:
-            kind, cause = "not_converged", "the steps were too few to tell the cause"
+            kind, cause = "not_converged", "too few steps to find the cause"
             flags = ("--max-iterations", "200")
     worst = int(np.argmax(agreement.interval_chi2))
     row, seconds = _when(known, worst)
     state = "" if known.is_converged else ", and the solve did not converge"
     return ImuFinding(
         "imu_contradiction",
-        f"Images and IMU contradict each other: together they cost {ratio:.3g} times what their "
-        f"noise explains, most at {seconds:.2f} s ({known.place(row)}){state}: {cause}.",
+        f"Images and IMU contradict each other: their joint cost is {ratio:.3g} times what their "
+        f"noise explains, largest at {seconds:.2f} s ({known.place(row)}){state}: {cause}.",
         flags,
         {
             "cause": kind,
@@ -183,7 +183,7 @@ def _forces(known: Evidence) -> ImuFinding | None:
         "accel_scale",
         f"The forces of the accelerometer are {found.ratio:.3f} +- {found.sigma:.1g} times those "
         f"of images and gravity, which moves the positions by {100 * found.movement:.2g} %: its "
-        "scale is wrong, and that of the result with it.",
+        "scale is wrong, and so is the scale of the result.",
         (),
         {"ratio": found.ratio, "ratio_sigma": found.sigma, "movement": found.movement},
     )
@@ -200,7 +200,7 @@ def _arm(known: Evidence) -> ImuFinding | None:
     return ImuFinding(
         "arm",
         f"The arm of camera_from_imu is off by {100 * size:.2g} +- "
-        f"{100 * sigma:.1g} cm by the path of the images, which gives the translation {words}.",
+        f"{100 * sigma:.1g} cm: the path of the images gives the translation {words}.",
         (),
         {
             "metres": size,
@@ -243,7 +243,7 @@ def _samples(known: Evidence) -> ImuFinding | None:
         )
     return ImuFinding(
         "imu_samples",
-        f"Samples of the IMU are no measurements: {'; '.join(words)}. Up to "
+        f"Some samples of the IMU are not measurements: {'; '.join(words)}. Up to "
         f"{LONGEST_BRIDGE:g} s count as a gap.",
         (),
         {"faults": faults},
@@ -260,7 +260,7 @@ def _turned(known: Evidence) -> ImuFinding | None:
     return ImuFinding(
         "camera_from_imu",
         f"The rotation of camera_from_imu is off by {found.angle:.2f} +- {found.angle_sigma:.1g} "
-        f"degrees by the rotations of the images, which give the quaternion {words}.",
+        f"degrees: the rotations of the images give the quaternion {words}.",
         (),
         {
             "degrees": found.angle,
@@ -316,7 +316,7 @@ def _offset(known: Evidence) -> ImuFinding | None:
     return ImuFinding(
         "imu_clocks",
         f"The clocks of camera and IMU differ by {1e3 * clock.seconds:.2f} +- "
-        f"{1e3 * clock.sigma:.1g} ms, which is taken into account: add it to time_offset.",
+        f"{1e3 * clock.sigma:.1g} ms. The result is corrected for it; add it to time_offset.",
         (),
         {"offset": clock.seconds, "offset_sigma": clock.sigma},
     )
@@ -327,8 +327,8 @@ def _noise(known: Evidence) -> ImuFinding | None:
     if known.quietest > UNDERSTATED * known.noise_scale:
         return ImuFinding(
             "imu_noise",
-            f"The noise of the samples is {known.quietest:.3g} times that of the calibration where "
-            "they are quietest: the IMU outweighs the images.",
+            f"Even where the samples are quietest, their noise is {known.quietest:.3g} times that "
+            "of the calibration: the IMU has too much weight.",
             ("--imu-noise-scale", f"{known.quietest:.2g}"),
             {"ratio": 1 / known.quietest},
         )

@@ -99,7 +99,7 @@ class InertialAdjustment(Displayed):
         if self.clock.is_clear:
             clock += (
                 f" The clocks differ by {1e3 * self.clock.seconds:.2g} +- "
-                f"{1e3 * self.clock.sigma:.1g} ms, which is taken into account."
+                f"{1e3 * self.clock.sigma:.1g} ms; the result is corrected for it."
             )
         return (
             f"In metres, z up, by the IMU: the input is scaled by {rounded(self.scale)}; mean "

@@ -317,18 +317,18 @@ def tracking_findings(recording: Recording, check: RotationCheck) -> tuple[Findi
     if check.cause:
         sentence = {
             "degrees": f"{table}: gyro: expected rad/s, found rotations {check.ratio:.1f} times "
-            f"as large as those of the tracks (median of {pairs}); as degrees/s they agree up to "
-            f"{explained}",
+            f"as large as those of the tracks (median of {pairs}); read as degrees/s, they differ "
+            f"by {explained}",
             "inverse": f"{recording.name}: camera_from_imu: expected the rotation that the tracks "
-            f"show in {pairs}, found its inverse: {share} of the motion disagrees as given, "
+            f"show in {pairs}, found its inverse: {share} of the motion disagrees as given, only "
             f"{explained} with the inverse",
             "axes": f"{table}: axes: expected gyroscope axes that agree with the tracks in "
-            f"{pairs}, found that {share} of the rotation disagrees; with axes {check.axes} "
-            f"in place of +x +y +z {explained} does: swapped or reversed axes, or a wrong "
-            "camera_from_imu",
+            f"{pairs}, found that {share} of the rotation disagrees, but only {explained} "
+            f"with axes {check.axes} in place of +x +y +z: axes are swapped or reversed, or "
+            "camera_from_imu is wrong",
             "turned": f"{recording.name}: camera_from_imu: expected the rotation that the tracks "
-            f"show in {pairs}, found that {share} of the motion disagrees; with another rotation "
-            f"{explained} does",
+            f"show in {pairs}, found that {share} of the motion disagrees, but only {explained} "
+            "with another rotation",
             "unknown": f"{recording.name}: expected rotations of the gyroscope that agree with the "
             f"tracks, found that {share} disagrees in {pairs}: wrong stamps, axes or calibration",
         }[check.cause]
@@ -344,7 +344,7 @@ def tracking_findings(recording: Recording, check: RotationCheck) -> tuple[Findi
             Finding(
                 kind="time offset",
                 sentence=f"{recording.name}: time offset: the tracks imply "
-                f"{1e3 * shift + used:.1f} ms (sigma {1e3 * sigma:.1f}), used were {used:.1f} ms; "
+                f"{1e3 * shift + used:.1f} ms (sigma {1e3 * sigma:.1f}) instead of {used:.1f} ms; "
                 "--refine-time-offset estimates it",
                 evidence=evidence,
             )

@@ -69,7 +69,7 @@ def _reversed(recording: Recording, signs: Signs, is_problem: bool) -> Finding:
     axes = " ".join("-+"[sign > 0] + name for sign, name in zip(signs, "xyz", strict=True))
     sentence = (
         f"{recording.imu_place(0)}: accel: expected forces that agree with the tracks, found that "
-        f"axes {axes} in place of +x +y +z do: the accelerometer"
+        f"only axes {axes} in place of +x +y +z agree: the accelerometer"
         + ("" if signs == (-1, -1, -1) else ", or an axis of it,")
         + " is reversed"
     )

@@ -125,7 +125,7 @@ class WindowAlarms:
         if len(self._excess) < KEYFRAMES or min(self._excess) <= LARGEST_IMU_EXCESS:
             return ()
         return (
-            f"{DISAGREEMENT}: the IMU costs "
+            f"{DISAGREEMENT}: the IMU cost is "
             f"{excess:.1f} times what its noise explains; camera_from_imu, the time "
             "offset, the focal length, a rolling shutter or the noise is wrong",
         )
@@ -148,7 +148,7 @@ class WindowAlarms:
             )
         asymmetry, ratio = prior["prior_asymmetry"], prior["prior_ratio"]
         if asymmetry is not None and asymmetry > LARGEST_ASYMMETRY:
-            alarms.append(f"prior asymmetric: by {asymmetry:.1e}, too few digits")
+            alarms.append(f"prior asymmetric: by {asymmetry:.1e}, from rounding errors")
         definiteness = prior["prior_definiteness"]
         if definiteness is not None and definiteness < INDEFINITE:
             alarms.append(f"prior not positive: eigenvalue ratio {definiteness:.1e}")
@@ -163,7 +163,7 @@ class WindowAlarms:
                 )
         cost, size = prior_cost
         if cost < LEAST_PRIOR_COST * size:
-            alarms.append(f"prior cost negative: {cost:.3g}; the prior has lost its digits")
+            alarms.append(f"prior cost negative: {cost:.3g}; rounding errors dominate the prior")
         if self._persists("cost", cost > LARGEST_PRIOR_COST * size):
             alarms.append(
                 f"prior contradicted: it costs {cost:.3g} with {size} coordinates; wrong tracks, "
@@ -194,8 +194,8 @@ class WindowAlarms:
             bound = float(np.hypot(sigma, walk * np.sqrt(seconds)))
             if self._persists(name, change > BIAS_SIGMAS * bound):
                 alarms.append(
-                    f"{name} bias beyond the uncertainty of its start: {change:.3g} {unit} from "
-                    f"there, {change / bound:.1f} sigmas ({flag}, and its random walk since)"
+                    f"{name} bias far from its start: by {change:.3g} {unit}, "
+                    f"{change / bound:.1f} sigmas of start ({flag}) and random walk"
                 )
         return alarms
 

@@ -155,7 +155,7 @@ def _imported(
     if not sizes[registered].all() and len(registered):
         notes.append(UNKNOWN_SIZES)
     if key is None and len(image):
-        notes.append("Keypoints are not numbered in the file: an index occurs twice in an image.")
+        notes.append("Keypoint numbers are not used: one occurs twice in an image.")
 
     def project(i: NDArray[np.int32], points: NDArray[np.float64]) -> NDArray[np.float64]:
         inside = np.einsum("nij,nj->ni", rotations[i], points) + shift[i]
@@ -281,8 +281,8 @@ def moved_centers(problem: Problem) -> tuple[str, ...]:
     if not off or not sizes.any():
         return ()
     return (
-        f"Principal points, up to {off:.4g} px off the centre of the image, become the centre: "
-        "positions are relative to them.",
+        f"Principal points, up to {off:.4g} px off the image centre, move to the centre: "
+        "pixels are written relative to them.",
     )
 
 

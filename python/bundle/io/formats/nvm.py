@@ -210,7 +210,7 @@ def _imported(
         xy = xy - center[image]
     key = unique_keys(image, tracks["key"])
     if key is None and len(image):
-        notes.append("Keypoints are not numbered in the file: an index occurs twice in an image.")
+        notes.append("Keypoint numbers are not used: one occurs twice in an image.")
     params = np.zeros((len(cameras), 5))
     params[:, 0], params[:, 1:3] = focal, center
     error = _fit(path, params, distortion, image, xy, notes)
@@ -265,8 +265,8 @@ def _rounding(cameras: NDArray[np.float64], tracks: dict[str, Any]) -> str:
         return ""
     return (
         f"coordinates of up to {np.abs(every).max():.3g} are rounded to multiples of {step:g}, "
-        f"which moves pixels by up to {moved:.2g}: poses and points are wrong by that, not the "
-        "lenses; export coordinates about a local origin"
+        f"which moves pixels by up to {moved:.2g} and makes poses and points wrong; export "
+        "coordinates about a local origin"
     )
 
 
@@ -328,7 +328,7 @@ def _fit(
         worst = max(worst, fit.error)
     notes.append(
         f"RADIAL was fitted to the {plural(len(distorted), 'lens', 'lenses')} with distortion, "
-        f"which acts on the measurement in NVM; the largest error is {worst:.2g} px."
+        f"because NVM distorts the measurement; the largest error is {worst:.2g} px."
     )
     return worst
 
@@ -387,7 +387,7 @@ def write(problem: Problem, path: Path) -> tuple[str, ...]:
     fitted = (
         ()
         if not error
-        else (f"Distortion is fitted by that of NVM; the largest error is {error:.2g} px.",)
+        else (f"Distortion was fitted by NVM's formula; the largest error is {error:.2g} px.",)
     )
     return (
         *common_losses(problem, keeps=("names", "colors")),

@@ -156,7 +156,7 @@ def _imported(
         count = len(list(targets.entries()))
         notes.append(f"{plural(count, 'control point')} of the file are left out; use --gcp FILE.")
     if keys is None and len(image):
-        notes.append("Features are not numbered in the file: an index occurs twice in a view.")
+        notes.append("Feature numbers are not used: one occurs twice in a view.")
 
     projections = [partial(project, camera) for camera in cameras.values()]
 

@@ -176,7 +176,7 @@ def _imported(
                 f"{max(model.error for model in fitted):.2g} px."
             )
     if key is None and len(image):
-        notes.append("Features are not numbered in tracks.csv: an index occurs twice in an image.")
+        notes.append("Feature numbers of tracks.csv are not used: one occurs twice in an image.")
     width = max((len(model.params) for model in models), default=1)
     params = np.zeros((len(models), width))
     for row, model in enumerate(models):

@@ -389,7 +389,7 @@ def _with_rigs(
     placed_poses = placed({"cam_from_world": poses, **fields})
     _check_agreement(node, members, poses, placed_poses)
     copies = len(lenses) - num_declared
-    notes = (f"{copies} copies of cameras were made: COLMAP has a camera per place on a rig.",)
+    notes = (f"{copies} cameras were copied: COLMAP needs a camera for each sensor of a rig.",)
     return RigFields(
         new_camera,
         np.array(lenses, np.intp),

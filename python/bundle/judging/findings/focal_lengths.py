@@ -162,8 +162,8 @@ def _shared(
         return None  # validate does not share sensors
     else:
         sentence = (
-            f"The lenses of {lens} differ ({test}; p = {p:.1g}), but too little to pay for lenses "
-            "of their own: compare them by held-out observations."
+            f"The lenses of {lens} differ ({test}; p = {p:.1g}), but perhaps too little for "
+            "separate lenses: compare them by held-out observations."
         )
         command = measured.command.other("validate")
     return Finding(

@@ -164,7 +164,7 @@ def price_of(gain: float) -> str:
     """Return a sentence if a rolling shutter can be added, but gains too little."""
     if not GAIN >= gain > 0:
         return ""
-    return " A rolling shutter would cost more certainty than it gains."
+    return " A rolling shutter would increase standard deviations more than it removes errors."
 
 
 def image_residuals(

@@ -132,9 +132,9 @@ def _found(measured: Measured, names: list[str]) -> Finding | None:
         return Finding(
             kind="lens_model",
             sentence=f"The lens model {model} of {named('camera', ids)} is too small: poses and "
-            f"points have absorbed what {name} explains (chi2 {number(statistic)} for "
-            f"{plural(count, 'term')}). Its first step moves the cameras by {number(moved)} units "
-            f"(rms), {number(moved / sigma)} times their standard deviation.",
+            f"points have absorbed the missing terms of {name} (chi2 {number(statistic)} for "
+            f"{plural(count, 'term')}). A step with {name} moves the cameras by {number(moved)} "
+            f"units (rms), {number(moved / sigma)} times their standard deviation.",
             command=measured.command.refine("--camera-model", name),
             evidence={
                 "camera_ids": ids,

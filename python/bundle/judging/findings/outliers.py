@@ -64,14 +64,14 @@ def outliers(measured: Measured) -> Finding | None:
             return None
         advice = (
             f"they have {number(100 * pull)} % of the influence, because the {options.loss} loss "
-            f"begins at {number(options.loss_scale)} only. A smaller scale reduces their weight"
+            f"begins only at {number(options.loss_scale)}. A smaller scale reduces their weight"
         )
         flags += ("--loss-scale", f"{scale:.2g}")
     return Finding(
         kind="outliers",
         sentence=f"Outliers: {plural(num, 'observation')} "
-        f"({number(100 * float(far.mean()))} %) have errors beyond {BEYOND:g} times the noise of "
-        f"their surroundings ({measured.scale:.2g} px); {advice}.",
+        f"({number(100 * float(far.mean()))} %) have errors beyond {BEYOND:g} times the local "
+        f"noise ({measured.scale:.2g} px); {advice}.",
         command=measured.command.refine(*flags),
         evidence={
             "num_outliers": num,

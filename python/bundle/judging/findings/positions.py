@@ -62,12 +62,12 @@ LEFT = DRIFT / 3
 """Drift of the model with its positions, from which smaller sigmas are advised."""
 
 _NO_SOLVE = (
-    "A solve without positions does not converge, so that the cause is open: wrong positions, or a "
+    "A solve without positions does not converge, so the cause is unknown: wrong positions, or a "
     "drift of the scale."
 )
 _MOTION = (
-    "Motion during the exposure bends the model, so that the sigmas may be right; larger ones "
-    "would let it bend."
+    "Motion during the exposure bends the model, so the sigmas may be correct; larger sigmas "
+    "would allow more bending."
 )
 
 Floats = NDArray[np.float64]
@@ -122,10 +122,10 @@ def measured_positions(
             kind="positions",
             sentence=f"Measured positions and model differ by {number(ratio)} times the sigmas"
             + (
-                f": they are nearer to {_pair(better)} m (horizontal / vertical) than to "
+                f": the sigmas are rather {_pair(better)} m (horizontal / vertical) than "
                 f"{_pair(given)}, or the model is bent."
                 if changes
-                else "; they are too few, or too strong, to estimate them."
+                else "; the positions are too few, or too strong, to estimate their sigmas."
             ),
             command=_sigma_command(measured, given, wanted) if changes else "",
             evidence=evidence | {"sigmas_found": better, "factors": list(factors)},
@@ -179,7 +179,7 @@ def position_offset(measured: Measured) -> Finding | None:
     if offset.bends_focal_length:
         more = (
             f" The focal length absorbs it: {without:.4g} px instead of {focal:.4g} +- {sigma:.2g}."
-            " With the offset only relief determines both: add oblique images, or a prior on f."
+            " Only relief separates the two: add oblique images, or a prior on f."
         )
     return Finding(
         kind="gps_offset",
@@ -254,9 +254,9 @@ def scale_drift(measured: Measured, free: Problem) -> Finding | None:
     third = [1 / 3, 1 / 3]
     return Finding(
         kind="scale_drift",
-        sentence="The scale drifts: the second half of the images is "
-        f"{100 * np.expm1(free_drift):+.1f} % larger in the measured positions than in the model, "
-        f"against the first half (standard error {100 * error:.1f} %). {advice}",
+        sentence="The scale drifts: from the first to the second half of the images, the scale of "
+        f"the measured positions relative to the model changes by {100 * np.expm1(free_drift):+.1f}"
+        f" % (standard error {100 * error:.1f} %). {advice}",
         command=""
         if follows
         else _sigma_command(measured, [_sigma(priors, axis) for axis in (0, 2)], third),

@@ -103,7 +103,7 @@ def _wrong_sigmas(measured: Measured, errors: AttitudeErrors) -> Finding | None:
     return Finding(
         kind="attitudes",
         sentence=f"{errors.noun.capitalize()} and model differ by {number(errors.ratio)} times the "
-        f"sigmas: they are nearer to {sigma} than to {number(errors.sigma)} degrees, or the model "
+        f"sigmas: the sigmas are rather {sigma} than {number(errors.sigma)} degrees, or the model "
         "is bent. Give the measurements larger sigmas.",
         command=_sigma_command(measured, errors, sigma),
         evidence=evidence,

@@ -270,7 +270,7 @@ def _cost(records: Sequence[ValidatedCandidate], decision: Decision, present: in
         return []
     now = records[present].position_sigma if present >= 0 else float("nan")
     if chosen > RELEVANT_RATIO * now:
-        return [f"It costs certainty: the sigma of the positions becomes {chosen / now:.1f} x."]
+        return [f"Positions become less certain: their sigma is {chosen / now:.1f} x as large."]
     known = [one for one in records if np.isfinite(one.position_sigma) and not one.error]
     worst = max(known, key=lambda one: one.position_sigma)
     ratio = worst.position_sigma / chosen

@@ -380,7 +380,5 @@ def other_unit(stamps: NDArray[np.int64], others: NDArray[np.int64]) -> str:
     for power in (-9, -6, -3, 3, 6, 9):
         scaled = stamps * 10.0**power
         if ((scaled >= first) & (scaled <= last)).sum() > 1:
-            return (
-                f": stamps in another unit? {10.0**power:g} times as large they would be among them"
-            )
+            return f": stamps in another unit? Multiplied by {10.0**power:g}, they would fit"
     return ""

@@ -112,7 +112,7 @@ def _noise(sequence: Sequence, findings: list[SequenceFinding]) -> None:
                     "noise",
                     f"calibration: {name}: expected about {found:.2g}, the noise of the samples "
                     f"where they are quietest, found {stated:.2g}: "
-                    + ("with this noise the IMU says nothing" if is_large else "too certain"),
+                    + ("with this noise the IMU has no influence" if is_large else "too certain"),
                     1,
                     is_fatal=is_large,
                 )
@@ -230,7 +230,7 @@ def _tracks(sequence: Sequence, place: Place, findings: list[SequenceFinding]) -
             SequenceFinding(
                 "one view",
                 f"{place(int(first[single].min()))}: {int(single.sum())} of {len(views)} tracks "
-                "have one view, and say nothing of depth",
+                "have one view, which does not determine depth",
                 int(single.sum()),
             )
         )

@@ -502,9 +502,9 @@ def recommend_run(runs: Sequence[GraphRun]) -> tuple[GraphRun | None, str]:
     near = [run for run in good if run.time_in_seconds <= NEAR_ENOUGH * good[0].time_in_seconds]
     first = min(near, key=runs.index)  # earlier methods are closer to the defaults
     reason = (
-        f"{first.method.name} took {seconds(first.time_in_seconds)} s to cost "
-        f"{best:.6g}: the least time, or within {round(100 * (NEAR_ENOUGH - 1))} % of "
-        f"it, of the {plural(len(good), 'method')} with the lowest cost"
+        f"{first.method.name} took {seconds(first.time_in_seconds)} s to the lowest cost "
+        f"{best:.6g}, at most {round(100 * (NEAR_ENOUGH - 1))} % more than the fastest of the "
+        f"{plural(len(good), 'method')} that reached it"
     )
     others = [run for run in good if _family(run) != _family(first)]
     if others:

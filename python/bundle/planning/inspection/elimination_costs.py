@@ -290,7 +290,7 @@ class FactorGraphInspection(Displayed, Tabular):
         """Advice on the order, in one sentence."""
         if self.auto_ordering == "dense":
             unknowns = plural(self.num_columns, "free coordinate")
-            return f"A solve takes dense matrices, which are the fastest for {unknowns}."
+            return f"Dense matrices are the fastest for {unknowns}: a solve uses them."
         return advise(self.costs, self.auto_ordering, "")
 
     def _display(self) -> Display:

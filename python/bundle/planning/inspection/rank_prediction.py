@@ -263,7 +263,7 @@ def find_rank_limit(predictions: Sequence[RankPrediction]) -> RankLimit | None:
     waste = _waste(beyond)
     reason = max(waste, key=lambda name: waste[name])
     share = waste[reason] / (beyond.num_processes * beyond.time_per_step_in_seconds)
-    pay = f"{most} processes pay" if most > 1 else "One process is best"
+    pay = f"{most} processes are efficient" if most > 1 else "One process is best"
     return RankLimit(
         num_processes=most,
         next_num_processes=beyond.num_processes,

@@ -43,7 +43,7 @@ def elimination_section(graphs: Sequence[GraphInspection]) -> str:
                 _bill("where", "eliminated"), class_="bill"),
             tag("div", _stage("graph", "Eliminated variables are grey, fill edges are orange."),
                 _stage("matrix", "Rows and columns in the order of elimination: fill is orange, "
-                       "what has become part of L pale."), class_="grid stage"),
+                       "entries of L pale."), class_="grid stage"),
             tag("details", tag("summary", "All steps as a table"), *steps),
         ]
     )  # fmt: skip

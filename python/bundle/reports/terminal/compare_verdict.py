@@ -161,7 +161,7 @@ def _unfinished(comparison: Comparison) -> Iterator[Finding]:
         yield Finding(
             kind="not-converged",
             sentence=f"{best.method.name} did not converge in {plural(max(steps), 'step')}: the "
-            "lowest cost is not known, and a gap is one to an unfinished solve.",
+            "lowest cost is not known, and gaps refer to an unfinished solve.",
             evidence={"num_steps": max(steps)},
         )
 

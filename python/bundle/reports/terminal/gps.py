@@ -38,8 +38,8 @@ def _offset(georeference: Georeference) -> list[str]:
     if not sigma > 0:
         return [said]
     return [
-        f"{said} Relief alone tells it from the focal length, {focal:.1f} +- {sigma:.2g} px: "
-        "oblique images or a calibrated focal length make both certain."
+        f"{said} Only relief separates it from the focal length, {focal:.1f} +- {sigma:.2g} px: "
+        "add oblique images or calibrate the focal length."
     ]
 
 

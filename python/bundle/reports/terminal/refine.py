@@ -286,9 +286,9 @@ def _rest(rest: RestRecord) -> list[tuple[str, str]]:
     """Return the size and cost of the marginal prior."""
     gone = f"{plural(rest.num_images, 'image')} and {plural(rest.num_points, 'point')} marginalised"
     if rest.prior_size == 0:
-        return [("", f"{gone}, which do not constrain them")]
+        return [("", f"{gone}: no influence on the others")]
     prior = (
-        f"{gone} at their values: a prior on {plural(rest.prior_size, 'unknown')} (rank "
+        f"{gone}: a prior on {plural(rest.prior_size, 'unknown')} (rank "
         f"{rest.prior_rank}, {format_size(rest.prior_bytes)}), cost "
         f"{change(rest.cost_before, rest.cost_after)}"
     )
