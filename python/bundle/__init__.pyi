@@ -78,9 +78,9 @@ from bundle.inertial.preintegration.motion_excitation import excitation as excit
 from bundle.inertial.preintegration.preintegration import Preintegration as Preintegration
 from bundle.inertial.preintegration.preintegration import Repropagation as Repropagation
 from bundle.inertial.preintegration.preintegration import propagate as propagate
-from bundle.inertial.tracking.track_images import TrackedImages as TrackedImages
-from bundle.inertial.tracking.track_images import track_images as track_images
+from bundle.inertial.tracking.track_recording import TrackedImages as TrackedImages
 from bundle.inertial.tracking.track_recording import Tracking as Tracking
+from bundle.inertial.tracking.track_recording import track_images as track_images
 from bundle.inertial.two_loops.closure_loop import ClosureLoop as ClosureLoop
 from bundle.inertial.two_loops.pose_publisher import PosePublisher as PosePublisher
 from bundle.inertial.two_loops.window_loop import WindowLoop as WindowLoop

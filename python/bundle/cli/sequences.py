@@ -101,7 +101,7 @@ def given_sequence(run: Run, path: str) -> GivenSequence:
         fatal = any(finding.is_fatal for finding in findings)
         axes = () if fatal else axes_findings(sequence, path)
         return GivenSequence(sequence, (*axes, *findings), None)
-    from bundle.inertial.tracking.track_images import track_images  # for images only
+    from bundle.inertial.tracking.track_recording import track_images  # for images only
 
     run.progress.stage(f"tracking features of {shown(path)}")
     places = ("imu", "frame_times", "image_topic", "imu_topic")

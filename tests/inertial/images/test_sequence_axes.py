@@ -13,9 +13,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from bundle.cli.main import main
-from bundle.inertial.tracking import sequence_axes, track_turns
+from bundle.inertial.tracking import relative_rotation, sequence_axes
+from bundle.inertial.tracking.relative_rotation import turns_of_tracks
 from bundle.inertial.tracking.sequence_axes import CLEAR, GIVEN, _Start, axes_findings, explanations
-from bundle.inertial.tracking.track_turns import turns_of_tracks
 from bundle.inertial.vio.sequence_images import SequenceImages
 from bundle.inertial.vio.trajectory_comparison import states_at
 from bundle.interface.finding import Finding
@@ -69,7 +69,7 @@ def test_pairs_have_a_quarter_of_a_second_inside_the_samples_and_start_near_the_
         track_ids=given.track_ids[kept], xy=given.xy[kept], gyro=given.gyro[inside],
         accel=given.accel[inside], imu_timestamps_ns=given.imu_timestamps_ns[inside],
     )  # fmt: skip
-    monkeypatch.setattr(track_turns, "refined_rotation", lambda *given: given[2])
+    monkeypatch.setattr(relative_rotation, "refined_rotation", lambda *given: (given[2], np.eye(3)))
     images = SequenceImages(holed)
     covered = np.flatnonzero(images.covered)
     turns = turns_of_tracks(images, 1000)

@@ -87,9 +87,7 @@ class ImageIntervals:
     def offset(self, rotations: Array, noise: ImuNoise) -> ClockOffset:
         """Return the offset of the clocks.
 
-        Args:
-            rotations: (n, 3, 3) world_from_imu of the images.
-            noise: noise of the IMU.
+        ``rotations`` (n, 3, 3) are world_from_imu of the images.
         """
 
         def motions_at(offset: float, bias: Array) -> list[Preintegration]:

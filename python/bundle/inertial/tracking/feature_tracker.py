@@ -15,12 +15,12 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import field
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from bundle.base.records import dataclass
-from bundle.inertial.tracking.relative_rotation import refined_rotation
+from bundle.inertial.tracking.relative_rotation import Turn, refined_rotation
 from bundle.interface.window_options import TrackingOptions
 from bundle.model.cameras import project
 from bundle.model.pycolmap.lens import normalized
@@ -41,14 +41,6 @@ SIGMA = 0.3  # pixels, of a tracked feature
 PATCH = 2  # half a patch, in pixels of the reduced image
 
 
-class Turn(NamedTuple):
-    """Rotation of the camera since an earlier image, by tracks: (3, 3), later_from_earlier."""
-
-    earlier: int
-    later: int
-    rotation: Array
-
-
 @dataclass
 class _Features:
     """Tracks of an image: ids (ascending), pixels (float32) and normalised coordinates."""
@@ -63,11 +55,6 @@ class _Features:
 
 class FeatureTracker:
     """Tracker of one camera.
-
-    Args:
-        calibration: calibration with a camera model.
-        size: width and height of images.
-        options: options.
 
     Attributes:
         turns: rotations by tracks, one per image with enough tracks.
@@ -198,14 +185,14 @@ class FeatureTracker:
         if self._count - number == BACK:
             # Of both rotations, the other is off by half a turn about the baseline.
             *pair, direction = cv2.decomposeEssentialMat(essential)
-            rotation = refined_rotation(
+            found = refined_rotation(
                 one[fits[b]],
                 other[fits[b]],
                 max(pair, key=np.trace),
                 direction,
                 SIGMA / self._calibration.focal,
             )
-            self.turns.append(Turn(number, self._count, rotation))
+            self.turns.append(Turn(number, self._count, *found))
         return fits
 
     def _refill(self, image: Array) -> None:

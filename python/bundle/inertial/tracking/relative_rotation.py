@@ -1,4 +1,4 @@
-"""Rotation between two images from corresponding rays, by Gauss-Newton from an essential matrix.
+"""Rotation of the camera between two images, from corresponding rays by Gauss-Newton.
 
 Rays x and y of one point satisfy y . (t x R x) = 0 (coplanarity). With v = R x, left perturbation
 R <- Exp(w) R and t <- t + d, the derivatives are
@@ -8,34 +8,55 @@ R <- Exp(w) R and t <- t + d, the derivatives are
 e is divided by the length of its gradient with respect to both image points (Sampson, 1982), which
 makes it a distance on the image plane. Weights are Cauchy's. t moves on the unit sphere: d is
 perpendicular to it. Without translation, t is arbitrary and R still determined; a small damping
-keeps the step finite.
+keeps the step finite. The Schur complement of d in the normal matrix is the information on w: small
+where a rotation and a translation move the rays alike.
+
+The initial value ignores the translation: the rotation that takes the rays of one image to those of
+the other (Kabsch), with robust weights. Points on a plane have a second solution, which may be the
+nearer one; the rotation by the samples is nearer to the right one unless axes or units are wrong.
+The initial direction of the translation is perpendicular to the normals of the planes through
+corresponding rays.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from bundle.inertial.preintegration.preintegration import Preintegration
+from bundle.inertial.vio.sequence_images import SequenceImages
+from bundle.inertial.vio.window_frame import ImuInterval
 from bundle.model.rigid_motions import cross_matrices, quaternion_from_vector, rotation_matrices
+from bundle.model.sequence.calibration import Calibration
 
 Array = np.ndarray[Any, Any]
 
 STEPS = 6
 DAMPING = 1e-6  # of the trace of the normal matrix
+APART = 0.25  # s between the images of a pair
+FEWEST = 12  # common tracks
+
+
+class Turn(NamedTuple):
+    """Rotation of the camera since an earlier image, by tracks: (3, 3), later_from_earlier.
+
+    ``information`` (3, 3) is that on a small rotation of the later image.
+    """
+
+    earlier: int
+    later: int
+    rotation: Array
+    information: Array
 
 
 def refined_rotation(
     one: Array, other: Array, rotation: Array, direction: Array, sigma: float
-) -> Array:
-    """Return the rotation (3, 3) other_from_one that explains all correspondences best.
+) -> tuple[Array, Array]:
+    """Return the best rotation (3, 3) other_from_one and the information (3, 3) on it.
 
-    Args:
-        one: (n, 2) normalised coordinates in the first image.
-        other: (n, 2) in the second.
-        rotation: (3, 3) initial value.
-        direction: (3,) direction of the translation.
-        sigma: standard deviation of normalised coordinates.
+    ``one``, ``other`` and ``sigma`` are in normalised coordinates; ``rotation`` and ``direction``
+    of the translation are initial values.
     """
     ones = np.ones((len(one), 1))
     x, y = np.hstack([one, ones]), np.hstack([other, ones])
@@ -58,4 +79,61 @@ def refined_rotation(
         rotation = rotation_matrices(quaternion_from_vector(step[None, :3]))[0] @ rotation
         t = t + step[3:] @ tangent
         t = t / np.linalg.norm(t)
+    by_both = np.linalg.solve(normal[3:, 3:], normal[3:, :3])
+    return rotation, (normal[:3, :3] - normal[:3, 3:] @ by_both) / sigma**2
+
+
+def kabsch(camera: Array, imu: Array) -> Array:
+    """Return the rotation that takes one set of vectors to the other, with robust weights."""
+    rotation = np.eye(3)
+    weight = np.ones(len(camera))
+    for _ in range(10):
+        u, _, vt = np.linalg.svd((weight[:, None] * camera).T @ imu)
+        rotation = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
+        errors = np.linalg.norm(camera - imu @ rotation.T, axis=1)
+        weight = 1 / (1 + (errors / max(float(np.median(errors)), 1e-9)) ** 2)
     return rotation
+
+
+def turns_of_tracks(
+    images: SequenceImages, most: int, apart: float = APART, *, by_samples: bool = False
+) -> list[Turn]:
+    """Return rotations between images that are some seconds apart, as of a recording's images.
+
+    With ``by_samples`` they are those nearest to the rotations of the gyroscope.
+    """
+    stamps, covered = images.stamps, np.flatnonzero(images.covered)
+    sigma = images.sequence.calibration.pixel_sigma / images.sequence.calibration.focal
+    earlier = covered
+    if len(earlier) > most:
+        earlier = earlier[np.linspace(0, len(earlier) - 1, most).round().astype(int)]
+    turns = []
+    for first in earlier.tolist():
+        second = int(np.searchsorted(stamps, stamps[first] + round(1e9 * apart)))
+        if second > covered[-1]:
+            break
+        one, other = images.tracks(first), images.tracks(second)
+        _, a, b = np.intersect1d(one.ids, other.ids, assume_unique=True, return_indices=True)
+        if len(a) < FEWEST or stamps[second] - stamps[first] > 2e9 * apart:
+            continue
+        rays = [np.column_stack([xy, np.ones(len(xy))]) for xy in (one.xy[a], other.xy[b])]
+        x, y = (each / np.linalg.norm(each, axis=1, keepdims=True) for each in rays)
+        if by_samples:
+            interval = images.interval(int(stamps[first]), second)
+            rotation = turn_of_samples(interval, images.sequence.calibration)
+        else:
+            rotation = kabsch(y, x)
+        normals = np.cross(y, x @ rotation.T)
+        direction = np.linalg.svd(normals)[2][2]
+        found = refined_rotation(one.xy[a], other.xy[b], rotation, direction, sigma)
+        turns.append(Turn(first - int(covered[0]), second - int(covered[0]), *found))
+    return turns
+
+
+def turn_of_samples(interval: ImuInterval, calibration: Calibration) -> Array:
+    """Return the rotation of the camera, later_from_earlier, by the gyroscope."""
+    motion = Preintegration(calibration.noise)
+    motion.integrate(interval.gyro, interval.accel, interval.dt)
+    lens = rotation_matrices(np.array(calibration.camera_from_imu)[None, :4])[0]
+    turn: Array = lens @ motion.delta_rotation.T @ lens.T
+    return turn

@@ -30,7 +30,7 @@ import numpy as np
 
 from bundle.base.records import dataclass
 from bundle.inertial.preintegration.preintegration import Preintegration
-from bundle.inertial.tracking.feature_tracker import Turn
+from bundle.inertial.tracking.relative_rotation import Turn, kabsch
 from bundle.inertial.vio.sequence_images import ImuSlices
 from bundle.interface.finding import Finding
 from bundle.model.rigid_motions import (
@@ -136,14 +136,12 @@ def share_unexplained(recording: Recording, turns: list[Turn]) -> float:
 class RotationPairs:
     """Rotation vectors of image pairs by the tracks, and by samples at a shift of time.
 
-    Args:
-        recording: samples and stamps.
-        turns: rotations by tracks.
-        least_turn: smallest rotation that counts [rad].
+    Rotations by the tracks below ``least_turn`` [rad] do not count.
 
     Attributes:
         spans: (n, 2) stamps of the pairs on the IMU's clock, ns.
         camera: (n, 3) rotation vectors by the tracks.
+        information: (n, 3, 3) on each.
     """
 
     def __init__(
@@ -168,6 +166,7 @@ class RotationPairs:
         if len(rows) > MOST:
             rows = rows[np.linspace(0, len(rows) - 1, MOST).round().astype(int)]
         self.spans, self.camera = spans[rows], vectors[rows]
+        self.information = np.array([turns[row].information for row in rows]).reshape(-1, 3, 3)
         self.seconds = 1e-9 * float(np.median(np.diff(self.spans))) if len(rows) else 0.0
 
     def at(self, spans: Array) -> RotationPairs:
@@ -221,18 +220,6 @@ def _causes(lens: Array, camera: Array, imu: Array) -> list[tuple[str, Array, st
                 words = " ".join("-+"[s > 0] + "xyz"[k] for s, k in zip(signs, order, strict=True))
                 found.append(("axes", lens @ axes, words))
     return [*found, ("turned", kabsch(camera, imu), "")]
-
-
-def kabsch(camera: Array, imu: Array) -> Array:
-    """Return the rotation that takes one set of vectors to the other, with robust weights."""
-    rotation = np.eye(3)
-    weight = np.ones(len(camera))
-    for _ in range(10):
-        u, _, vt = np.linalg.svd((weight[:, None] * camera).T @ imu)
-        rotation = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
-        errors = _norms(camera - imu @ rotation.T)
-        weight = 1 / (1 + (errors / max(float(np.median(errors)), 1e-9)) ** 2)
-    return rotation
 
 
 def _angle(lens: Array, pairs: RotationPairs, imu: Array) -> tuple[float, float]:

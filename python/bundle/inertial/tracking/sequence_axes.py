@@ -16,13 +16,13 @@ from typing import NamedTuple
 import numpy as np
 
 from bundle.errors import shown
+from bundle.inertial.tracking.rates_and_stamps import jitter_findings, scale_findings
+from bundle.inertial.tracking.relative_rotation import turns_of_tracks
 from bundle.inertial.tracking.rotation_check import (
     check_rotations,
     share_unexplained,
     tracking_findings,
 )
-from bundle.inertial.tracking.stamp_jitter import jitter_findings
-from bundle.inertial.tracking.track_turns import turns_of_tracks
 from bundle.inertial.vio.initialize import SPAN, Span, find_span, objection_to, span_start
 from bundle.inertial.vio.linear_start import ACCEL_BIAS_SIGMA
 from bundle.inertial.vio.sequence_images import SequenceImages
@@ -50,7 +50,7 @@ def axes_findings(sequence: Sequence, path: str) -> tuple[Finding, ...]:
     signs = right_signs(images, is_gross=True)
     if signs is not None:
         return (_reversed(recording, signs, is_problem=True),)
-    return jitter_findings(images, recording)
+    return scale_findings(images, recording) or jitter_findings(images, recording)
 
 
 def explanations(sequence: Sequence, path: str) -> tuple[Finding, ...]:
@@ -154,9 +154,7 @@ class _Start(NamedTuple):
 def right_signs(images: SequenceImages, is_gross: bool = False) -> Signs | None:
     """Return signs of the accelerometer's axes that explain spans better than the given ones.
 
-    Args:
-        images: images and samples.
-        is_gross: compare only spans whose points are behind the camera; end at a span that passes.
+    ``is_gross`` compares spans with points behind the camera only, and ends at one that passes.
     """
     changed: dict[Signs, SequenceImages] = {}
     for each in product((1, -1), repeat=3):

@@ -1,22 +1,30 @@
-"""Tracks through all images of a recording: a recording becomes a sequence."""
+"""Sequences from images: reading, tracks through all images, and findings."""
 
 from __future__ import annotations
 
+import os
 import time
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Iterable
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from bundle.base.records import dataclass
 from bundle.errors import InputError
-from bundle.inertial.preintegration.preintegration import Preintegration
 from bundle.inertial.tracking.feature_tracker import FeatureTracker
-from bundle.inertial.tracking.rotation_check import RotationCheck, check_rotations
-from bundle.inertial.vio.sequence_images import ImuSlices
+from bundle.inertial.tracking.rates_and_stamps import jitter_findings, scale_findings
+from bundle.inertial.tracking.relative_rotation import turn_of_samples
+from bundle.inertial.tracking.rotation_check import (
+    RotationCheck,
+    check_rotations,
+    tracking_findings,
+)
+from bundle.inertial.vio.sequence_images import ImuSlices, SequenceImages
+from bundle.interface.finding import Finding
 from bundle.interface.window_options import TrackingOptions
-from bundle.model.rigid_motions import rotation_matrices
+from bundle.io.sequences.recordings import RecordingSource, read_recording
 from bundle.model.sequence.sequence import Recording, Sequence, check_recording
+from bundle.model.sequence.sequence_findings import SequenceFinding, sequence_findings
 
 Array = np.ndarray[Any, Any]
 
@@ -59,11 +67,6 @@ def track_recording(
 ) -> tuple[Sequence, Tracking]:
     """Track features through the images between the IMU samples.
 
-    Args:
-        recording: samples and images.
-        options: options.
-        progress: called after each image with the share that is done; None: not called.
-
     Raises:
         InputError: the recording fails a check, an image cannot be read, or tracks are missing.
         OSError: an image cannot be read.
@@ -83,7 +86,6 @@ def track_recording(
     slices = ImuSlices(
         recording.imu_timestamps_ns, recording.gyro, recording.accel, "zero_order_hold"
     )
-    lens = rotation_matrices(np.array(calibration.camera_from_imu)[None, :4])[0]
     tracker: FeatureTracker | None = None
     ids: list[Array] = []
     pixels: list[Array] = []
@@ -92,10 +94,8 @@ def track_recording(
             tracker = FeatureTracker(calibration, (image.shape[1], image.shape[0]), options)
         turn = np.eye(3)
         if ids:
-            motion = Preintegration(calibration.noise)
             interval = slices.between(int(times[number - 1]), int(times[number]))
-            motion.integrate(interval.gyro, interval.accel, interval.dt)
-            turn = lens @ motion.delta_rotation.T @ lens.T
+            turn = turn_of_samples(interval, calibration)
         found = tracker.add(image, turn)
         ids.append(found[0])
         pixels.append(found[1])
@@ -135,3 +135,62 @@ def track_recording(
         check=check_rotations(recording, tracker.turns),
         notes=recording.notes,
     )
+
+
+class TrackedImages(NamedTuple):
+    """Sequence with the tracks of its images, statistics of tracking, and findings."""
+
+    sequence: Sequence
+    tracking: Tracking
+    findings: tuple[SequenceFinding | Finding, ...]
+
+
+def track_images(
+    path: str | os.PathLike[str],
+    *,
+    calibration: Iterable[str | os.PathLike[str]] = (),
+    camera: str = "cam0",
+    imu: str | os.PathLike[str] | None = None,
+    frame_times: str | os.PathLike[str] | None = None,
+    image_topic: str | None = None,
+    imu_topic: str | None = None,
+    options: TrackingOptions | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> TrackedImages:
+    """Track features through the images of a recording, such as EuRoC's ``mav0``.
+
+    One image is in memory at a time. The result is the same in every run.
+
+    Args:
+        path: ``mav0`` or its parent, a ROS bag, or a video.
+        calibration: files in place of those of the recording: ``calibration.yaml``, or Kalibr's
+            ``camchain-imucam.yaml`` and ``imu.yaml``.
+        camera: name of the camera: a folder of mav0, and an entry of a camchain.
+        imu: table of the IMU's samples, for a video: stamps in nanoseconds or, with a decimal
+            point, in seconds; rad/s; m/s^2.
+        frame_times: times of the frames of a video, one a line; None: a constant rate from 0.
+        image_topic: topic of a bag; None: the rostopic of the calibration, or the only one.
+        imu_topic: likewise.
+        options: options of tracking.
+        progress: called after each image with the share that is done; None: not called.
+
+    Raises:
+        InputError: a file violates its format, an image is missing or truncated, stamps or units
+            are wrong, or OpenCV is not installed.
+        OSError: a file cannot be read.
+    """
+    source = RecordingSource(tuple(calibration), camera, imu, frame_times, image_topic, imu_topic)
+    recording = read_recording(path, source)
+    sequence, tracking = track_recording(recording, options or TrackingOptions(), progress)
+    stamps, images = recording.image_timestamps_ns, SequenceImages(sequence)
+
+    def place(row: int) -> str:
+        return recording.image_place(int(stamps.searchsorted(sequence.track_timestamps_ns[row])))
+
+    found: tuple[SequenceFinding | Finding, ...] = (
+        *tracking_findings(recording, tracking.check),
+        *scale_findings(images, recording),
+        *jitter_findings(images, recording),
+        *sequence_findings(sequence, recording.imu_place, place),
+    )
+    return TrackedImages(sequence, tracking, found)

@@ -47,11 +47,7 @@ def _motion(rotations: Array, centres: Array, table: LandmarkTable) -> tuple[Arr
 class Triangulation:
     """Inverse depths of the landmarks of a table from known poses.
 
-    Args:
-        rotations: camera_from_world (n, 3, 3).
-        centres: projection centres in the world (n, 3).
-        table: landmarks and observations.
-        sigma: standard deviation of an observation.
+    ``rotations`` are camera_from_world (n, 3, 3); ``sigma`` is that of an observation.
     """
 
     def __init__(

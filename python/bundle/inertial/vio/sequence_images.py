@@ -37,10 +37,7 @@ class ImuSlices:
     before the begin of the interval. Midpoint: samples are interpolated at both ends of the
     interval.
 
-    Args:
-        stamps: ns, ascending (n,).
-        gyro, accel: (n, 3).
-        rule: zero_order_hold or midpoint.
+    ``stamps`` ascend, in ns; ``rule`` is zero_order_hold or midpoint.
     """
 
     def __init__(self, stamps: Array, gyro: Array, accel: Array, rule: str) -> None:
@@ -133,10 +130,6 @@ class ImuSlices:
 
 class SequenceImages:
     """Images by their index in :meth:`Sequence.frames`.
-
-    Args:
-        sequence: IMU samples, tracks and calibration.
-        rule: rule of preintegration, zero_order_hold or midpoint.
 
     Attributes:
         stamps: (n,) int64 ns on the IMU's clock.

@@ -44,12 +44,7 @@ def walks_down(ratios: list[float]) -> bool:
 
 
 def yaw_falls(sigmas: list[float], turned: list[float]) -> tuple[float, float] | None:
-    """Return a yaw sigma and the smaller sigma to which it fell during rotation, or None.
-
-    Args:
-        sigmas: sigmas of yaw at the keyframes.
-        turned: accumulated rotation at each.
-    """
+    """Return a sigma of yaw and the smaller one to which it fell while the platform turned."""
     if len(sigmas) < 2 * YAW_MEDIAN:
         return None
     windows = np.lib.stride_tricks.sliding_window_view(np.array(sigmas), YAW_MEDIAN)
@@ -62,12 +57,7 @@ def yaw_falls(sigmas: list[float], turned: list[float]) -> tuple[float, float] |
 
 
 class WindowAlarms:
-    """Alarms of consecutive keyframes.
-
-    Args:
-        options: options of the window.
-        walks: densities of the random walks of both biases.
-    """
+    """Alarms of consecutive keyframes; ``walks``: densities of the biases' random walks."""
 
     def __init__(self, options: WindowOptions, walks: tuple[float, float]) -> None:
         self.options, self._walks = options, walks
@@ -91,13 +81,13 @@ class WindowAlarms:
         """Return the alarms of a keyframe.
 
         Args:
-            stamp: stamp in ns.
+            stamp: ns.
             state: newest state (16,).
             nullity: nullity and expected nullity.
             prior: values of a record.
             prior_cost: the prior's cost, and its number of coordinates.
-            verdict: verdict on the excitation.
-            yaw: sigma of yaw, and accumulated rotation.
+            verdict: on the excitation.
+            yaw: sigma, and accumulated rotation.
         """
         if self._start is None:
             self._start = stamp, state

@@ -44,12 +44,7 @@ DRIFT, DRIFT_SHARE = 2.0, 0.1  # m, share of the path
 
 
 class PathSanity:
-    """Checker of consecutive states (16,).
-
-    Args:
-        stamp: stamp of the first state, ns.
-        state: first state.
-    """
+    """Checker of consecutive states (16,), from the first one on; stamps in ns."""
 
     def __init__(self, stamp: int, state: Array) -> None:
         self._stamp, self._state = stamp, state
@@ -94,10 +89,6 @@ LONGEST_DISAGREEMENT = 3.0  # s
 
 class WindowRun:
     """Window, and the states of its images at the time of their solves.
-
-    Args:
-        sequence: IMU samples, tracks and calibration.
-        options: options of the window.
 
     Attributes:
         images: images of the sequence.
