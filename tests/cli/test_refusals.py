@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 import bundle
-from bundle.cli.commands import COMMANDS
+from bundle.cli.commands import COMMANDS, resolve
 from bundle.cli.main import command_parser, main
 from bundle.cli.option_flags import own_options
 from bundle.cli.run import refuse_others
@@ -347,7 +347,8 @@ def test_flags_of_models_are_refused_for_every_other_kind(name, kind):
     row = COMMANDS[name]
     way = row.ways[kind]
     every = {"json", "quiet", "verbose", "output", "overwrite"}
-    names = way.names or (option_class(way.options).names() if way.options else ())
+    names = resolve(way.names) if isinstance(way.names, str) else way.names
+    names = names or (option_class(way.options).names() if way.options else ())
     accepted = {*every, *names, *way.accepts.split()}
     arguments = command_parser().parse_args(line_of(name))
     refuse_others(row, kind, arguments)

@@ -34,12 +34,7 @@ def georeference_at(source: str) -> dict[str, Any] | None:
 
 
 def check_georeference(path: str, format: str) -> None:
-    """Check that a georeference can be written later.
-
-    Raises:
-        InputError: the path is not a file, or it has the georeference of another model.
-        OSError: permission is missing.
-    """
+    """Refuse an output where a georeference cannot be written, or that of another model stands."""
     model = Path(path)
     beside = path_beside(model, is_folder=is_folder_format(format))
     if not beside.parent.is_dir():
@@ -59,14 +54,7 @@ def check_georeference(path: str, format: str) -> None:
 def write_georeference(
     georeference: Georeference | Alignment, path: str, format: str, reference: str | None = None
 ) -> None:
-    """Write georeference.json completely, or leave no file if the write fails.
-
-    Args:
-        georeference: content of the file.
-        path: path of the model.
-        format: format of the model.
-        reference: path of another model in the same frame.
-    """
+    """Write georeference.json completely or not at all; ``reference`` is a model in its frame."""
     found = plain(georeference.asdict())
     frame = None if reference is None else georeference_at(reference)
     _write(found | ({} if frame is None else _frame(frame)), path, format)
@@ -75,14 +63,9 @@ def write_georeference(
 def carry_georeference(
     found: dict[str, Any] | None, path: str, format: str, changed: str = ""
 ) -> None:
-    """Write the georeference of an input next to a model in the same frame.
+    """Write the georeference of an input, if any, next to a model in the same frame.
 
-    Args:
-        found: georeference of the input; None: none exists.
-        path: path of the model.
-        format: format of the model.
-        changed: sentence about a change, if the model differs from that of the input. The errors at
-            measurements are then dropped.
+    ``changed`` is a sentence about a change of the model, which drops the errors at measurements.
     """
     if found is None:
         return

@@ -39,7 +39,6 @@ class Way:
             ``run`` refuses the others.
         judges: True to search for findings after the call.
         saves: True to write the result to --output by its ``save``.
-        page: function that writes the page of --html, if the report does not.
         report: function that makes the report.
         tells: attributes of the run that ``report`` gets.
         code: exit code by the result; None: 0.
@@ -57,7 +56,6 @@ class Way:
     accepts: str | None = ""
     judges: bool = False
     saves: bool = False
-    page: Name = ""
     report: Name = ""
     tells: str = "source input found wall"
     code: Callable[[Any], int] | None = None
@@ -121,12 +119,8 @@ def _kind_of_inspection(given: argparse.Namespace) -> str:
 
 _OF_GRAPHS = ("error", "information", "loss", "loss_scale", "loss_on")
 """Options that affect the information of a pose graph at its poses."""
+_RECORDED = "cli.inertial_flags:RECORDED"
 _OF_CHECKS = "samples_per_image all seed tolerance num_threads html"
-_KNOWN = " ".join(
-    ("calibration camera imu frame_times image_topic imu_topic",
-     "num_features max_backward_error max_epipolar_error")
-)  # fmt: skip
-"""Arguments of recordings, whose images are tracked."""
 
 COMMANDS: dict[str, Command] = {
     "info": Command(
@@ -144,7 +138,7 @@ COMMANDS: dict[str, Command] = {
             Kind.POSE_GRAPH: Way(
                 report="reports.terminal.pose_graph_tables:described_graph", tells="source input"
             ),
-            Kind.SEQUENCE: Way(run="cli.sequences:describe_sequence", accepts=_KNOWN),
+            Kind.SEQUENCE: Way(run="cli.sequences:describe_sequence", names=_RECORDED),
         },
     ),
     "inspect": Command(
@@ -488,7 +482,7 @@ COMMANDS: dict[str, Command] = {
         ways={
             Kind.RECONSTRUCTION: Way(run="cli.models:convert_model"),
             Kind.POSE_GRAPH: Way(run="cli.models:convert_pose_graph"),
-            Kind.SEQUENCE: Way(run="cli.sequences:convert_sequence", accepts=_KNOWN),
+            Kind.SEQUENCE: Way(run="cli.sequences:convert_sequence", names=_RECORDED),
         },
     ),
     "synth": Command(

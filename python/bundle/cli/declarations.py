@@ -1,7 +1,7 @@
 """Arguments of the commands, as the rows of ``bundle.cli.commands`` name them.
 
-INPUT, OUTPUT and other files are declared here; options come from their classes. A declaration
-is a function that adds it to a parser or a group.
+INPUT, OUTPUT and other files are declared here and in ``inertial_flags``; options come from their
+classes (``option_flags``).
 """
 
 from __future__ import annotations
@@ -9,83 +9,36 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import re
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Collection
 from typing import Any
 
 from bundle.base.words import FORMATS
 from bundle.cli.commands import FLIGHT
-from bundle.cli.inertial_flags import add_inertial_flags
-from bundle.cli.option_flags import add_fields, own_options, widen
+from bundle.cli.inertial_flags import IMU, ODOMETRY, RECORDING  # noqa: F401 (in rows)
+from bundle.cli.option_flags import (  # noqa: F401 (in rows)
+    Container,
+    Declaration,
+    argument,
+    either,
+    fields,
+    group,
+    options,
+    own_options,
+    widen,
+)
 from bundle.cli.path_checks import (
     PathArgument,
     a_path,
     page_path,
     reconstruction,
     report_path,
-    telemetry_path,
-    trajectory_path,
 )
 from bundle.errors import InputError
 from bundle.interface.option_classes import option_class
 from bundle.interface.options import INFORMATION, LINEARIZATION, PATTERN  # noqa: F401 (in rows)
-from bundle.interface.window_options import TrackingOptions
 from bundle.io.formats.read_options import ORIGINS, ReadOptions
 from bundle.io.georeference_file import GEOREFERENCE
 from bundle.io.recognition import OUTPUT_FORMATS
-
-Container = argparse._ActionsContainer
-Declaration = Callable[[Container], object]
-"""Adds arguments to a parser or a group."""
-
-
-def argument(*names: str, **settings: Any) -> Declaration:
-    """Declare one argument by the settings of ``add_argument``."""
-    return lambda to: to.add_argument(*names, **settings)
-
-
-def fields(kind: str | type, *which: Any, **helps: Any) -> Declaration:
-    """Declare the flags of an option class; see :func:`bundle.cli.option_flags.add_fields`."""
-    return lambda to: add_fields(to, kind, *which, **helps)
-
-
-def group(title: str, *parts: Any, description: str | None = None) -> Declaration:
-    """Declare arguments with a title in the help."""
-    return lambda to: add_all(to.add_argument_group(title, description), parts)
-
-
-def either(*parts: Declaration) -> Declaration:
-    """Declare arguments of which at most one can be given."""
-    return lambda to: add_all(to.add_mutually_exclusive_group(), parts)
-
-
-def add_all(to: Container, parts: Iterable[Any]) -> None:
-    """Declare arguments; tuples are arguments that belong together."""
-    for part in parts:
-        if isinstance(part, tuple):
-            add_all(to, part)
-        else:
-            part(to)
-
-
-def options(
-    kind: str | type,
-    title: str,
-    names: Collection[str] | None = None,
-    description: str | None = None,
-    without: Collection[str] = (),
-    **helps: str,
-) -> Declaration:
-    """Declare a group with one flag for each field of an option class.
-
-    Args:
-        kind: option class or its name.
-        title: title of the group in the help.
-        names: names of the fields; None: all.
-        description: description of the group in the help.
-        without: names of fields that are left out.
-        **helps: help texts of fields with another meaning in this command.
-    """
-    return group(title, fields(kind, names, without, **helps), description=description)
 
 
 def pose_graph(
@@ -233,11 +186,7 @@ INPUT_FORMAT = group(
 
 
 def read_options(given: argparse.Namespace) -> ReadOptions:
-    """Return the values of the flags of ``INPUT_FORMAT``.
-
-    Raises:
-        InputError: a value is invalid.
-    """
+    """Return the values of the flags of ``INPUT_FORMAT``."""
     try:
         return ReadOptions.of(
             given.input_format,
@@ -271,13 +220,7 @@ FORMAT = argument(
 def output(
     *names: str, replaces: tuple[str, ...] = ("input",), **settings: Any
 ) -> tuple[Declaration, ...]:
-    """Declare OUTPUT under the given names, and the flags --format and --overwrite.
-
-    Args:
-        *names: names of the argument.
-        replaces: destinations of the arguments that may name the same model.
-        **settings: arguments of ``add_argument``.
-    """
+    """Declare OUTPUT, and --format and --overwrite; it may have the path of ``replaces``."""
     target = argument(
         *names,
         metavar="OUTPUT",
@@ -295,9 +238,9 @@ def output(
     return target, FORMAT, overwrite
 
 
-def page(written: str, help: str, metavar: str = "FILE") -> Declaration:
+def page(written: str, help: str) -> Declaration:
     """Declare the flag --html."""
-    return argument("--html", metavar=metavar, type=page_path(written), help=help)
+    return argument("--html", metavar="FILE", type=page_path(written), help=help)
 
 
 PAGE_OUTPUT = argument(
@@ -407,12 +350,7 @@ def georeference(
     meaning: str = MOVED,
     images_are_for: str = "--gps exif, --orientations xmp, --velocities xmp and --html",
 ) -> tuple[Declaration, ...]:
-    """Declare flags for positions of images, control points and their loss.
-
-    Args:
-        meaning: purpose of the positions in this command.
-        images_are_for: uses of the folder of images.
-    """
+    """Declare flags for positions of images, control points and their loss, with their purpose."""
     images = f"folder of the images, for {images_are_for}"
     kind = "GeoreferenceOptions"
     adjusted = "They are adjusted with the model, but not written as its points."
@@ -436,7 +374,6 @@ COLMAP_OPTIONS = argument(
     help="take options from the project.ini of `colmap bundle_adjuster`, with COLMAP's "
     "defaults for options that the file lacks; flags replace them (default: none)",
 )
-IMU = add_inertial_flags
 CHECK_GRADIENTS = argument(
     "--check-gradients",
     action="store_true",
@@ -496,109 +433,3 @@ def FLIGHTS(to: Container) -> None:  # noqa: N802 (a declaration as the others)
     )
     title = f"options of --scene {FLIGHT}, beside --pixel-noise, --outlier-share and --seed"
     options("FlightOptions", title, own_options("FlightOptions", "SceneOptions"))(to)
-
-
-# Visual-inertial sequences
-
-RECORDED = (
-    *("calibration", "camera", "imu", "frame_times", "image_topic", "imu_topic"),
-    *(field.name for field in dataclasses.fields(TrackingOptions)),
-)
-"""Destinations of the flags of ``RECORDING``, which inputs without images refuse."""
-RECORDING = group(
-    "images of a visual-inertial sequence",
-    argument(
-        "--calibration",
-        metavar="FILE",
-        type=a_path,
-        action="append",
-        help="calibration in place of that in the sequence: calibration.yaml, or Kalibr's "
-        "camchain-imucam.yaml and, given by a second --calibration or beside it, imu.yaml "
-        "(default: sensor.yaml of mav0, or dso/camchain.yaml beside it; bags and videos have none)",
-    ),
-    argument(
-        "--camera",
-        metavar="NAME",
-        help="camera whose images are tracked: a folder of mav0, an entry of a camchain (default: "
-        "cam0)",
-    ),
-    argument(
-        "--imu",
-        metavar="FILE",
-        type=a_path,
-        help="samples of the IMU for a video: a csv of stamp, angular rate x y z [rad/s], specific "
-        "force x y z [m/s^2]; stamps are integers of nanoseconds, or seconds with a decimal point",
-    ),
-    argument(
-        "--frame-times",
-        metavar="FILE",
-        type=a_path,
-        help="times of the frames of a video, one a line, on the clock of --imu (default: the "
-        "constant rate of the video, from 0)",
-    ),
-    *(
-        argument(
-            f"--{sensor}-topic",
-            metavar="TOPIC",
-            help=f"topic of the {name} in a ROS bag (default: the rostopic of the calibration, or "
-            "the only topic)",
-        )
-        for sensor, name in (("image", "images"), ("imu", "IMU samples"))
-    ),
-    fields("TrackingOptions"),
-)
-ODOMETRY = (
-    argument(
-        "sequence",
-        metavar="SEQUENCE",
-        type=reconstruction,
-        help="images and IMU samples: EuRoC's or TUM-VI's mav0 or its parent, a ROS 1 or 2 bag, or "
-        "a video with --imu; or tracks in place of images: a folder with imu.csv, tracks.csv and "
-        "calibration.yaml, or a table of both that bundle convert reads",
-    ),
-    argument(
-        "-o",
-        "--output",
-        metavar="FILE.tum",
-        type=trajectory_path,
-        required=True,
-        help="poses world_from_imu of the solved images, one per line: timestamp in seconds, tx ty "
-        "tz, qx qy qz qw; z is up",
-    ),
-    argument(
-        "--ground-truth",
-        metavar="FILE",
-        type=a_path,
-        help="compare with it: EuRoC's csv or a TUM file",
-    ),
-    argument(
-        "--telemetry",
-        metavar="FILE.jsonl",
-        type=telemetry_path,
-        help="one line of JSON per keyframe, written when the keyframe is complete",
-    ),
-    page("page", "a page with the curves of the telemetry and the path, a single file", "PAGE"),
-    group(
-        "two loops",
-        argument(
-            "--publish",
-            metavar="FILE.tum",
-            type=trajectory_path,
-            help="a pose per IMU sample: the last solution of the window, propagated and corrected "
-            "by closures",
-        ),
-        argument(
-            "--loops",
-            metavar="FILE",
-            type=a_path,
-            help="closures: csv of first_timestamp_ns, second_timestamp_ns, tx ty tz, qx qy qz qw "
-            "of the IMU at the second time in its frame at the first, sigmas in metres and "
-            "degrees; or a g2o file whose ids are the stamps",
-        ),
-        argument(
-            "--real-time",
-            action="store_true",
-            help="replay at the rate of the sensors and report how late the poses are",
-        ),
-    ),
-)

@@ -33,11 +33,9 @@ EXIT_INTERRUPTED = startup.EXIT_INTERRUPTED
 
 
 def describe_error(error: BaseException, written: Sequence[Path] = ()) -> str | None:
-    """Return an error as one line, or None for an error that only a bug can cause.
+    """Return an error as one line; None for an error that only a bug can cause.
 
-    Args:
-        error: exception that ended the command.
-        written: paths that were already replaced, which the line names.
+    The line names the paths in ``written``, which were already replaced.
     """
     paths = [shown(path) for path in dict.fromkeys(written)]
     after = f"{' and '.join(paths)} {'were' if len(paths) > 1 else 'was'} written"

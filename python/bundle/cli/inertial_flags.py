@@ -1,15 +1,23 @@
-"""Samples of an IMU in `bundle refine`: flags, refusals, and the adjustment."""
+"""Arguments of IMUs and recordings: `bundle vio`, `info`, `convert`, and `refine` with an IMU."""
 
 from __future__ import annotations
 
 import argparse
+import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bundle.base.records import dataclass
-from bundle.cli.option_flags import naming_flags
-from bundle.cli.path_checks import a_path
+from bundle.cli.option_flags import argument, fields, group, naming_flags
+from bundle.cli.path_checks import (
+    a_path,
+    page_path,
+    reconstruction,
+    telemetry_path,
+    trajectory_path,
+)
 from bundle.errors import InputError
+from bundle.interface.window_options import TrackingOptions
 
 if TYPE_CHECKING:
     from bundle.inertial.offline.inertial_result import InertialAdjustment
@@ -45,56 +53,159 @@ class InertialFiles:
     samples: str
 
 
-def add_inertial_flags(parser: argparse.ArgumentParser) -> None:
-    """Add the flags of an adjustment with an IMU."""
-    group = parser.add_argument_group(
-        "samples of an IMU between the images of a video",
-        "The model is brought into metres with z up, and adjusted with the IMU's motions.",
-    )
-    group.add_argument(
+IMU = group(
+    "samples of an IMU between the images of a video",
+    argument(
         "--imu",
         metavar="FILE",
         type=a_path,
         help="samples: timestamp in ns, rates in rad/s, forces in m/s^2, comma separated, as "
         "EuRoC's (default: none)",
-    )
-    group.add_argument(
+    ),
+    argument(
         "--frame-times",
         metavar="FILE",
         type=a_path,
         help="lines of image name and time in ns on the clock of the camera; only with --imu "
         "(default: none)",
-    )
-    group.add_argument(
+    ),
+    argument(
         "--calibration",
         metavar="FILE",
         type=a_path,
         action="append",
         help="calibration.yaml, or Kalibr's camchain-imucam.yaml and, in a second --calibration, "
         "imu.yaml: camera_from_imu, noise, time offset; only with --imu (default: none)",
-    )
-    group.add_argument(
+    ),
+    argument(
         "--imu-noise-scale",
         metavar="X",
         type=float,
         help="factor on the noise densities of gyroscope and accelerometer, because data sheets "
         "do not include vibration; only with --imu (default: 5 for 4 images per second, in "
         "proportion to the root of the time between images, at least 1)",
-    )
-    group.add_argument(
+    ),
+    argument(
         "--imu-samples",
         choices=("auto", "instant", "interval"),
         help="instant: samples at their stamps; interval: means over the interval that follows; "
         "only with --imu (default: auto, as fits the images)",
-    )
+    ),
+    description="The model is brought into metres with z up, and adjusted with the IMU's motions.",
+)
+
+
+RECORDED = (
+    *("calibration", "camera", "imu", "frame_times", "image_topic", "imu_topic"),
+    *(field.name for field in dataclasses.fields(TrackingOptions)),
+)
+"""Destinations of the flags of ``RECORDING``, which inputs without images refuse."""
+RECORDING = group(
+    "images of a visual-inertial sequence",
+    argument(
+        "--calibration",
+        metavar="FILE",
+        type=a_path,
+        action="append",
+        help="calibration in place of that in the sequence: calibration.yaml, or Kalibr's "
+        "camchain-imucam.yaml and, given by a second --calibration or beside it, imu.yaml "
+        "(default: sensor.yaml of mav0, or dso/camchain.yaml beside it; bags and videos have none)",
+    ),
+    argument(
+        "--camera",
+        metavar="NAME",
+        help="camera whose images are tracked: a folder of mav0, an entry of a camchain (default: "
+        "cam0)",
+    ),
+    argument(
+        "--imu",
+        metavar="FILE",
+        type=a_path,
+        help="samples of the IMU for a video: a csv of stamp, angular rate x y z [rad/s], specific "
+        "force x y z [m/s^2]; stamps are integers of nanoseconds, or seconds with a decimal point",
+    ),
+    argument(
+        "--frame-times",
+        metavar="FILE",
+        type=a_path,
+        help="times of the frames of a video, one a line, on the clock of --imu (default: the "
+        "constant rate of the video, from 0)",
+    ),
+    *(
+        argument(
+            f"--{sensor}-topic",
+            metavar="TOPIC",
+            help=f"topic of the {name} in a ROS bag (default: the rostopic of the calibration, or "
+            "the only topic)",
+        )
+        for sensor, name in (("image", "images"), ("imu", "IMU samples"))
+    ),
+    fields("TrackingOptions"),
+)
+ODOMETRY = (
+    argument(
+        "sequence",
+        metavar="SEQUENCE",
+        type=reconstruction,
+        help="images and IMU samples: EuRoC's or TUM-VI's mav0 or its parent, a ROS 1 or 2 bag, or "
+        "a video with --imu; or tracks in place of images: a folder with imu.csv, tracks.csv and "
+        "calibration.yaml, or a table of both that bundle convert reads",
+    ),
+    argument(
+        "-o",
+        "--output",
+        metavar="FILE.tum",
+        type=trajectory_path,
+        required=True,
+        help="poses world_from_imu of the solved images, one per line: timestamp in seconds, tx ty "
+        "tz, qx qy qz qw; z is up",
+    ),
+    argument(
+        "--ground-truth",
+        metavar="FILE",
+        type=a_path,
+        help="compare with it: EuRoC's csv or a TUM file",
+    ),
+    argument(
+        "--telemetry",
+        metavar="FILE.jsonl",
+        type=telemetry_path,
+        help="one line of JSON per keyframe, written when the keyframe is complete",
+    ),
+    argument(
+        "--html",
+        metavar="PAGE",
+        type=page_path(),
+        help="a page with the curves of the telemetry and the path, a single file",
+    ),
+    group(
+        "two loops",
+        argument(
+            "--publish",
+            metavar="FILE.tum",
+            type=trajectory_path,
+            help="a pose per IMU sample: the last solution of the window, propagated and corrected "
+            "by closures",
+        ),
+        argument(
+            "--loops",
+            metavar="FILE",
+            type=a_path,
+            help="closures: csv of first_timestamp_ns, second_timestamp_ns, tx ty tz, qx qy qz qw "
+            "of the IMU at the second time in its frame at the first, sigmas in metres and "
+            "degrees; or a g2o file whose ids are the stamps",
+        ),
+        argument(
+            "--real-time",
+            action="store_true",
+            help="replay at the rate of the sensors and report how late the poses are",
+        ),
+    ),
+)
 
 
 def inertial_given(arguments: argparse.Namespace) -> InertialFiles | None:
-    """Return the files of the IMU; None without any.
-
-    Raises:
-        InputError: a file is missing, or another flag is not valid with an IMU.
-    """
+    """Return the files of the IMU; None without any. Refuse flags that have no effect with it."""
     given: dict[str, Any] = {
         "--frame-times": arguments.frame_times,
         "--calibration": arguments.calibration,
@@ -129,12 +240,7 @@ def adjusted_with_imu(
     rounds: RoundOptions,
     progress: Progress,
 ) -> InertialAdjustment:
-    """Adjust a problem with the samples of an IMU, with priors, and in rounds if requested.
-
-    Raises:
-        InputError: a file is wrong, or the samples do not fit the images.
-        OSError: a file cannot be read.
-    """
+    """Adjust a problem with the samples of an IMU, with priors, and in rounds if requested."""
     from bundle.inertial.offline.image_intervals import read_image_times
     from bundle.inertial.offline.imu_adjustment import adjust_with_imu
     from bundle.inertial.offline.inertial_result import ImuSamples

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import gc
 import signal
 import sys
@@ -16,7 +17,6 @@ from bundle import __version__
 from bundle.base import own_process
 from bundle.cli import startup
 from bundle.cli.commands import COMMANDS
-from bundle.cli.completion import SHELLS, PrintCompletion
 from bundle.cli.error_lines import (
     EXIT_BAD_INPUT,
     EXIT_DONE,
@@ -26,7 +26,7 @@ from bundle.cli.error_lines import (
 )
 from bundle.cli.parser import Parser, unknown_flag
 from bundle.cli.standard_streams import complain, open_missing_streams, release_broken_streams
-from bundle.errors import end_in_one_line
+from bundle.errors import InputError, end_in_one_line
 from bundle.io.atomic.replaced_paths import NoteWarning, recording
 
 __all__ = ["COMMANDS", "command_parser", "main"]
@@ -84,6 +84,38 @@ def _flush() -> None:
         raise lost
 
 
+SHELLS = ("bash", "zsh", "tcsh")
+
+
+class PrintCompletion(argparse.Action):
+    """Action that prints the completion script of a shell and exits."""
+
+    def __call__(self, parser: Any, _namespace: Any, shell: Any, _flag: str | None = None) -> None:
+        """Print the script, which shtab generates from the parser.
+
+        It is static, so a shell completes without starting Python.
+
+        Raises:
+            InputError: shtab is not installed.
+        """
+        # Only this flag needs these imports; shtab is an optional dependency.
+        from bundle.cli.path_checks import PathArgument
+
+        try:
+            import shtab
+        except ImportError:
+            raise InputError(
+                "--print-completion: expected the package shtab, which is not installed: pip "
+                "install shtab"
+            ) from None
+        for command in parser.commands().values():
+            for action in command._actions:
+                if isinstance(action.type, PathArgument):
+                    action.complete = shtab.FILE
+        parser._print_message(shtab.complete(parser, shell=shell))
+        parser.exit()
+
+
 def command_parser() -> Parser:
     """Return the parser of all commands; their arguments are declared when needed."""
 
@@ -125,6 +157,7 @@ def _declare(name: str, parser: Parser) -> None:
     """Declare the arguments of a command."""
     own_process.load_numpy()
     from bundle.cli import declarations  # late, for fast --version and --help
+    from bundle.cli.option_flags import add_all
     from bundle.cli.path_checks import check_paths
 
     row = COMMANDS[name]
@@ -132,7 +165,7 @@ def _declare(name: str, parser: Parser) -> None:
     parser.set_defaults(command=name)
     if row.usage:
         parser.usage = f"bundle {name} {row.usage}"
-    declarations.add_all(parser, (*row.arguments(declarations), *declarations.COMMON))
+    add_all(parser, (*row.arguments(declarations), *declarations.COMMON))
     parser.set_defaults(flags=parser.flags_by_name(), taken=parser.taken)
 
 

@@ -32,11 +32,7 @@ _FLAGS = {"page": "--html"}
 
 
 def on_disk(asked: Refinement) -> AbstractContextManager[None]:
-    """Return a context in which large arrays are in files of the folder of the user, if any.
-
-    Raises:
-        InputError: another option does not work with the folder, or the folder is not usable.
-    """
+    """Return a context in which large arrays are in files of the folder of the user, if any."""
     folder = asked.disk.out_of_core
     if folder is None:
         return nullcontext()
@@ -59,13 +55,7 @@ def on_disk(asked: Refinement) -> AbstractContextManager[None]:
 
 
 def input_on_disk(asked: Refinement) -> OutOfCoreRefinement:
-    """Read INPUT into the open folder.
-
-    Raises:
-        InputError: INPUT is not a BAL file or a binary COLMAP model, OUTPUT has another format, or
-            the disk is too small.
-        OSError: a file cannot be read.
-    """
+    """Read INPUT into the open folder."""
     path = Path(asked.source)
     recover(path)
     source_format = sliceable_format(path)
@@ -116,10 +106,6 @@ def sliced_input(
     One process reads everything if it is the only one, if INPUT is a COLMAP text model, or if the
     output is compressed or has another format than INPUT. It also does so for options that do not
     support a distributed solve.
-
-    Raises:
-        InputError: INPUT has no observations, or is not in its declared format.
-        OSError: a file cannot be read.
     """
     crew = current()
     if crew is None:

@@ -1,4 +1,7 @@
-"""Flags from the fields of option classes (``bundle.interface.option_fields``), and back."""
+"""Declarations of arguments; flags from the fields of option classes, and back to options.
+
+A declaration is a function that adds arguments to a parser or a group.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,7 @@ import argparse
 import dataclasses
 import functools
 import re
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -22,6 +25,50 @@ if TYPE_CHECKING:
     from bundle.model.problem import Problem
 
 AnyOptions = TypeVar("AnyOptions", bound=Options)
+Container = argparse._ActionsContainer
+Declaration = Callable[[Container], object]
+"""Adds arguments to a parser or a group."""
+
+
+def argument(*names: str, **settings: Any) -> Declaration:
+    """Declare one argument by the settings of ``add_argument``."""
+    return lambda to: to.add_argument(*names, **settings)
+
+
+def fields(kind: str | type, *which: Any, **helps: Any) -> Declaration:
+    """Declare the flags of an option class; see :func:`add_fields`."""
+    return lambda to: add_fields(to, kind, *which, **helps)
+
+
+def group(title: str, *parts: Any, description: str | None = None) -> Declaration:
+    """Declare arguments with a title in the help."""
+    return lambda to: add_all(to.add_argument_group(title, description), parts)
+
+
+def either(*parts: Declaration) -> Declaration:
+    """Declare arguments of which at most one can be given."""
+    return lambda to: add_all(to.add_mutually_exclusive_group(), parts)
+
+
+def add_all(to: Container, parts: Iterable[Any]) -> None:
+    """Declare arguments; tuples are arguments that belong together."""
+    for part in parts:
+        if isinstance(part, tuple):
+            add_all(to, part)
+        else:
+            part(to)
+
+
+def options(
+    kind: str | type,
+    title: str,
+    names: Collection[str] | None = None,
+    description: str | None = None,
+    without: Collection[str] = (),
+    **helps: str,
+) -> Declaration:
+    """Declare a group with one flag for each field of an option class; see :func:`add_fields`."""
+    return group(title, fields(kind, names, without, **helps), description=description)
 
 
 def add_fields(
@@ -31,14 +78,9 @@ def add_fields(
     without: Collection[str] = (),
     **helps: str,
 ) -> None:
-    """Add one flag for each field of an option class to a group.
+    """Add one flag for each field of an option class.
 
-    Args:
-        group: parser of the command, or a group of it.
-        kind: option class or its name.
-        names: names of the fields; None: all.
-        without: names of fields that are left out.
-        **helps: help texts of fields with another meaning in this command.
+    ``names`` are its fields (None: all), ``helps`` texts for another meaning in this command.
     """
     for field in _fields(kind):
         if (names is None or field.name in names) and field.name not in without:
@@ -76,7 +118,7 @@ def options_given(
     names_follow: bool = False,
     beside: Collection[str] = (),
 ) -> AnyOptions:
-    """Return the options from the command line.
+    """Return the options from the command line, checked, in errors that name the flags.
 
     Args:
         arguments: parsed command line.
@@ -84,10 +126,6 @@ def options_given(
         names: fields to read, if flags of others belong to another class; None: all.
         names_follow: leave out images given by name; :func:`with_named_images` adds them.
         beside: fields that also have an effect without the options that they usually require.
-
-    Raises:
-        InputError: a value is out of range, or an option requires another one; the message names
-            the flag.
     """
     fields = [field for field in _fields(kind) if names is None or field.name in names]
     values = {field.name: getattr(arguments, field.name, None) for field in fields}
@@ -114,16 +152,7 @@ def options_given(
 def with_named_images(
     options: SolveOptions, given: tuple[int, ...] | str | None, problem: Problem
 ) -> SolveOptions:
-    """Return the options with the ids of images given by name.
-
-    Args:
-        options: options without these images.
-        given: value of --fix-images; text if it has names.
-        problem: problem with the images.
-
-    Raises:
-        InputError: an image does not exist; the message names the flag.
-    """
+    """Return the options with the ids of images given by name in --fix-images."""
     if not isinstance(given, str):
         return options
     return options.replace(fixed_image_ids=find_images("--fix-images", problem, given))
@@ -225,11 +254,7 @@ def choice_word(text: str) -> str:
 
 
 def parse_ids(text: str) -> tuple[int, ...]:
-    """Return the ids in text such as "1,2,5-9", sorted, without repeats.
-
-    Raises:
-        argparse.ArgumentTypeError: the text has another form, or more than ten million ids.
-    """
+    """Return the ids in text such as "1,2,5-9", sorted, without repeats, at most ten million."""
     ids: set[int] = set()
     for part in text.split(","):
         try:
@@ -247,22 +272,14 @@ def parse_ids(text: str) -> tuple[int, ...]:
 
 
 def parse_images(text: str) -> tuple[int, ...] | str:
-    """Return the ids of images, or the text if it has names, which need the problem.
-
-    Raises:
-        argparse.ArgumentTypeError: the text has neither ids nor names.
-    """
+    """Return the ids of images, or the text if it has names, which need the problem."""
     parts = [part.strip() for part in text.split(",")]
     numeric = all(part.replace("-", "").strip().isdigit() for part in parts)
     return parse_ids(text) if numeric or not all(parts) else text
 
 
 def parse_sensors(text: str) -> tuple[tuple[int, int], ...]:
-    """Return the pairs of ids in text such as "1:2,1:3".
-
-    Raises:
-        argparse.ArgumentTypeError: the text has another form.
-    """
+    """Return the pairs of ids in text such as "1:2,1:3"."""
     return _pairs(text, "sensors RIG:CAMERA such as 1:2,1:3")
 
 

@@ -27,15 +27,7 @@ def check_replaced(
 ) -> None:
     """Refuse to replace a model, pose graph or sequence that is not the input.
 
-    Args:
-        path: path of the output.
-        sources: paths that the command reads, which it may replace.
-        overwrite: True if --overwrite was given.
-        is_same: function that tells whether a model, graph or sequence has the same images or
-            poses.
-
-    Raises:
-        InputError: the output has other images, or cannot be read.
+    ``is_same`` tells whether that at a path has the same images or poses; then it may be replaced.
     """
     target = Path(path)
     if overwrite or not target.exists() or any(_is_same_file(target, source) for source in sources):
@@ -73,11 +65,7 @@ def _is_same_file(one: Path, other: str) -> bool:
 
 
 def check_new(path: str, flag: str) -> None:
-    """Refuse to replace an existing path other than an empty folder; the flag allows it.
-
-    Raises:
-        InputError: the path exists.
-    """
+    """Refuse to replace an existing path other than an empty folder; the flag allows it."""
     target = Path(path)
     if not os.path.lexists(target) or (target.is_dir() and next(target.iterdir(), None) is None):
         return

@@ -145,10 +145,7 @@ def unknown_value(found: str, values: Iterable[str]) -> str:
 def unknown_flag(found: str, command: str, flags: Mapping[str, Iterable[str]]) -> str:
     """Return the message about an unknown flag, with the flag that was probably meant.
 
-    Args:
-        found: flag as typed, possibly with its value: "--solvr=auto".
-        command: command of the flag; "" without a command.
-        flags: flags of each command.
+    ``found`` is as typed, possibly with its value; ``command`` is "" before any command.
     """
     name, _, _ = found.partition("=")
     meant = nearest(name, _long(flags.get(command, ())))

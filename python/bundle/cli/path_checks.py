@@ -109,15 +109,7 @@ class _Given:
 def check_paths(actions: Iterable[argparse.Action], arguments: argparse.Namespace) -> None:
     """Refuse paths that would replace each other, and paths that cannot be written later.
 
-    Args:
-        actions: arguments of a command.
-        arguments: their values.
-
-    Raises:
-        InputError: two paths conflict (see the top of this file), a suffix is that of another
-            format, the path of a file is a folder, a path above it is no folder, or a
-            reconstruction exists at the path.
-        OSError: write permission is missing.
+    A suffix of another format, a folder in place of a file, and a reconstruction are refused, too.
     """
     given = list(_given(actions, arguments))
     known = [one for one in given if not one.kind.written]

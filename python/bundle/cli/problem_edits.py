@@ -21,12 +21,7 @@ if TYPE_CHECKING:
 
 
 def with_rigs(problem: Problem, path: str | None) -> Problem:
-    """Return the problem with the rigs of a file; unchanged without a file.
-
-    Raises:
-        InputError: the file is not a rig configuration, or does not fit the problem.
-        OSError: the file cannot be read.
-    """
+    """Return the problem with the rigs of a file; unchanged without a file."""
     if path is None:
         return problem
     from bundle.editing.rig_config import apply_rig_config
@@ -37,12 +32,7 @@ def with_rigs(problem: Problem, path: str | None) -> Problem:
 def with_shutters(
     problem: Problem, given: ShutterOptions, options: SolveOptions
 ) -> tuple[Problem, SolveOptions]:
-    """Return the problem with the given rolling shutters, and the options with their readout.
-
-    Raises:
-        InputError: as :func:`bundle.editing.rolling_shutters.with_shutters`.
-        OSError: the file of times cannot be read.
-    """
+    """Return the problem with the given rolling shutters, and the options with their readout."""
     if not given.changed():
         return problem, options
     from bundle.editing import rolling_shutters
@@ -57,13 +47,7 @@ def cameras_edited(
 ) -> CameraEdits | None:
     """Return the problem with the requested changes of cameras; None without any.
 
-    Args:
-        given: the requested changes.
-        problem: the problem.
-        keep_scale: True if a solve follows that may move all images.
-
-    Raises:
-        InputError: a change is impossible; the message names the flag or the camera.
+    ``keep_scale``: a solve follows that may move all images.
     """
     if not given.changed():
         return None
@@ -80,11 +64,7 @@ def cameras_edited(
 
 
 def loops_closed(given: LoopOptions, problem: Problem) -> LoopClosing | None:
-    """Return the problem with closed loops; None if no loops were given.
-
-    Raises:
-        InputError: as :func:`bundle.close_loops`.
-    """
+    """Return the problem with closed loops; None if no loops were given."""
     if given.loops is None:
         return None
     from bundle.graphs.loops.loop_graph import close_loops
@@ -96,12 +76,7 @@ def loops_closed(given: LoopOptions, problem: Problem) -> LoopClosing | None:
 
 
 def rules_of(given: RuleOptions) -> Constraints | tuple[()]:
-    """Return the rules of the file, followed by those of the command line.
-
-    Raises:
-        InputError: a rule is invalid; the message names file and line, or the number of --set.
-        OSError: the file cannot be read.
-    """
+    """Return the rules of the file, followed by those of the command line."""
     if given.rules is None and given.constraints is None:
         return ()
     from bundle.solving.constraints.rule_list import Constraints, parse_rule

@@ -14,7 +14,8 @@ from time import perf_counter
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from bundle.cli.commands import COMMANDS, Command, Way, resolve
-from bundle.cli.declarations import RECORDED, read_options
+from bundle.cli.declarations import read_options
+from bundle.cli.inertial_flags import RECORDED
 from bundle.cli.next_run import repeated_flags
 from bundle.cli.option_flags import (
     flags_of,
@@ -66,11 +67,13 @@ def prepare(arguments: argparse.Namespace) -> Callable[[], int]:
 
 
 def _run(command: Command, kinds: list[tuple[Any, str]], arguments: argparse.Namespace) -> int:
+    runs, reports = [], []
     with Progress(quiet=arguments.quiet) as progress:
-        runs = [Run(command, kind, arguments, progress, path) for path, kind in kinds]
-        reports = [run.report() for run in runs]
+        for path, kind in kinds:
+            runs.append(Run(command, kind, arguments, progress, path))
+            reports.append(runs[-1].report())
     publish(reports[0] if len(reports) == 1 else several(arguments.command, reports), arguments)
-    run = runs[0]
+    run = next((run for run in runs if run.code), runs[0])
     if run.code and run.complaint and arguments.json == "-":  # standard output has only the JSON
         complain(run.complaint)
     return run.code
@@ -102,7 +105,7 @@ class Run:
         kind: str,
         arguments: argparse.Namespace,
         progress: Progress,
-        source: Any = None,
+        source: Any,
     ) -> None:
         self._started = perf_counter()
         self._command, self._kind = command, kind if kind in command.ways else Kind.RECONSTRUCTION
@@ -140,8 +143,6 @@ class Run:
             self.judge()
         if way.saves:
             self.write(self.target, self.found.save)
-        if way.page and arguments.html is not None:
-            self.write(arguments.html, lambda page: resolve(way.page)(self.found, page))
         if way.code is not None:
             self.code = way.code(self.found)
         made: Report = resolve(way.report)(*(getattr(self, name) for name in way.tells.split()))
@@ -301,11 +302,7 @@ def given_flags(arguments: argparse.Namespace, names: Iterable[str]) -> Iterator
 
 
 def refuse_others(command: Command, kind: str, arguments: argparse.Namespace) -> None:
-    """Refuse flags of other kinds of INPUT.
-
-    Raises:
-        InputError: such a flag was given.
-    """
+    """Refuse flags of other kinds of INPUT."""
     way = command.way(kind)
     if way.accepts is None:
         return
@@ -325,11 +322,7 @@ def refuse_others(command: Command, kind: str, arguments: argparse.Namespace) ->
 
 
 def refuse_recording_flags(arguments: argparse.Namespace) -> None:
-    """Refuse flags of images for other inputs.
-
-    Raises:
-        InputError: such a flag was given.
-    """
+    """Refuse flags of images for other inputs."""
     for flag in given_flags(arguments, RECORDED):
         raise InputError(
             f"{flag}: valid only with images of a visual-inertial sequence, found an input without"

@@ -84,11 +84,7 @@ def make_scene(run: Run) -> Report:
 def _files_of_attitudes(
     options: SceneOptions, path: str, others: Iterable[str | None]
 ) -> dict[str, str]:
-    """Return the paths of the measured attitudes next to OUTPUT, by kind.
-
-    Raises:
-        InputError: another output has the same path.
-    """
+    """Return the paths of the measured attitudes next to OUTPUT, by kind."""
     given = {"gravity": options.gravity_sigma, "orientations": options.orientation_sigma}
     found = {kind: path_beside(path, kind, ".txt") for kind, sigma in given.items() if sigma}
     for kind, target in found.items():
@@ -175,12 +171,7 @@ def demo(arguments: argparse.Namespace) -> int:
 
 
 def _unpack(folder: Path, scene: Path) -> None:
-    """Write the scene, unless an earlier demo has done so.
-
-    Raises:
-        InputError: the folder has other files.
-        OSError: a file cannot be written.
-    """
+    """Write the scene, unless an earlier demo has done so."""
     with zipfile.ZipFile(_SCENE) as packed:
         files = {name: packed.read(name) for name in packed.namelist()}
         if folder.is_dir() and all(_holds(scene / name, text) for name, text in files.items()):

@@ -75,11 +75,7 @@ class GivenSequence(NamedTuple):
     tracking: Tracking | None
 
     def refuse_fatal(self) -> None:
-        """Raise an error for a sequence on which odometry would fail.
-
-        Raises:
-            InputError: a finding is fatal.
-        """
+        """Refuse a sequence on which odometry would fail."""
         for finding in self.findings:
             if isinstance(finding, Finding) and finding.is_problem:
                 raise InputError(finding.sentence)
@@ -87,12 +83,7 @@ class GivenSequence(NamedTuple):
 
 
 def given_sequence(run: Run, path: str) -> GivenSequence:
-    """Read a sequence; track features if it has images.
-
-    Raises:
-        InputError: the input violates its format, or has flags of another kind.
-        OSError: a file cannot be read.
-    """
+    """Read a sequence; track features if it has images."""
     arguments = run.arguments
     run.progress.stage(f"reading {shown(path)}")
     if not is_recording(path):

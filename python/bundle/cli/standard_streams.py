@@ -30,11 +30,7 @@ def open_missing_streams() -> None:
 
 
 def print_out(text: str) -> None:
-    """Print text; a closed pipe such as `| head` is not an error.
-
-    Raises:
-        OSError: printing failed for another reason, such as a full disk.
-    """
+    """Print text; a closed pipe such as `| head` is not an error, a full disk is."""
     try:
         sys.stdout.write(text)
         sys.stdout.flush()
