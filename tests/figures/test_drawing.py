@@ -12,14 +12,15 @@ import numpy as np
 import pytest
 
 from bundle import pictures
-from bundle.figures.drawing import Figure, LineFigure, over_image
 from bundle.figures.marks import (
     Axis,
     Bars,
     Cells,
     Dots,
     Ellipses,
+    Figure,
     Line,
+    LineFigure,
     Mark,
     Matrix,
     Photo,
@@ -29,6 +30,7 @@ from bundle.figures.marks import (
     Vectors,
     linear,
     logarithmic,
+    over_image,
     round_down,
     square,
 )

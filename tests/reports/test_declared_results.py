@@ -11,8 +11,7 @@ import pytest
 
 from bundle.base.tables import render
 from bundle.cli.output import publish
-from bundle.figures.drawing import Figure
-from bundle.figures.marks import Line, linear
+from bundle.figures.marks import Figure, Line, linear
 from bundle.interface.tabular import Tabular
 from bundle.reports.json_schema import record_schema
 from bundle.reports.page.result_pages import write_reported

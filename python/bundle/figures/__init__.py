@@ -1,9 +1,8 @@
 """Data of the figures of report pages; ``bundle.pictures`` draws the same data."""
 
 from bundle.figures.certainty import Certainty, certainty
-from bundle.figures.drawing import Figure, LineFigure
 from bundle.figures.lens_figures import LensCurve, lens_curve, most_observed_cameras
-from bundle.figures.marks import Line
+from bundle.figures.marks import Figure, Line, LineFigure
 from bundle.figures.odometry_figures import odometry_figures
 from bundle.figures.placement_figures import Placement, placement
 from bundle.figures.projection_uncertainty import (

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.base.records import dataclass
-from bundle.figures.drawing import Figure
-from bundle.figures.marks import Matrix
+from bundle.figures.marks import Figure, Matrix
 from bundle.model.cameras import camera_models
 from bundle.model.problem import Problem
 from bundle.model.rigid_motions import cross_matrices, rotation_matrices

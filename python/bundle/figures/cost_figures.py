@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.base.records import dataclass
-from bundle.figures.drawing import Figure
-from bundle.figures.marks import Array, Bars, StackedBars, Steps, linear, logarithmic
+from bundle.figures.marks import Array, Bars, Figure, StackedBars, Steps, linear, logarithmic
 from bundle.planning.comparison.comparison_result import Comparison, PerformanceProfile
 from bundle.planning.comparison.graph_comparison import GraphComparison, GraphRun, best_cost
 from bundle.planning.comparison.method import Method

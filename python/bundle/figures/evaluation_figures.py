@@ -9,18 +9,19 @@ from numpy.typing import NDArray
 
 from bundle.base.words import number
 from bundle.checking.step_curve import StepCurve
-from bundle.figures.drawing import Figure, over_image
 from bundle.figures.marks import (
     GREY,
     SHAPE,
     Array,
     Cells,
     Dots,
+    Figure,
     Line,
     Mark,
     Vectors,
     linear,
     logarithmic,
+    over_image,
     round_down,
     square,
 )

@@ -10,8 +10,18 @@ from numpy.typing import NDArray
 
 from bundle.base.records import dataclass
 from bundle.base.words import number, plural
-from bundle.figures.drawing import Figure, over_image
-from bundle.figures.marks import GREY, Array, Axis, Cells, Line, Places, linear, logarithmic
+from bundle.figures.marks import (
+    GREY,
+    Array,
+    Axis,
+    Cells,
+    Figure,
+    Line,
+    Places,
+    linear,
+    logarithmic,
+    over_image,
+)
 from bundle.figures.projection_uncertainty import ProjectionUncertainty, contour_levels
 from bundle.figures.residual_field import (
     MOST_CAMERAS,

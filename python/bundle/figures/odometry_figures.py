@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.figures.drawing import LineFigure
-from bundle.figures.marks import Line
+from bundle.figures.marks import Line, LineFigure
 from bundle.inertial.preintegration.motion_excitation import HEALTHY, UNOBSERVABLE
 from bundle.inertial.vio.keyframe_record import KeyframeRecord
 from bundle.inertial.vio.odometry import OdometryResult

@@ -11,8 +11,17 @@ from numpy.typing import NDArray
 
 from bundle.base.records import dataclass
 from bundle.errors import InputError
-from bundle.figures.drawing import Figure
-from bundle.figures.marks import GREY, SHAPE, Array, Dots, Ellipses, Vectors, round_down, square
+from bundle.figures.marks import (
+    GREY,
+    SHAPE,
+    Array,
+    Dots,
+    Ellipses,
+    Figure,
+    Vectors,
+    round_down,
+    square,
+)
 from bundle.model.problem import Problem
 
 ROLES = {"control": 0, "check": 1}

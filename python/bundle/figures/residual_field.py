@@ -18,8 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.base.records import dataclass
-from bundle.figures.drawing import Figure
-from bundle.figures.marks import GREY, Line, linear, round_down
+from bundle.figures.marks import GREY, Figure, Line, linear, round_down
 from bundle.model.cameras import param_kinds
 from bundle.model.problem import Problem
 from bundle.model.reprojection import Residuals

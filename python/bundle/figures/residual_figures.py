@@ -10,18 +10,19 @@ from numpy.typing import NDArray
 from bundle.base.records import dataclass
 from bundle.base.words import pixels, plural
 from bundle.errors import shown
-from bundle.figures.drawing import Figure, over_image
 from bundle.figures.marks import (
     GREY,
     Array,
     Cells,
     Dots,
+    Figure,
     Line,
     Photo,
     Steps,
     Vectors,
     linear,
     logarithmic,
+    over_image,
     round_down,
 )
 from bundle.figures.residual_field import SIGNIFICANT, ResidualField

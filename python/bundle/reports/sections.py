@@ -23,7 +23,7 @@ from bundle.base.records import dataclass
 from bundle.interface.finding import Finding
 
 if TYPE_CHECKING:
-    from bundle.figures.drawing import Figure
+    from bundle.figures.marks import Figure
 
 SCHEMA = 1
 

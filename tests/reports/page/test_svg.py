@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from bundle.base.words import amount
-from bundle.figures.drawing import Figure
-from bundle.figures.marks import Bars, StackedBars, Steps, linear, logarithmic
+from bundle.figures.marks import Bars, Figure, StackedBars, Steps, linear, logarithmic
 from bundle.reports.page import svg
 
 LEFT, RIGHT = svg.LEFT, svg.WIDTH - svg.RIGHT

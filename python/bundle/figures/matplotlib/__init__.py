@@ -9,21 +9,28 @@
 Matplotlib is not installed with bundle: ``pip install matplotlib``.
 """
 
-from bundle.figures.matplotlib.charts import (
+from bundle.figures.matplotlib.draw import figure
+from bundle.figures.matplotlib.matrix_pattern import (
+    ORDERINGS,
+    MatrixPattern,
+    draw_orderings,
+    information_pattern,
+    order_blocks,
+    reduced_pattern,
+    spy,
+    spy_factor,
+)
+from bundle.figures.matplotlib.report_pictures import (
     draw_breakdown,
     draw_column_counts,
-    draw_cost_against_time,
-    draw_flops,
-    draw_performance_profile,
-)
-from bundle.figures.matplotlib.draw import figure
-from bundle.figures.matplotlib.matrix_pattern import MatrixPattern
-from bundle.figures.matplotlib.report_pictures import (
     draw_correlations,
+    draw_cost_against_time,
     draw_covisibility,
+    draw_flops,
     draw_image_residuals,
     draw_lens_curves,
     draw_lines,
+    draw_performance_profile,
     draw_position_errors,
     draw_projection_uncertainty,
     draw_radial_profile,
@@ -38,15 +45,6 @@ from bundle.figures.matplotlib.report_pictures import (
     draw_track_lengths,
     draw_triangulation_angles,
     draw_uncertainty_against_distance,
-)
-from bundle.figures.matplotlib.spy import (
-    ORDERINGS,
-    draw_orderings,
-    information_pattern,
-    order_blocks,
-    reduced_pattern,
-    spy,
-    spy_factor,
 )
 
 __all__ = [

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from bundle.errors import InputError
-from bundle.figures.drawing import Figure
 from bundle.figures.marks import (
     Bars,
     Cells,
     Dots,
     Ellipses,
+    Figure,
     Line,
     Matrix,
     Photo,

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from bundle.base.paths import as_path
 from bundle.base.words import amount, number, plural
 from bundle.figures.cost_figures import bar_figure, iteration_figure
-from bundle.figures.drawing import Figure
-from bundle.figures.graph_figures import DrawnGraph, error_figure, plan_figures
+from bundle.figures.marks import Figure
 from bundle.figures.scene_view import SceneView
+from bundle.figures.structure_figures import DrawnGraph, error_figure, plan_figures
 from bundle.graphs.factors.factor_graph import FactorGraph, GraphResult
 from bundle.graphs.pose_graphs.pose_graph_result import (
     ESCAPES,

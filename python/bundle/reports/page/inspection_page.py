@@ -15,9 +15,8 @@ from bundle.base.paths import as_path
 from bundle.base.words import amount, format_size, plural, span
 from bundle.errors import InputError
 from bundle.figures.cost_figures import bar_figure, column_figure
-from bundle.figures.drawing import Figure
-from bundle.figures.marks import Line, logarithmic
-from bundle.figures.matplotlib.spy import (
+from bundle.figures.marks import Figure, Line, logarithmic
+from bundle.figures.matplotlib.matrix_pattern import (
     ORDERINGS,
     information_pattern,
     order_blocks,

@@ -15,8 +15,8 @@ from bundle.analysis.uncertainty.covariance_result import Covariance
 from bundle.base.words import contents, number, pixels, plural, seconds
 from bundle.figures import structure_figures
 from bundle.figures.cost_figures import iteration_figure
-from bundle.figures.drawing import Figure
 from bundle.figures.lens_figures import LensCurve, focal_figure, lens_figure, most_observed_cameras
+from bundle.figures.marks import Figure
 from bundle.figures.placement_figures import Placement, plan_figure, position_figure, target_figure
 from bundle.figures.residual_field import twist_figures
 from bundle.figures.residual_figures import (

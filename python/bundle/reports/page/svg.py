@@ -9,13 +9,13 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from bundle.figures.drawing import Figure
 from bundle.figures.marks import (
     Array,
     Axis,
     Bars,
     Dots,
     Ellipses,
+    Figure,
     Line,
     Matrix,
     Places,

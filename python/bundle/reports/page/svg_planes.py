@@ -8,8 +8,16 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from bundle.figures.drawing import Figure
-from bundle.figures.marks import Array, Cells, Dots, Photo, Vectors, direction_colours, short
+from bundle.figures.marks import (
+    Array,
+    Cells,
+    Dots,
+    Figure,
+    Photo,
+    Vectors,
+    direction_colours,
+    short,
+)
 from bundle.reports.page.page import tag
 from bundle.reports.page.pictures import data_uri
 

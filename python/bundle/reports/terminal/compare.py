@@ -17,7 +17,7 @@ from bundle.reports.terminal.compare_verdict import findings, headline, sigmas
 from bundle.reports.terminal.solve_data import solve_options
 
 if TYPE_CHECKING:
-    from bundle.figures.drawing import Figure
+    from bundle.figures.marks import Figure
 
 Pair = tuple[Run, Measurement]
 

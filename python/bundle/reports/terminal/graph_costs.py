@@ -21,7 +21,7 @@ from bundle.reports.sections import Column, Report, Section, Table, fields, reco
 from bundle.reports.terminal.inputs import about_input, input_facts
 
 if TYPE_CHECKING:
-    from bundle.figures.drawing import Figure
+    from bundle.figures.marks import Figure
 
 LEGEND = "* selected by auto; [not offered by a solve]."
 

@@ -23,7 +23,7 @@ from bundle.reports.sections import Column, Report, Section, Table, fields
 from bundle.reports.terminal.inputs import about_input, input_facts
 
 if TYPE_CHECKING:
-    from bundle.figures.drawing import Figure
+    from bundle.figures.marks import Figure
 
 MOST_IMAGES = 5
 MOST_LENSES, MOST_DRAWN = 5, 4
