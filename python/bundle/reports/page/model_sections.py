@@ -36,6 +36,7 @@ from bundle.model.cameras import camera_models, param_kinds
 from bundle.model.problem import Problem
 from bundle.model.reprojection import Residuals
 from bundle.reports.sections import Section, Table
+from bundle.reports.terminal.info import distributions
 from bundle.reports.terminal.inputs import (
     about_shutter,
     shutter_fact,
@@ -219,13 +220,6 @@ def structure_section(
     description: Description, tracks: TrackStatistics, graph: CovisibilityGraph
 ) -> Section:
     """Return the section on tracks and co-visibility."""
-    rows = [
-        [name, *(number(getattr(of, kind)) for kind in ("min", "median", "mean", "max"))]
-        for name, of in (
-            ("observations per point", description.track_length),
-            ("observations per image", description.observations_per_image),
-        )
-    ]
     longest = description.track_length.max
     sizes = description.covisibility.component_sizes
     listed = ", ".join(f"{size:,}" for size in sizes[:5]) + (", ..." if len(sizes) > 5 else "")
@@ -235,7 +229,7 @@ def structure_section(
     return Section(
         title="Tracks and co-visibility",
         text=[f"{words} The stronger an edge, the more points its images share."],
-        tables=[Table.of(["", "min", "median", "mean", "max"], rows)],
+        tables=[distributions(description)],
         figures=[
             *([structure_figures.length_figure(tracks, int(longest))] if longest > 0 else []),
             *([angle_figure(tracks)] if tracks.angles.any() else []),

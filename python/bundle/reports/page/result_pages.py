@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from html import escape
+from typing import Any
 
 import numpy as np
 
 from bundle.base.arrays import check_type
 from bundle.base.paths import as_path
 from bundle.checking import gradient_report
-from bundle.checking.gradient_report import GradientReport, Offender
+from bundle.checking.gradient_report import GradientReport
 from bundle.checking.step_curve import CheckDetails
 from bundle.errors import InputError, brief
 from bundle.figures.evaluation_figures import step_figure
@@ -26,10 +27,9 @@ from bundle.judging.evaluation.check_points import CheckPointEvaluation
 from bundle.judging.evaluation.evaluation_result import Evaluation
 from bundle.planning.comparison.comparison_result import Comparison
 from bundle.planning.comparison.graph_comparison import GraphComparison
-from bundle.reports.page.page import heading, tag, write_page
-from bundle.reports.page.svg import grid
-from bundle.reports.page.table import findings_list, rendered, table
-from bundle.reports.sections import Report, Section, Table
+from bundle.reports.page.page import tag, write_page
+from bundle.reports.page.table import findings_list, rendered
+from bundle.reports.sections import Column, Report, Section, Table
 from bundle.reports.terminal.compare import compared
 from bundle.reports.terminal.graph_costs import compared_runs
 from bundle.reports.terminal.judged import evaluated
@@ -180,79 +180,62 @@ def write_check(
         InputError: the report has no details, or the path is a folder.
         OSError: the file cannot be written.
     """
+    points: list[str] = []
     if isinstance(report, FactorCheck):
-        sections = list(_factors(report))
+        words: Any = factor_report
+        first = [Section(title="Kinds of factors", tables=[_kinds(report)])]
+        chosen = list(dict.fromkeys(found.factor for found in report.findings))[:MOST_FACTORS]
+        parts = {key: report.reports[key] for key in chosen or list(report.reports)[:1]}
     elif isinstance(report, GradientReport):
-        sections = list(_function(report))
+        words, parts = gradient_report, {"": report}
+        points = [entry.sentence for entry in report.undecided]
+        checked = f"Checked: {report.subject}, {report.num_checked} {report.noun}s."
+        first = [Section(text=[checked])]
     else:
         raise InputError(f"report: expected the result of a check, found {brief(report)}")
-    write_page(as_path(path), f"Jacobians: {name}", sections)
-
-
-def _function(report: GradientReport) -> Iterator[str]:
-    yield _headline(gradient_report.outcome(report), report.verdict)
-    points = [entry.sentence for entry in report.undecided]
-    yield _listed([*(found.sentence for found in report.findings), *points])
-    yield tag("p", escape(f"Checked: {report.subject}, {report.num_checked} {report.noun}s."),
-              class_="quiet")  # fmt: skip
-    yield from _worst(report.worst)
-    yield from _details(report, "")
-
-
-def _factors(check: FactorCheck) -> Iterator[str]:
-    yield _headline(factor_report.outcome(check), check.verdict)
-    yield _listed([found.sentence for found in check.findings])
-    yield heading("Kinds of factors")
-    head = ["factors", "verdict", "largest error", "checked", "wrong", "undecided"]
-    yield table(head, factor_report.kind_rows(check), words={1})
-    yield from _worst(check.worst)
-    chosen = list(dict.fromkeys(found.factor for found in check.findings))[:MOST_FACTORS]
-    for name in chosen or list(check.reports)[:1]:
-        yield from _details(check.reports[name], name)
-
-
-def _headline(sentence: str, verdict: str) -> str:
-    kind = {"correct": "recommended", "wrong": "finding problem"}.get(verdict, "finding")
-    return tag("div", tag("p", escape(sentence)), class_=kind)
-
-
-def _listed(sentences: list[str]) -> str:
-    return tag("ul", *(tag("li", escape(sentence)) for sentence in sentences)) if sentences else ""
-
-
-def _worst(worst: tuple[Offender, ...]) -> Iterator[str]:
-    rows = [
-        [
-            entry.parameter,
-            entry.place,
-            str(entry.residual),
-            f"{entry.analytic:.6g}",
-            f"{entry.reference:.6g}",
-            f"{entry.error:.1e}",
-        ]
-        for entry in worst
-        if entry.error > 0
+    said = [*(found.sentence for found in report.findings), *points]
+    kind = {"correct": "recommended", "wrong": "finding problem"}.get(report.verdict, "finding")
+    worst = [entry for entry in report.worst if entry.error > 0]
+    sections: list[Section | str] = [
+        tag("div", tag("p", escape(words.outcome(report))), class_=kind),
+        tag("ul", *(tag("li", escape(sentence)) for sentence in said)) if said else "",
+        *first,
+        *([Section(title="Worst entries", tables=[Table(WORST, worst, left=2)])] if worst else []),
+        *(section for key, one in parts.items() for section in _details(one, key)),
     ]
-    if rows:
-        yield heading("Worst entries")
-        yield table(["column", "place", "row", "yours", "should be", "error"], rows, words={1})
+    write_page(as_path(path), f"Jacobians: {name}", rendered(sections))
 
 
-def _details(report: GradientReport, name: str) -> Iterator[str]:
+WORST = (
+    Column("column", "parameter"),
+    Column("place", "place"),
+    Column("row", "residual"),
+    Column("yours", "analytic", "{:.6g}".format),
+    Column("should be", "reference", "{:.6g}".format),
+    Column("error", "error", "{:.1e}".format),
+)
+
+
+def _kinds(check: FactorCheck) -> Table:
+    head = ("factors", "verdict", "largest error", "checked", "wrong", "undecided")
+    return Table.of(head, factor_report.kind_rows(check), left=2)
+
+
+def _details(report: GradientReport, name: str) -> list[Section]:
     if report.details is None:
         raise InputError("report: expected the result of a check with details=True")
-    title = f"Errors by entry: {name}" if name else "Errors by entry"
-    yield heading(title)
-    for details in report.details:
-        yield _map(details, report.tolerance)
-    yield heading(f"Against the step size: {name}" if name else "Against the step size")
-    yield tag("p", escape(READING), class_="quiet")
+    of = f": {name}" if name else ""
+    maps = [_map(details, report.tolerance) for details in report.details]
     curves = [curve for details in report.details for curve in details.curves]
-    yield grid([step_figure(curve, report.tolerance) for curve in curves])
+    figures = [step_figure(curve, report.tolerance) for curve in curves]
+    return [
+        Section(title=f"Errors by entry{of}", tables=maps),
+        Section(title=f"Against the step size{of}", text=[READING], figures=figures),
+    ]
 
 
-def _map(details: CheckDetails, tolerance: float) -> str:
-    """Return a table with the error of each entry; a wrong one is bold."""
+def _map(details: CheckDetails, tolerance: float) -> Table:
+    """Return a table with the error of each entry."""
     wrong = details.is_wrong.any(axis=0)
     order = [*np.flatnonzero(wrong), *np.flatnonzero(~wrong)]
     shown = sorted(int(j) for j in order[:MOST_COLUMNS])
@@ -260,9 +243,9 @@ def _map(details: CheckDetails, tolerance: float) -> str:
     head = ["column", *(f"row {row}" for row in rows)]
     lines = [[details.columns[j], *(_cell(details, row, j) for row in rows)] for j in shown]
     hidden = len(details.columns) - len(shown) or len(details.errors) - len(rows)
-    rest = tag("p", "Further columns or rows are not shown.", class_="quiet") if hidden else ""
     legend = f"Largest relative error at all points. x: wrong, above {tolerance:g}."
-    return table(head, lines) + tag("p", escape(legend), class_="quiet") + rest
+    legend += " Further columns or rows are not shown." if hidden else ""
+    return Table.of(head, lines, legend=legend)
 
 
 def _cell(details: CheckDetails, row: int, column: int) -> str:

@@ -50,7 +50,7 @@ def information(
         Section(facts=input_facts(path, problem, rigs=True)),
         Section(tables=[Table(CAMERAS, description.cameras)]),
         *rig_sections(description.rigs),
-        Section(tables=[_distributions(description)]),
+        Section(tables=[distributions(description)]),
         Section(tables=[_histogram("track length", "points", description.track_length)]),
         Section(
             tables=[_histogram("obs. per image", "images", description.observations_per_image)]
@@ -91,7 +91,9 @@ def _range(low: str, high: str) -> str:
     return low if low == high else f"{low} to {high}"
 
 
-def _distributions(description: Description) -> Table:
+def distributions(description: Description) -> Table:
+    """Return the lengths of tracks and the observations of images."""
+
     def row(name: str, values: Distribution) -> tuple[str, ...]:
         return (name, *map(number, (values.min, values.median, values.mean, values.max)))
 

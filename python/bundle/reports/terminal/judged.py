@@ -19,7 +19,7 @@ from bundle.judging.validation.row_test import RowTest
 from bundle.judging.validation.validation_result import ValidatedCandidate, Validation
 from bundle.model.pose_table import ErrorStatistics
 from bundle.model.problem import Problem
-from bundle.reports.sections import Column, Report, Section, Table, fields
+from bundle.reports.sections import Column, Report, Section, Table
 from bundle.reports.terminal.inputs import about_input, input_facts
 
 if TYPE_CHECKING:
@@ -282,6 +282,13 @@ def _ratio(one: Quantity) -> str:
     return "" if one.ratio is None else number(one.ratio)
 
 
+OF_VALIDATION = (
+    *("verdict", "recommended", "command", "best", "candidates", "num_folds", "seed", "clip"),
+    *("sigma", "rule", "notes", "time_in_seconds"),
+)
+"""Properties of a validation for programs."""
+
+
 def validated(path: str, problem: Problem, found: Validation, options: Mapping[str, Any]) -> Report:
     """Return the report on a validation; the options are those of its solves."""
     mark = dict(zip(found.candidates, _marks(found), strict=True))
@@ -308,21 +315,10 @@ def validated(path: str, problem: Problem, found: Validation, options: Mapping[s
         ],
         data={
             "options": {**options, "num_folds": found.num_folds, "seed": found.seed},
-            "verdict": found.verdict,
-            "recommended": found.recommended,
-            "command": found.command,
-            "best": found.best,
+            **{name: getattr(found, name) for name in OF_VALIDATION},
             "present": None if found.present < 0 else found.present,
-            "candidates": [fields(one) for one in found.candidates],
             "num_held_out": len(found.observations),
-            "num_folds": found.num_folds,
-            "seed": found.seed,
-            "clip": found.clip,
-            "sigma": found.sigma,
-            "rule": fields(found.rule),
             "row_test": _row_test(found.row_test),
-            "notes": found.notes,
-            "time_in_seconds": found.time_in_seconds,
         },
     )
 
