@@ -200,12 +200,7 @@ SMALLEST_GAP = 1e-9
 
 @dataclass(frozen=True)
 class Style:
-    """Drawing style of a method in all figures.
-
-    Attributes:
-        colour: index from 0, the same for all backends and thread counts.
-        line: index from 0, one per backend.
-    """
+    """Drawing style of a method in all figures: a colour for all backends, a line for each."""
 
     colour: int
     line: int

@@ -56,15 +56,7 @@ class Line:
 
 @dataclass(frozen=True, eq=False)
 class Steps:
-    """Step function.
-
-    Attributes:
-        label: label in the legend.
-        x: (n,) each value holds from its x to the next; or (n + 1,) edges of n bins.
-        y: (n,) values.
-        colour: index in the palette.
-        dash: line style.
-    """
+    """Step function: each value holds from its x to the next; n + 1 x are edges of n bins."""
 
     label: str
     x: Array
@@ -83,14 +75,10 @@ class Places:
 
 @dataclass(frozen=True, eq=False)
 class Bars:
-    """One horizontal bar per name, on a logarithmic scale.
+    """One horizontal bar per name, on a logarithmic scale; NaN and 0 have no bar.
 
-    Attributes:
-        values: values by name; NaN and 0 have no bar.
-        show: function that formats a value.
-        impossible: names of hatched bars, whose values are impossible.
-        is_ordered: True if the names are classes of a histogram: empty classes have no row.
-        most: number of bars after which others may be folded away; None: no limit.
+    ``impossible`` bars are hatched. In an ordered histogram, empty classes have no row. Bars after
+    the first ``most`` may be folded away.
     """
 
     values: Mapping[str, float]
@@ -128,14 +116,10 @@ class StackedBars:
 
 @dataclass(frozen=True, eq=False)
 class Cells:
-    """Grid of equal cells over the axes; larger values are more opaque.
+    """Grid of equal cells over the axes; larger values are more opaque, up to ``top``.
 
-    Attributes:
-        values: (rows, columns); NaN: empty.
-        top: value of full opacity.
-        unit: unit of the values.
-        titles: title of each cell, row by row; (): none.
-        levels: levels of contours on top.
+    Values are (rows, columns), NaN for an empty cell; titles go row by row, and levels are those of
+    contours on top.
     """
 
     values: Array
@@ -147,17 +131,10 @@ class Cells:
 
 @dataclass(frozen=True, eq=False)
 class Vectors:
-    """Lines from points, drawn at their given length.
+    """Lines from (n, 2) points by (n, 2) steps, drawn at their given length.
 
-    Attributes:
-        at: (n, 2) starts.
-        step: (n, 2) ends minus starts.
-        colour: index in the palette, for bold lines.
-        is_bold: (n,) True for bold lines; the others are grey. None: all are bold.
-        cells: (n,) cell of each line, row by row; None: no cells.
-        grid: rows and columns of the cells.
-        titles: title of each cell of the grid, row by row.
-        opacity: opacity of lines without cells.
+    Lines that are not bold are grey; None: all are bold. ``cells`` has the cell of each line, row
+    by row, of a grid of rows and columns with titles. Opacity holds for lines without cells.
     """
 
     at: Array
@@ -172,15 +149,10 @@ class Vectors:
 
 @dataclass(frozen=True, eq=False)
 class Dots:
-    """Dots at points.
+    """Dots at (n, 2) points, with names that the mouse pointer shows.
 
-    Attributes:
-        xy: (n, 2).
-        colours: (n,) indices in the palette; () for the first colour.
-        names: names of the dots, shown under the mouse pointer; (): none.
-        is_labelled: True to write the names next to the dots where there is room.
-        directions: (n, 2) vectors whose directions select the colours; None: use ``colours``.
-        radius: radius of a dot, 480 being the width of a chart.
+    Names are written beside the dots where there is room if ``is_labelled``. The directions of (n,
+    2) vectors select the colours in place of ``colours``. The radius counts a chart as 480 wide.
     """
 
     xy: Array
@@ -193,12 +165,7 @@ class Dots:
 
 @dataclass(frozen=True, eq=False)
 class Ellipses:
-    """Ellipses of one standard deviation about the origin.
-
-    Attributes:
-        covariances: (n, 2, 2).
-        colour: index in the palette.
-    """
+    """Ellipses of one standard deviation about the origin, of (n, 2, 2) covariances."""
 
     covariances: Array
     colour: int = 0
@@ -214,23 +181,14 @@ class Ellipses:
 
 @dataclass(frozen=True, eq=False)
 class Photo:
-    """Picture over the full area of the axes.
-
-    Attributes:
-        picture: a data URI for a page, or an argument of ``imshow`` for Matplotlib.
-    """
+    """Picture over the axes: a data URI for a page, an argument of ``imshow`` for Matplotlib."""
 
     picture: object = field(repr=False)
 
 
 @dataclass(frozen=True, eq=False)
 class Matrix:
-    """Correlation matrix with the names of its rows and columns.
-
-    Attributes:
-        names: (n,) names.
-        values: (n, n) correlations from -1 to 1.
-    """
+    """Correlation matrix, (n, n) from -1 to 1, with the names of its rows and columns."""
 
     names: tuple[str, ...]
     values: Array

@@ -125,13 +125,8 @@ def _moment(residuals: Array) -> Array:
 class PlacedImage:
     """Image with a measured position.
 
-    Attributes:
-        name: name of the image.
-        position: (3,) position of the camera in the model, east, north, up [m]; NaN if the model
-            has no image of this name.
-        residual: (3,) model minus measurement, east, north, up [m]; NaN if unknown.
-        sigmas: length of the residual in standard deviations; NaN if unknown.
-        used: True if the measurement had an influence.
+    Position and residual (model minus measurement) are east, north, up [m], NaN if the model has no
+    such image. ``sigmas`` is the length of the residual in standard deviations; NaN if unknown.
     """
 
     name: str
@@ -143,17 +138,11 @@ class PlacedImage:
 
 @dataclass(frozen=True, eq=False)
 class PlacedTarget:
-    """Control or check point.
+    """Control or check point, or an unused one.
 
-    Attributes:
-        name: name of the target.
-        role: "control", "check" or "unused".
-        num_images: number of images that observe it.
-        residual: (3,) model minus survey, east, north, up [m]; NaN if unknown.
-        left_out: (3,) the same if only the other points georeference the model.
-        sigma: (3,) standard deviation of the survey [m]; NaN for an unknown height.
-        pixels: root mean square of its reprojection errors.
-        suspect: True if a gross error is likely.
+    Residual (model minus survey), the same if only the other points georeference the model, and the
+    sigma of the survey are east, north, up [m], NaN if unknown. ``pixels`` is the root mean square
+    of its reprojection errors.
     """
 
     name: str

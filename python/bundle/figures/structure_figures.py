@@ -225,14 +225,9 @@ QUANTILES = np.linspace(0.0, 1.0, 201)
 
 @dataclass(frozen=True, eq=False)
 class DrawnGraph:
-    """Positions and edges to draw.
+    """Positions (n, 2) or (n, 3) to draw, and edges as pairs of them.
 
-    Attributes:
-        positions: (n, 2) or (n, 3), finite.
-        before: positions before a solve; None without one.
-        path: (k, 2) pairs of positions: edges along the trajectory.
-        others: (m, 2) pairs of positions: all other edges.
-        worst: (w, 2) pairs of positions of the edges with the largest errors.
+    ``path`` are edges along the trajectory, ``worst`` those with the largest errors.
     """
 
     positions: Floats

@@ -30,14 +30,10 @@ SCHEMA = 1
 
 @dataclass(frozen=True)
 class Column:
-    """Column of a table.
+    """Column of a table with its title and unit.
 
-    Attributes:
-        title: title with the unit.
-        value: source of a cell: an attribute of the row, such as "error.rmse"; an index, if rows
-            are tuples; or a function of the row.
-        format: function that formats a value.
-        is_page_only: True for a column of pages that terminals have no room for.
+    The value of a cell is an attribute of the row, such as "error.rmse", an index, if rows are
+    tuples, or a function of the row. Terminals have no room for a column that ``is_page_only``.
     """
 
     title: str
@@ -55,17 +51,11 @@ class Column:
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """Table of a report.
+    """Table of a report; the columns read its rows.
 
-    Attributes:
-        columns: columns in the order of display.
-        rows: objects that the columns can read.
-        left: number of left-aligned columns of text, before the columns of numbers.
-        keys: number of columns that identify a row.
-        most: largest number of rows that are shown; None: all.
-        others: function from the number of hidden rows to a sentence about them.
-        legend: meaning of the titles, below the table.
-        best: index of a row that pages highlight; None: no row.
+    The first ``left`` columns are text, aligned to the left; the first ``keys`` identify a row. At
+    most ``most`` rows are shown; ``others`` says how many are not. ``legend`` is below the table,
+    and ``best`` the index of a row that pages highlight.
     """
 
     columns: Sequence[Column]
@@ -102,19 +92,16 @@ class Table:
 class Section:
     """Section of a report, with an empty line above it.
 
+    Facts, labelled, are first, then tables without empty lines between them, text, a command line
+    to copy, and notes. Figures, or a function that makes them, are for pages.
+
     Attributes:
-        facts: labels and facts, shown first.
-        tables: tables without empty lines between them.
-        text: paragraphs or renderables.
-        command: command line to copy.
-        notes: list of sentences, shown last.
         is_warning: True if the notes are warnings.
         is_joined: True to omit the empty line above.
         is_detail: True to show the section with --verbose only; pages fold it away.
         is_page_only: True to show the section on pages only.
         title: heading on a page, and its entry in the contents; of a joined section a lower
             heading; of a detail the text of the fold.
-        figures: figures of a page, below the tables, or a function that makes them.
     """
 
     facts: Sequence[tuple[str, str]] = ()
@@ -135,12 +122,10 @@ class Report:
     """Report of a command.
 
     Attributes:
-        command: name of the command.
         input: path, format and counts of the input; None if the data contain them.
         headline: verdict in sentences.
         warnings: sentences that restrict the headline.
         findings: facts to act on, the most important first.
-        sections: sections for people.
         data: data for programs, in addition to schema, command, version and input.
         title: title of the page with these sections; "" if the command has another page, or none.
     """

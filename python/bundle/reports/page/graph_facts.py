@@ -42,22 +42,11 @@ CAM_FROM_WORLD = (PositionFactor, RelativePoseFactor, ReprojectionFactor)
 class GraphFacts:
     """Variables with positions, edges with errors, and analyses of a graph.
 
-    Attributes:
-        noun: "edge" or "factor".
-        headline: sentences about the outcome.
-        contents: counts in words.
-        positions: (n, 2) or (n, 3) positions; NaN for a variable without one.
-        before: positions before a solve; None without a solve.
-        rotations: (n, 3, 3) world_from_body; identity where unknown.
-        ends: (m, 2) positions of the first and last variable of an edge; equal for one variable.
-        names: (m,) names of the edges.
-        kinds: (m,) kinds of the edges.
-        chi2: (m,) r^T Omega r.
-        chi2_before: (m,) before a solve; NaN without one.
-        sizes: (m,) number of residuals.
-        diagnosis: diagnosis at these values; None if the graph has none.
-        inspection: cost of its factorisation; None if no variable is free.
-        costs: cost by iteration; empty without a solve.
+    Positions are (n, 2) or (n, 3), NaN for a variable without one; ``rotations`` are (n, 3, 3)
+    world_from_body, identity where unknown; ``ends`` are the (m, 2) first and last variables of
+    edges. ``chi2`` is r^T Omega r of each edge, ``sizes`` its number of residuals. Values before a
+    solve are None or NaN without one, costs by iteration empty; a diagnosis or inspection that
+    fails is None.
     """
 
     noun: str

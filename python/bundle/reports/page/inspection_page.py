@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Sequence
 from dataclasses import replace
@@ -273,35 +274,33 @@ def processes_section(
 
 
 def _time(rows: Sequence[RankPrediction]) -> Figure:
-    counts = [float(row.num_processes) for row in rows]
     parts = {
         "a step": [row.time_per_step_in_seconds for row in rows],
         "points, divided": [row.points_time_per_step_in_seconds for row in rows],
         "the first process alone": [row.first_time_per_step_in_seconds for row in rows],
-        "messages": [row.network_time_per_step_in_seconds or float("nan") for row in rows],
+        "messages": [row.network_time_per_step_in_seconds or math.nan for row in rows],
         "a step of one process / N": [
             row.efficiency * row.time_per_step_in_seconds for row in rows
         ],
     }
-    return _figure("Time of a step, on a log scale", parts, counts, "seconds")
+    return _figure("Time of a step, on a log scale", parts, rows, "seconds")
 
 
 def _memory(rows: Sequence[RankPrediction]) -> Figure:
+    others = [
+        row.memory_of_others_in_bytes / 1e9 if row.num_processes > 1 else math.nan for row in rows
+    ]
+    first = [row.memory_of_first_in_bytes / 1e9 for row in rows]
+    parts = {"the first process": first, "each of the others": others}
+    return _figure("Peak memory, on a log scale", parts, rows, "GB")
+
+
+def _figure(
+    title: str, parts: dict[str, list[float]], rows: Sequence[RankPrediction], unit: str
+) -> Figure:
     counts = [float(row.num_processes) for row in rows]
-    parts = {
-        "the first process": [row.memory_of_first_in_bytes / 1e9 for row in rows],
-        "each of the others": [
-            row.memory_of_others_in_bytes / 1e9 if row.num_processes > 1 else float("nan")
-            for row in rows
-        ],
-    }
-    return _figure("Peak memory, on a log scale", parts, counts, "GB")
-
-
-def _figure(title: str, parts: dict[str, list[float]], counts: list[float], unit: str) -> Figure:
-    x = np.array(counts)
     lines = tuple(
-        Line(name, x, np.array(values), colour=k, dash=k)
+        Line(name, np.array(counts), np.array(values), colour=k, dash=k)
         for k, (name, values) in enumerate(parts.items())
     )
     heights = [value for values in parts.values() for value in values]

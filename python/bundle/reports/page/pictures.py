@@ -50,12 +50,7 @@ def data_uri(rgba: NDArray[np.uint8]) -> str:
 
 @dataclass(frozen=True)
 class Photograph:
-    """Photograph at reduced size.
-
-    Attributes:
-        address: data: URI.
-        size: (2,) width and height of the original file [pixels].
-    """
+    """Photograph at reduced size, as a data: URI, with the original width and height [pixels]."""
 
     address: str
     size: tuple[int, int]

@@ -19,7 +19,7 @@ from bundle.errors import InputError, shown
 from bundle.figures.certainty import Certainty, certainty, largest_eigenvalues
 from bundle.figures.lens_figures import LensCurve, lens_curves, most_observed_cameras
 from bundle.figures.placement_figures import Placement, placement
-from bundle.figures.projection_uncertainty import ProjectionUncertainty, projection_uncertainty
+from bundle.figures.projection_uncertainty import projection_uncertainty
 from bundle.figures.residual_field import residual_fields, rows_of_sets
 from bundle.figures.residual_figures import residual_histogram, worst_residuals
 from bundle.figures.scene_view import MOST_POINTS, scene_before, scene_view
@@ -72,7 +72,7 @@ from bundle.reports.page.scene_section import (
     upper_limit,
 )
 from bundle.reports.page.table import findings_list, rendered, rounded
-from bundle.reports.page.verdicts import Judged, Verdict, summarised, verdict_list, verdicts
+from bundle.reports.page.verdicts import Judged, summarised, verdict_list, verdicts
 from bundle.reports.sections import Section, fields, plain
 from bundle.solving.headline import headline
 from bundle.solving.result import Result
@@ -150,7 +150,10 @@ class _Page:
         self.problem = problem
         self.result = result
         self.name = name
-        self.initial = None if result is None else _initial(result)
+        self.initial: Problem | None = None  # in the frame of the result
+        if result is not None:
+            first, motion = result.initial_problem, result.similarity
+            self.initial = first if motion is None else moved(first, motion)
         self.notes: list[str] = []
         self.data: dict[str, Any] = {}
         self.place: Placement | None = None
@@ -172,7 +175,7 @@ class _Page:
         found = residuals(problem, options.cheirality)
         counts = bool(found.counted.any())
         if not counts:
-            self._note("No residuals: no observation counts.")
+            self.notes.append("No residuals: no observation counts.")
         images = worst_residuals(problem, found, MOST_CLICKED) if counts else []
         planes = residual_fields(problem, found) if counts else []
         graph = covisibility_graph(problem, MOST_EDGES)
@@ -195,11 +198,12 @@ class _Page:
         self.data["verdicts"], self.data["findings"] = plain(judged), plain(findings)
         sets = self._sets(found)
         rows = rows_of_sets(sets)
+        observed = len(np.unique(problem.image_camera[problem.observation_image]))
         self.data["rows"] = plain(rows)
         self.data |= plain(shutter_data(problem, result, self.covariance))
         sections = [
             *self._residuals(sets, found, description),
-            *(field_sections(planes, self._num_observed(), rows) if planes else []),
+            *(field_sections(planes, observed, rows) if planes else []),
             *(worst_section(images, photographs) if images else []),
             *shutter_section(problem, result, self.covariance),
             *self._lenses(),
@@ -227,18 +231,15 @@ class _Page:
                 class_="first",
             ),
         ]
+        short = "/".join(Path(self.name).parts[-2:]) or "The reconstruction"
         write_page(
             path,
             f"Report on {self.name}" if self.name else "Report on a reconstruction",
             [*first, *rendered(sections)],
             self.data,
-            headline=self._headline(judged, findings),
+            headline=f"{short}: {summarised(judged, findings)}",
             script=scene_script(),
         )
-
-    def _headline(self, judged: Sequence[Verdict], findings: Sequence[Finding]) -> str:
-        name = "/".join(Path(self.name).parts[-2:]) or "The reconstruction"
-        return f"{name}: {summarised(judged, findings)}"
 
     def _sets(self, found: Residuals) -> dict[str, tuple[Problem, Residuals]]:
         """Return problem and residuals by label: "now", or "before" and "after" of a solve."""
@@ -313,49 +314,33 @@ class _Page:
                 self.no_certainty = (
                     f"No covariance: {str(error).removeprefix('problem: ').rstrip('.')}."
                 )
-                self._note(self.no_certainty)
+                self.notes.append(self.no_certainty)
         self.covariance = given
         return None if given is None else certainty(self.problem, given)
 
     def _certainty(self, found: Residuals) -> list[Section]:
         if self.known is None:
             return []
-        cameras = most_observed_cameras(self.problem)
-        made = (self._projection(index, self.known, found) for index in cameras)
+        cameras, known = most_observed_cameras(self.problem), self.known
+        options = SolveOptions() if self.result is None else self.result.options
+        made = (
+            projection_uncertainty(
+                self.problem, index, known.cameras[index], found=found,
+                sigma=known.sigma0 if known.scale == "sigma0" else 1.0,
+                loss=options.loss, loss_scale=options.loss_scale,
+            )
+            for index in cameras
+            if index in known.cameras
+        )  # fmt: skip
         projections = [one for one in made if one is not None]
         if projections:
             self.data["projection"] = projection_data(projections)
-        return certainty_sections(self.problem, self.known, cameras, projections)
-
-    def _projection(
-        self, camera: int, known: Certainty, found: Residuals
-    ) -> ProjectionUncertainty | None:
-        if camera not in known.cameras:
-            return None
-        options = SolveOptions() if self.result is None else self.result.options
-        return projection_uncertainty(
-            self.problem, camera, known.cameras[camera], found=found,
-            sigma=known.sigma0 if known.scale == "sigma0" else 1.0,
-            loss=options.loss, loss_scale=options.loss_scale,
-        )  # fmt: skip
-
-    def _num_observed(self) -> int:
-        return len(np.unique(self.problem.image_camera[self.problem.observation_image]))
-
-    def _note(self, words: str) -> None:
-        self.notes.append(words)
+        return certainty_sections(self.problem, known, cameras, projections)
 
 
 def _sentences(words: Sequence[str]) -> str:
     first, *rest = (escape(sentence) for sentence in words)
     return tag("p", tag("strong", first), " ", " ".join(rest), class_="headline")
-
-
-def _initial(result: Result) -> Problem:
-    """Return the input of a solve in the frame of its output."""
-    if result.similarity is None:
-        return result.initial_problem
-    return moved(result.initial_problem, result.similarity)
 
 
 def _rounded(curve: LensCurve) -> dict[str, Any]:

@@ -50,13 +50,7 @@ FLAT = 2.0
 
 @dataclass(frozen=True)
 class Verdict:
-    """Answer to a question about a model.
-
-    Attributes:
-        name: subject, such as "outliers".
-        mark: "good", "attention", "problem" or "unknown".
-        number: the number behind the mark, in words.
-    """
+    """Answer to a question about a model, with the number behind its mark in words."""
 
     name: str
     mark: str
@@ -90,7 +84,7 @@ def verdicts(given: Judged) -> list[Verdict]:
         if one is not None and is_start and answer in OF_A_MINIMUM:
             found.append(Verdict(one.name, "unknown", one.number))
         elif one is not None:
-            found.append(_with_findings(one, given.findings, kinds))
+            found.append(_with_findings(one, given.findings, kinds.split()))
     return found
 
 
@@ -307,37 +301,22 @@ def _place(given: Judged) -> Verdict | None:
     return Verdict("Georeference", "attention" if suspects and mark == "good" else mark, words)
 
 
-QUESTIONS: tuple[tuple[Callable[[Judged], Verdict | None], Collection[str]], ...] = (
-    (_solve, ()),
+QUESTIONS: tuple[tuple[Callable[[Judged], Verdict | None], str], ...] = (
+    (_solve, ""),
     (
         _error,
-        (
-            "not_refined",
-            "not_converged",
-            "shifted_pixels",
-            "no_observations",
-            "unsupported_camera_models",
-            "observations_outside_image",
-        ),
+        "not_refined not_converged shifted_pixels no_observations unsupported_camera_models "
+        "observations_outside_image",
     ),
-    (_held_out, ()),
-    (_outliers, ("outliers", "gross_errors", "observations_behind_camera")),
-    (_worst, ("motion", "image_residuals")),
-    (_lens, ("lens_model", "folding_distortion", "absurd_distortion")),
-    (_focal, ("undetermined_intrinsics", "shared_lens", "focal_drift", "absurd_focal_lengths")),
-    (_positions, ("scale_drift", "no_covariance", "images_with_few_observations")),
-    (
-        _tracks,
-        (
-            "duplicate_points",
-            "collapsed_points",
-            "far_points",
-            "points_not_seen",
-            "points_seen_once",
-        ),
-    ),
-    (_connection, ("weak_joint", "disconnected", "images_without_observations")),
-    (_place, ("positions", "attitudes")),
+    (_held_out, ""),
+    (_outliers, "outliers gross_errors observations_behind_camera"),
+    (_worst, "motion image_residuals"),
+    (_lens, "lens_model folding_distortion absurd_distortion"),
+    (_focal, "undetermined_intrinsics shared_lens focal_drift absurd_focal_lengths"),
+    (_positions, "scale_drift no_covariance images_with_few_observations"),
+    (_tracks, "duplicate_points collapsed_points far_points points_not_seen points_seen_once"),
+    (_connection, "weak_joint disconnected images_without_observations"),
+    (_place, "positions attitudes"),
 )
 """Functions that answer a question, and the kinds of findings about its subject."""
 

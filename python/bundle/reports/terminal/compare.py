@@ -345,34 +345,35 @@ def _cost(value: float) -> str:
     return f"{value:.9e}" if math.isfinite(value) else "-"
 
 
+OF_COMPARISON = (
+    *("environment", "perturb", "seed", "repeat", "memory_cap_in_bytes", "interrupted"),
+)
+OF_RUN = (
+    *("message", "final_cost", "total_time_in_seconds", "spread", "distance_in_sigmas"),
+    *("num_points_elsewhere", "prediction"),
+)
+OF_MEASUREMENT = ("total_time_in_seconds", "time_per_step_in_seconds", "breakdown")
+"""Properties for programs."""
+
+
 def comparison_data(comparison: Comparison) -> dict[str, Any]:
     """Return the data of `--json` in addition to the heading."""
-    recommendation = comparison.recommendation
+    best, problems = comparison.recommendation, range(len(comparison.problems))
     return {
         "inputs": [_input(problem) for problem in comparison.problems],
         "options": solve_options(comparison.options),
-        "environment": comparison.environment,
-        "perturb": comparison.perturb,
-        "seed": comparison.seed,
-        "repeat": comparison.repeat,
+        **{name: getattr(comparison, name) for name in OF_COMPARISON},
         "timeout_in_seconds": comparison.timeout,
-        "memory_cap_in_bytes": comparison.memory_cap_in_bytes,
-        "best_costs": [comparison.best_cost(i) for i in range(len(comparison.problems))],
-        "at_minimum": [comparison.is_at_minimum(i) for i in range(len(comparison.problems))],
+        "best_costs": [comparison.best_cost(index) for index in problems],
+        "at_minimum": [comparison.is_at_minimum(index) for index in problems],
         "runs": [_run(comparison, run) for run in comparison.runs],
-        "profiles": [
-            {**fields(profile), "method": _method(profile.method)}
-            for profile in comparison.profiles
-        ],
-        "recommendation": recommendation
+        "profiles": [fields(one) | {"method": _method(one.method)} for one in comparison.profiles],
+        "recommendation": best
         and {
-            "method": _method(recommendation.method),
-            "reason": recommendation.reason,
-            "command": recommendation.command,
-            "foreseen": [one and _method(one) for one in recommendation.foreseen],
-            "verdict": recommendation.verdict,
+            **{name: getattr(best, name) for name in ("reason", "command", "verdict")},
+            "method": _method(best.method),
+            "foreseen": [one and _method(one) for one in best.foreseen],
         },
-        "interrupted": comparison.interrupted,
         "wall_time": {"total": comparison.wall_time_in_seconds},
     }
 
@@ -391,23 +392,16 @@ def _method(method: Method) -> dict[str, Any]:
 
 
 def _run(comparison: Comparison, run: Run) -> dict[str, Any]:
+    times = [(gap, comparison.time_to_gap(run, gap)) for gap in GAPS]
     return {
         "input": run.problem,
         "method": _method(run.method),
         "outcome": run.outcome.upper(),
-        "message": run.message,
-        "final_cost": run.final_cost,
+        **{name: getattr(run, name) for name in OF_RUN},
         "gap": comparison.gap(run),
-        "time_to_gap": [
-            {"gap": gap, "time_in_seconds": comparison.time_to_gap(run, gap)} for gap in GAPS
-        ],
-        "total_time_in_seconds": run.total_time_in_seconds,
-        "spread": run.spread,
-        "distance_in_sigmas": run.distance_in_sigmas,
-        "num_points_elsewhere": run.num_points_elsewhere,
+        "time_to_gap": [{"gap": gap, "time_in_seconds": time} for gap, time in times],
         "minimum": run.minimum if run.minimum >= 0 else None,
         "peak_memory_in_bytes": run.peak_memory_in_bytes or None,
-        "prediction": run.prediction,
         "measurements": [_measurement(one) for one in run.measurements],
         "unfinished": run.unfinished and records(run.unfinished),
     }
@@ -417,9 +411,7 @@ def _measurement(measurement: Measurement) -> dict[str, Any]:
     added = measurement.added_memory_in_bytes
     return {
         **fields(measurement),
-        "total_time_in_seconds": measurement.total_time_in_seconds,
-        "time_per_step_in_seconds": measurement.time_per_step_in_seconds,
-        "breakdown": measurement.breakdown,
+        **{name: getattr(measurement, name) for name in OF_MEASUREMENT},
         "added_memory_in_bytes": added if added >= 0 else None,
         "iterations": records(measurement.iterations),
     }

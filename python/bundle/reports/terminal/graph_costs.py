@@ -107,13 +107,7 @@ def compared_graph(
 
     ``orders_only``: the methods differ in the elimination order alone.
     """
-    recommendation = None
-    if found.recommended is not None:
-        recommendation = {
-            "method": found.recommended,
-            "reason": found.reason,
-            "command": found.command,
-        }
+    best = found.recommended
     made = compared_runs(found, path, orders_only)
     return dataclasses.replace(
         made,
@@ -126,7 +120,9 @@ def compared_graph(
             "repeat": found.repeat,
             "timeout": found.timeout,
             "runs": [_run(found, run) for run in found.runs],
-            "recommendation": recommendation,
+            "recommendation": None
+            if best is None
+            else {"method": best, "reason": found.reason, "command": found.command},
             "wall_time": {"total": wall_time},
         },
     )
@@ -169,22 +165,20 @@ def run_table(found: GraphComparison, orders_only: bool = False) -> Table:
         mark = " *" if run.method == found.recommended and not run.failure else ""
         return f"{run.method.ordering if orders_only else run.method.name}{mark}"
 
-    of_orders = (
-        Column("nnz(L)", measured(_factor("num_factor_nonzeros", amount))),
-        Column("flops", measured(_factor("factor_flops", number))),
+    gap = Column("gap of the cost", measured(lambda run: f"{found.gap(run):.1e}"))
+    threads = Column("threads", "method.num_threads")
+    sizes = (
+        Column("nnz(L)", measured(lambda run: _known(run, "num_factor_nonzeros", amount))),
+        Column("flops", measured(lambda run: _known(run, "factor_flops", number))),
     )
     columns = (
         Column("order" if orders_only else "method", name),
-        *(() if orders_only else (Column("threads", "method.num_threads"),)),
+        *(() if orders_only else (threads,)),
         Column("chi2", lambda run: run.failure or f"{run.chi2_final:.9g}"),
-        *(
-            ()
-            if orders_only
-            else (Column("gap of the cost", measured(lambda run: f"{found.gap(run):.1e}")),)
-        ),
+        *(() if orders_only else (gap,)),
         Column("sigmas", measured(lambda run: f"{found.distance_in_sigmas(run):.1e}")),
         Column("steps", measured(lambda run: str(run.num_steps))),
-        *(of_orders if orders_only else ()),
+        *(sizes if orders_only else ()),
         Column("seconds", measured(lambda run: seconds(run.time_in_seconds))),
         Column("a step", measured(lambda run: span(run.time_per_step_in_seconds))),
         Column("predicted", measured(lambda run: span(run.predicted_time_per_step_in_seconds))),
@@ -192,31 +186,26 @@ def run_table(found: GraphComparison, orders_only: bool = False) -> Table:
     return Table(columns, found.runs)
 
 
-def _factor(name: str, write: Callable[[float], str]) -> Callable[[GraphRun], str]:
-    """Return a function that writes the size of a run's factor; "-" if it is unknown."""
+def _known(run: GraphRun, name: str, write: Callable[[float], str]) -> str:
+    value = getattr(run.result.summary, name)
+    return "-" if value is None else write(value)
 
-    def cell(run: GraphRun) -> str:
-        value = getattr(run.result.summary, name)
-        return "-" if value is None else write(value)
 
-    return cell
+OF_RUN = (
+    *("times_in_seconds", "time_in_seconds", "final_cost", "chi2_final", "num_steps", "failure"),
+    *("time_per_step_in_seconds", "predicted_time_per_step_in_seconds", "termination_type"),
+    "warnings",
+)
+"""Properties of a run for programs."""
 
 
 def _run(found: GraphComparison, run: GraphRun) -> dict[str, Any]:
-    names = (
-        *("times_in_seconds", "time_in_seconds", "final_cost", "chi2_final"),
-        *("time_per_step_in_seconds", "predicted_time_per_step_in_seconds"),
-    )
     return {
         **fields(run.method),
         "name": run.method.name,
-        **{name: getattr(run, name) for name in names},
+        **{name: getattr(run, name) for name in OF_RUN},
         "gap": found.gap(run),
         "distance_in_sigmas": found.distance_in_sigmas(run),
-        "num_steps": run.num_steps,
-        "termination_type": run.termination_type,
-        "failure": run.failure,
-        "warnings": run.warnings,
         "summary": run.result and run.result.summary,
         "iterations": [] if run.result is None else records(run.result.iterations),
     }
