@@ -5,14 +5,15 @@ The tables of the classes say what is refused. A class with a table needs a vali
 
 import dataclasses
 import importlib
-import pkgutil
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import bundle
 from bundle.base.arrays import VALUES, Array, Index, as_declared, at, check_distinct, refuse_row
+from bundle.io.sequences.trajectory_files import Trajectory
 from bundle.model.pose_table import PoseTable
 from bundle.model.problem_fields import ARRAYS
 from tests.graphs.pose_graphs import graphs
@@ -20,6 +21,7 @@ from tests.inertial.vio.test_sequence_folder import sequence
 from tests.model.test_rolling_shutter import problem_of
 from tests.rig_scenes import rig_problem
 
+ROOT = Path(bundle.__file__).parent
 POSES = np.tile([0.0, 0, 0, 1, 1, 2, 3], (4, 1))
 OBJECTS = {
     "Problem": lambda: rig_problem(num_frames=2, num_alone=2, num_points=20, seed=1),
@@ -27,21 +29,24 @@ OBJECTS = {
     "PoseTable": lambda: PoseTable(POSES, timestamps_ns=np.arange(4)),
     "RollingShutter": lambda: problem_of().rolling_shutter,
     "Sequence": sequence,
+    "Trajectory": lambda: Trajectory(np.arange(3), np.ones((3, 16))),
+    "TrackRows": lambda: bundle.TrackRows(np.ones(4), np.ones((4, 6)), np.ones((4, 3))),
 }
 
 
 def classes():
-    """Return the classes of the package with a table of arrays."""
-    found = {}
-    for module in pkgutil.walk_packages(bundle.__path__, "bundle."):
-        if ".model." in module.name or ".io.sequences.traj" in module.name:
-            for one in vars(importlib.import_module(module.name)).values():
+    """Return the tables of the package by the name of their class."""
+    found = {"Problem": ARRAYS}
+    for path in ROOT.rglob("*.py"):
+        if "_ARRAYS = " in path.read_text():
+            parts = ("bundle", *path.relative_to(ROOT).with_suffix("").parts)
+            for one in vars(importlib.import_module(".".join(parts))).values():
                 if isinstance(one, type) and "_ARRAYS" in vars(one):
                     found[one.__name__] = one._ARRAYS
-    return found | {"Problem": ARRAYS}
+    return found
 
 
-TABLES = {name: table for name, table in classes().items() if name in OBJECTS}
+TABLES = classes()
 
 
 def test_every_table_has_an_object():
@@ -96,6 +101,7 @@ LEADERS = {
         ("Sequence", "imu_timestamps_ns"),
     ),
     *(("Sequence", "track_timestamps_ns"), ("RollingShutter", "twist")),
+    *(("Trajectory", "timestamps_ns"), ("TrackRows", "innovation")),
 }
 """Arrays that fix a size; a shorter one is another valid size, and other arrays do not fit."""
 

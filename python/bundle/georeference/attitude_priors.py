@@ -35,6 +35,7 @@ from bundle.base.arrays import FrozenArrays, as_array, freeze
 from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
 from bundle.errors import InputError, brief
+from bundle.georeference.vector_priors import check_image, three_numbers
 from bundle.graphs.factors.factors import Factor
 from bundle.graphs.factors.image_factors import (
     DOWN,
@@ -64,10 +65,7 @@ class AttitudePrior(FrozenArrays, Displayed):
     num_residuals = 1
 
     def _check(self) -> None:
-        if isinstance(self.image, bool) or not isinstance(self.image, int | str | np.integer):
-            raise InputError(
-                f"{type(self).__name__}: image: expected an id or a name, found {brief(self.image)}"
-            )
+        check_image(self)
         given: Any = self
         scale = given.loss_scale
         if scale is None:
@@ -90,9 +88,7 @@ class AttitudePrior(FrozenArrays, Displayed):
 
     def _direction(self, attribute: str) -> Array:
         name = f"{self.name}: {attribute}"
-        vector = as_array(name, getattr(self, attribute))
-        if vector.shape != (3,):
-            raise InputError(f"{name}: expected 3 numbers, found shape {vector.shape}")
+        vector = three_numbers(name, getattr(self, attribute))
         largest = float(np.abs(vector).max()) if np.isfinite(vector).all() else 0.0
         if not largest > 0:
             raise InputError(

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from bundle.base.arrays import check_type
 from bundle.base.paths import as_path, is_path
 from bundle.errors import InputError, brief, nearest
 from bundle.georeference.control_point import GroundControlPoint, parse_sigma
@@ -103,8 +104,7 @@ def given_control_points(gcps: Any, problem: Problem) -> tuple[GroundControlPoin
         raise InputError(f"gcps: expected a path or control points, found {brief(gcps)}") from None
     names = set()
     for point in points:
-        if not isinstance(point, GroundControlPoint):
-            raise InputError(f"gcps: expected GroundControlPoints, found {brief(point)}")
+        check_type("gcps", point, GroundControlPoint, "GroundControlPoints")
         if point.name in names:
             raise InputError(f"gcps: expected unique names, found {point.name} twice")
         names.add(point.name)

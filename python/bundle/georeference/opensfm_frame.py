@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 import bundle._core as _core
+from bundle.base.arrays import at
 from bundle.base.words import plural
 from bundle.errors import InputError, shown
 from bundle.georeference.control_point import GroundControlPoint, Measurement
@@ -107,10 +108,8 @@ def frame_of(node: Node) -> LocalFrame:
         InputError: a value is missing or invalid.
     """
     values = (node.get(name).number() for name in ("latitude", "longitude", "altitude"))
-    try:
+    with at(node.place):
         return LocalFrame(*values)
-    except InputError as error:
-        raise InputError(f"{node.place}: {error}") from None
 
 
 def read_opensfm_gcps(path: Path, problem: Problem) -> tuple[GroundControlPoint, ...]:
@@ -162,7 +161,7 @@ def _control_points(node: Node, problem: Problem) -> tuple[GroundControlPoint, .
             measurements[row] = Measurement(problem.image_names[row], u, v)
         role = point.find("role")
         is_check = role is not None and "metrics" in str(role.value).lower()
-        try:
+        with at(point.place):
             found = GroundControlPoint(
                 name=str(point.get("id").value),
                 position=(x, y, z),
@@ -170,8 +169,6 @@ def _control_points(node: Node, problem: Problem) -> tuple[GroundControlPoint, .
                 role="check" if is_check else "control",
                 reference_system="WGS84",
             )
-        except InputError as error:
-            raise InputError(f"{point.place}: {error}") from None
         points.append(found)
     if not points:
         raise InputError(f"{node.place}: expected points with a position, found 0")

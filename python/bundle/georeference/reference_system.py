@@ -32,6 +32,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from bundle.base.arrays import check_type
 from bundle.base.records import dataclass
 from bundle.base.words import plural
 from bundle.errors import InputError, brief, first_line
@@ -247,10 +248,7 @@ class ReferenceSystem:
     def _crs(self) -> CRS:
         import pyproj  # start-up: loads slowly
 
-        if not isinstance(self.name, str):
-            raise InputError(
-                f"coordinate reference system: expected text, found {brief(self.name)}"
-            )
+        check_type("coordinate reference system", self.name, str, "text")
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # "+init=" is deprecated

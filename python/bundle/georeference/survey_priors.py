@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from bundle.base.arrays import at
 from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
 from bundle.base.words import plural
@@ -169,10 +170,8 @@ def gps_priors(
             antenna=np.asarray(antenna, dtype=np.float64),
         )
         notes = check_readings(survey)
-        try:  # check that they determine the alignment
+        with at("gps"):
             robust_similarity(survey.measured, survey.what)
-        except InputError as error:
-            raise InputError(f"gps: {error}") from None
     places = positions.geodetic[[rows[row] for row in chosen]]
     frame = origin
     if frame is None and positions.reference_system is not None:

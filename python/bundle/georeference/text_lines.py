@@ -8,6 +8,7 @@ import os
 import re
 from collections.abc import Collection, Mapping, Sequence
 
+from bundle.base.arrays import at
 from bundle.base.paths import numbered_lines
 from bundle.errors import InputError, brief, shown
 from bundle.georeference.image_index import ImageFinder
@@ -56,10 +57,8 @@ def read_lines(
     split = [(place, split_words(line, name_at)) for place, line in rows]
     if header.strip().upper() == LOCAL:
         return None, split
-    try:
+    with at(f"{shown(path)}: line {number}"):
         system = ReferenceSystem(header.strip())
-    except InputError as error:
-        raise InputError(f"{shown(path)}: line {number}: {error}") from None
     return system, split
 
 

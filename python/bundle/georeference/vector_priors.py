@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bundle.base.arrays import FrozenArrays, as_array, freeze
+from bundle.base.arrays import Array as Declared
+from bundle.base.arrays import FrozenArrays, as_array, as_declared, check_type, check_values, freeze
 from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
 from bundle.errors import InputError, brief
@@ -40,23 +41,17 @@ class VectorPrior(FrozenArrays, Displayed):
     noun = ""
 
     def __post_init__(self) -> None:
-        if isinstance(self.image, bool) or not isinstance(self.image, int | str | np.integer):
-            raise InputError(
-                f"{type(self).__name__}: image: expected an id or a name, found {brief(self.image)}"
-            )
+        check_image(self)
         given: Any = self
         name = self.name
-        vector = _vector(f"{name}: {self.noun}", getattr(self, self.noun))
+        vector = three_numbers(f"{name}: {self.noun}", getattr(self, self.noun))
         if not np.isfinite(vector[:2]).all() or np.isinf(vector[2]):
             raise InputError(
                 f"{name}: {self.noun}: expected finite numbers (the third may be nan), "
                 f"found {brief(vector.tolist())}"
             )
-        lever_arm = _vector(f"{name}: lever_arm", self.lever_arm)
-        if not np.isfinite(lever_arm).all():
-            raise InputError(
-                f"{name}: lever_arm: expected finite numbers, found {brief(lever_arm.tolist())}"
-            )
+        lever_arm = three_numbers(f"{name}: lever_arm", self.lever_arm)
+        check_values(f"{name}: lever_arm", lever_arm, Declared((3,), "finite"))
         self._set(**{self.noun: vector}, lever_arm=lever_arm)
         if (given.sigma is None) == (self.covariance is None):
             raise InputError(f"{name}: expected either sigma or covariance")
@@ -119,7 +114,15 @@ class VectorPrior(FrozenArrays, Displayed):
         return Display(title=type(self).__name__, facts=tuple(facts))
 
 
-def _vector(name: str, value: Any) -> Array:
+def check_image(prior: Any) -> None:
+    """Check that the image of a prior is an id or a name."""
+    place, image = f"{type(prior).__name__}: image", prior.image
+    kind: Any = str if isinstance(image, bool) else int | str | np.integer
+    check_type(place, image, kind, "an id or a name")
+
+
+def three_numbers(name: str, value: Any) -> Array:
+    """Return an array (3,)."""
     vector = as_array(name, value)
     if vector.shape != (3,):
         raise InputError(f"{name}: expected 3 numbers, found shape {vector.shape}")
@@ -134,16 +137,13 @@ def _sigmas(name: str, value: Any) -> Array:
             f"{name}: expected one number, (horizontal, vertical) or one per axis, "
             f"found shape {given.shape}"
         )
-    if not (given > 0).all():
-        raise InputError(f"{name}: expected numbers above 0, found {brief(given.tolist())}")
+    check_values(name, given, Declared((3,), "above 0"))
     first, last = given[0], given[-1]
     return given.copy() if len(given) == 3 else np.array([first, first, last])
 
 
 def _covariance(name: str, value: Any) -> Array:
-    matrix = as_array(name, value)
-    if matrix.shape != (3, 3):
-        raise InputError(f"{name}: expected shape (3, 3), found {matrix.shape}")
+    matrix: Array = as_declared(name, value, Declared((3, 3)))
     diagonal = np.diag(matrix)
     if np.isfinite(matrix).all() and (diagonal > 0).all():
         scale = np.sqrt(np.outer(diagonal, diagonal))

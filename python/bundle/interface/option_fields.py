@@ -14,6 +14,7 @@ import operator
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, Literal, overload
 
+from bundle.base.arrays import check_type
 from bundle.errors import InputError, brief, nearest
 
 LARGEST_WHOLE = 2**31 - 1
@@ -96,8 +97,7 @@ def checked(field: dataclasses.Field[Any], value: Any) -> Any:
     if choices is not None:
         return choice(field.name, value, choices)
     if isinstance(field.default, bool):
-        if not isinstance(value, bool):
-            raise InputError(f"{field.name}: expected True or False, found {brief(value)}")
+        check_type(field.name, value, bool, "True or False")
         return value
     if isinstance(field.default, tuple):
         if not isinstance(value, tuple | list) or len(value) != len(field.default):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
+from bundle.base.arrays import at
 from bundle.base.records import dataclass
 from bundle.base.words import SHARE_OF_FREE_MEMORY, parse_size
 from bundle.errors import InputError
@@ -154,10 +155,8 @@ class CompareOptions(Options):
         Raises:
             InputError: the size cannot be read.
         """
-        try:
+        with at("memory_cap"):
             return 0 if self.memory_cap is None else parse_size(self.memory_cap)
-        except InputError as error:
-            raise InputError(f"memory_cap: {error}") from None
 
     def _checked(self, field: dataclasses.Field[Any], value: Any) -> Any:
         return tuple(value) if isinstance(field.default, tuple) else checked(field, value)

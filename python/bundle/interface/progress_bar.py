@@ -5,7 +5,7 @@ from __future__ import annotations
 from types import TracebackType
 from typing import Any, Self
 
-from bundle.errors import InputError
+from bundle.base.optional_packages import require_package
 
 
 class ProgressBar:
@@ -28,13 +28,9 @@ class ProgressBar:
     """
 
     def __init__(self, **settings: Any) -> None:
-        try:
-            from tqdm.auto import tqdm
-        except ModuleNotFoundError:
-            raise InputError(
-                "ProgressBar: expected the package tqdm, found that it is not installed; "
-                "pip install tqdm"
-            ) from None
+        require_package("tqdm", "tqdm", "ProgressBar")
+        from tqdm.auto import tqdm
+
         self._tqdm = tqdm
         self._settings = {"desc": "solve", "unit": " iterations", **settings}
         self._bar: Any = None

@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import bundle._core as _core
+from bundle.base.arrays import at
 from bundle.errors import InputError, shown
 from bundle.io.atomic.model_files import (
     ROLLING_SHUTTER,
@@ -102,10 +103,8 @@ def problem_of(folder: Path, model: _core.ColmapModel, fields: dict[str, Any]) -
     """
     fields["cam_from_world"] = rig_arrays.placed(fields)
     source = DeferredSource(model, fields, folder)
-    try:
+    with at(str(folder)):
         return Problem(**fields, format="colmap", source=source)
-    except InputError as error:
-        raise InputError(f"{folder}: {error}") from None
 
 
 def problem_of_records(records: ModelRecords) -> Problem:

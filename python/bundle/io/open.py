@@ -16,6 +16,7 @@ from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Sequence
 from pathlib import Path
 
+from bundle.base.arrays import check_type
 from bundle.base.paths import as_path
 from bundle.errors import InputError, brief, shown
 from bundle.interface.option_fields import choice
@@ -356,8 +357,7 @@ def _files_of_other_format(folder: Path, format: str) -> tuple[str, ...]:
 
 
 def _check_problem(problem: Problem) -> None:
-    if not isinstance(problem, Problem):
-        raise InputError(f"problem: expected a Problem, found {brief(problem)}")
+    check_type("problem", problem, Problem, "a Problem")
 
 
 def _compression(path: Path) -> str:

@@ -18,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
+from bundle.base.arrays import refuse_row
 from bundle.base.paths import UTF16, as_path, numbered_lines
 from bundle.base.words import plural
 from bundle.errors import InputError, brief, shown
@@ -110,16 +111,14 @@ def _load_kitti(path: Path) -> PoseTable:
     with np.errstate(all="ignore"):
         gap = np.abs(np.swapaxes(rotations, 1, 2) @ rotations - np.eye(3)).max(axis=(1, 2))
         determinant = np.linalg.det(rotations)
-    wrong = np.flatnonzero(
-        ~np.isfinite(matrices).all(axis=(1, 2)) | ~(gap < NORM) | ~(determinant > 0)
-    )
-    if len(wrong):
-        row = int(wrong[0])
-        raise InputError(
+    refuse_row(
+        ~np.isfinite(matrices).all(axis=(1, 2)) | ~(gap < NORM) | ~(determinant > 0),
+        lambda row: (
             f"{table.place(row)}: expected a finite 3 x 4 matrix with a rotation, found "
             f"determinant {determinant[row]:.3g} and R^T R that differs from the identity by "
             f"{gap[row]:.3g}"
-        )
+        ),
+    )
     poses = np.hstack([quaternion_from_matrix(rotations), matrices[:, :, 3]])
     return PoseTable(poses, (), None, "kitti")
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from bundle.base.arrays import at, check_type
 from bundle.errors import InputError, brief
 from bundle.model.problem import Problem
 
@@ -55,12 +56,9 @@ def _ids(argument: str, entry: Any) -> Iterable[int] | None:
     """Return the ids of an entry, None if it is a name."""
     if isinstance(entry, int | np.integer) and not isinstance(entry, bool):
         return (int(entry),)
-    if not isinstance(entry, str):
-        raise InputError(f"{argument}: expected ids or names of images, found {brief(entry)}")
-    try:
+    check_type(argument, entry, str, "ids or names of images")
+    with at(argument, ValueError):
         ids = id_range(entry)
-    except ValueError as error:
-        raise InputError(f"{argument}: {error}") from None
     if ids is not None and ids.stop - ids.start > MOST_IDS:  # len() ends at 2^63 - 1
         raise InputError(f"{argument}: expected at most {MOST_IDS} ids, found {entry!r}")
     return ids

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.analysis.normal_equations import NormalEquations, PoseEquations
+from bundle.base.arrays import check_type
 from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
 from bundle.base.words import number
@@ -108,10 +109,7 @@ def chi2_kinds(source: Any, options: Any = None, **changes: Any) -> tuple[Chi2Ki
     from bundle.graphs.factors.factor_graph import FactorGraph
     from bundle.graphs.factors.same_problem import pose_graph_of
 
-    if not isinstance(source, FactorGraph):
-        raise InputError(
-            f"source: expected a graph or the result of its solve, found {brief(source)}"
-        )
+    check_type("source", source, FactorGraph, "a graph or the result of its solve")
     if options is not None or changes:
         found = brief(changes or options)
         raise InputError(f"options: expected only with a pose graph, found {found}")

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 import bundle._core as _core
-from bundle.base.arrays import as_integers, check_type
+from bundle.base.arrays import as_integers, check_shape, check_type
 from bundle.base.records import dataclass
 from bundle.errors import InputError, brief
 from bundle.figures.matplotlib.draw import figure
@@ -58,8 +58,8 @@ class MatrixPattern:
         """Return the pattern of a graph: its edges and the diagonal; repeated edges are allowed."""
         num_blocks = number("num_blocks", num_blocks, whole=True, minimum=0)
         pairs = as_integers("edges", edges)
-        if pairs.size and (pairs.ndim != 2 or pairs.shape[1] != 2):
-            raise InputError(f"edges: expected shape (num_edges, 2), found {pairs.shape}")
+        if pairs.size:
+            check_shape("edges", pairs, ("num_edges", 2))
         pairs = np.sort(pairs.reshape(-1, 2), axis=1)
         if pairs.size and not 0 <= pairs.min() <= pairs.max() < num_blocks:
             raise InputError(

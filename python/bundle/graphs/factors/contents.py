@@ -14,7 +14,7 @@ import bundle._core as _core
 from bundle.base.arrays import check_type
 from bundle.base.display import Displayed
 from bundle.base.words import plural
-from bundle.errors import InputError, brief, nearest
+from bundle.errors import InputError, nearest
 from bundle.graphs.factors.factors import Factor
 from bundle.graphs.factors.linear_prior import AnchoredFactor
 from bundle.graphs.factors.variables import (
@@ -141,8 +141,7 @@ class GraphContents(Displayed):
         Raises:
             InputError: a key is unknown, or a value does not lie on its manifold.
         """
-        if not isinstance(values, Mapping):
-            raise InputError(f"values: expected a dict by key, found {brief(values)}")
+        check_type("values", values, Mapping, "a dict by key")
         graph = type(self)()
         graph._variables, graph._factors = dict(self._variables), list(self._factors)
         graph._in_priors = self._in_priors.copy()

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from bundle.base.display import Display, Displayed
+from bundle.base.optional_packages import require_package
 from bundle.base.records import dataclass
 from bundle.base.words import plural
 from bundle.errors import InputError
@@ -297,12 +298,8 @@ class _Estimate(Mapping[Key, Array]):
 
 
 def _import_gtsam() -> ModuleType:
-    try:
-        import gtsam  # optional dependency
-    except ImportError:
-        raise InputError(
-            "IncrementalSmoother: expected the package gtsam, which is not installed: pip "
-            "install gtsam"
-        ) from None
+    require_package("gtsam", "gtsam", "IncrementalSmoother")
+    import gtsam  # optional dependency
+
     found: ModuleType = gtsam
     return found

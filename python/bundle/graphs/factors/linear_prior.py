@@ -14,6 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 import bundle._core as _core
+from bundle.base.arrays import Array as Declared
+from bundle.base.arrays import check_type, check_values
 from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
 from bundle.base.words import format_size, plural
@@ -67,10 +69,7 @@ class AnchoredFactor(Factor):
         """Check keys, points and manifolds; return the sum of the tangent sizes."""
         for what in ("linearization_point", "manifolds"):
             given = getattr(self, what)
-            if not isinstance(given, Mapping):
-                raise InputError(
-                    f"{self.name}: {what}: expected a dict by key, found {brief(given)}"
-                )
+            check_type(f"{self.name}: {what}", given, Mapping, "a dict by key")
             for key in given:
                 if key not in self.keys:
                     raise InputError(f"{self.name}: {what}: there is no variable {brief(key)}")
@@ -98,8 +97,7 @@ class AnchoredFactor(Factor):
     def _step_to(self, values: Mapping[Key, Any]) -> tuple[dict[Key, Array], Array]:
         """Return new linearization points taken from values, and the step from the old ones."""
         points, steps = {}, []
-        if not isinstance(values, Mapping):
-            raise InputError(f"values: expected a dict by key, found {brief(values)}")
+        check_type("values", values, Mapping, "a dict by key")
         for key in self.keys:
             if key not in values:
                 raise InputError(f"values: expected a value for {variable_name(key)}")
@@ -282,10 +280,7 @@ class SquareRootPrior(AnchoredFactor):
                 f"found {root.shape} and {vector.shape}"
             )
         for name, array in (("root", root), ("vector", vector)):
-            if not np.isfinite(array).all():
-                raise InputError(
-                    f"{self.name}: {name}: expected finite numbers, found nan or infinity"
-                )
+            check_values(f"{self.name}: {name}", array, Declared(("rows",), "finite"))
         if not root.any():
             raise InputError(f"{self.name}: root: expected at least one row, found 0")
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from bundle.base.arrays import check_type
+from bundle.base.arrays import check_type, refuse_row
 from bundle.base.display import Display, Displayed
 from bundle.base.paths import as_path
 from bundle.base.records import dataclass
@@ -152,17 +152,21 @@ def images_of(
     ids = closures.ids[closures.edges]
     found = np.array([[index.get(key, -1) for key in pair] for pair in ids.tolist()], np.int64)
     unknown = (found < 0).any(axis=1)
-    if unknown.any():
-        edge = int(np.argmax(unknown))
-        missing = int(ids[edge][np.argmax(found[edge] < 0)])
-        raise InputError(f"{closures.edge_name(edge)}: image {missing} is not in the model")
+    refuse_row(
+        unknown,
+        lambda edge: (
+            f"{closures.edge_name(edge)}: image {int(ids[edge][np.argmax(found[edge] < 0)])} "
+            "is not in the model"
+        ),
+    )
     if problem.num_frames:
         frames = problem.image_frame[found]
         same = (frames[:, 0] == frames[:, 1]) & (frames[:, 0] >= 0)
-        if same.any():
-            edge = int(np.argmax(same))
-            raise InputError(
+        refuse_row(
+            same,
+            lambda edge: (
                 f"{closures.edge_name(edge)}: expected images of two frames, found two images of "
                 f"frame {problem.frame_ids[frames[edge, 0]]}"
-            )
+            ),
+        )
     return found

@@ -58,6 +58,7 @@ from numpy.typing import NDArray
 
 import bundle._core as _core
 from bundle.base.arrays import freeze
+from bundle.base.optional_packages import require_package
 from bundle.base.records import dataclass
 from bundle.base.words import plural
 from bundle.errors import InputError
@@ -427,10 +428,7 @@ def _greedy(conflicts: Flags) -> Flags:
 
 
 def _import_scipy() -> Any:
-    try:
-        from scipy import sparse  # optional dependency
-    except ImportError:
-        raise InputError(
-            "consistency: expected the package scipy, which is not installed: pip install scipy"
-        ) from None
+    require_package("scipy", "scipy", "consistency")
+    from scipy import sparse  # optional dependency
+
     return sparse

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import bundle._core as _core
-from bundle.base.arrays import check_type
+from bundle.base.arrays import check_type, refuse_row
 from bundle.base.paths import as_path, is_path
 from bundle.base.records import dataclass
 from bundle.base.words import distinct, plural
@@ -274,10 +274,11 @@ def isotropic(graph: PoseGraph) -> PoseGraph:
     for part in parts:
         weights[:, part] = diagonal[:, part].mean(axis=1, keepdims=True)
     wrong = ~(np.isfinite(weights) & (weights > 0)).all(axis=1)
-    if wrong.any():
-        edge = int(np.argmax(wrong))
-        raise InputError(
+    refuse_row(
+        wrong,
+        lambda edge: (
             f"{graph.edge_name(edge)}: information: isotropic expects a diagonal with means above "
             f"0, found {', '.join(f'{weights[edge, part.start]:g}' for part in parts)}"
-        )
+        ),
+    )
     return graph.replace(information=weights[:, :, None] * np.eye(graph.tangent_size))

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.arrays import refuse_row
 from bundle.base.records import dataclass
 from bundle.base.words import plural
 from bundle.errors import InputError
@@ -204,11 +205,11 @@ def _frame_times(problem: Problem, times: NDArray[np.int64]) -> NDArray[np.int64
         )
     first = np.zeros(problem.num_frames, np.int64)
     first[frame[::-1]] = times[::-1]
-    late = np.flatnonzero(times != first[frame])
-    if len(late):
-        image = int(late[0])
-        raise InputError(
+    refuse_row(
+        times != first[frame],
+        lambda image: (
             f"imu: expected one time for the images of a frame, found {int(times[image])} ns of "
             f"image {int(problem.image_ids[image])} and {int(first[frame[image]])} ns"
-        )
+        ),
+    )
     return first

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bundle.base.arrays import as_array
+from bundle.base.arrays import Array, as_array, check_values
 from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
 from bundle.errors import InputError
@@ -56,9 +56,7 @@ def excitation(accel: ArrayLike) -> Excitation:
     if samples.ndim != 2 or samples.shape[1] != 3 or len(samples) < 2:
         raise InputError(f"accel: expected shape (n, 3) with n of 2 or more, found {samples.shape}")
     spread = float(np.sqrt(np.einsum("ij,ij->i", samples, samples)).std())
-    if not np.isfinite(spread):
-        row = int(np.flatnonzero(~np.isfinite(samples).all(axis=1))[0])
-        raise InputError(f"accel[{row}]: expected finite numbers, found {samples[row].tolist()}")
+    check_values("accel", samples, Array(("n", 3), "finite"))
     if spread > HEALTHY:
         verdict = "healthy"
     else:

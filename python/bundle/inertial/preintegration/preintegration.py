@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 import bundle._core as _core
-from bundle.base.arrays import as_array, check_type
+from bundle.base.arrays import Array as Declared
+from bundle.base.arrays import as_array, as_declared, check_type
 from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
-from bundle.errors import InputError
 from bundle.interface.option_fields import choice, number
 from bundle.model.sequence.calibration import ImuNoise
 
@@ -22,16 +22,8 @@ RULES = ("zero_order_hold", "midpoint")
 
 
 def as_vector(name: str, value: ArrayLike, size: int = 3) -> Array:
-    """Return finite numbers as an array (size,).
-
-    Raises:
-        InputError: the values are not finite numbers, or their number is wrong.
-    """
-    vector = as_array(name, value)
-    if vector.shape != (size,):
-        raise InputError(f"{name}: expected shape ({size},), found {vector.shape}")
-    if not np.isfinite(vector).all():
-        raise InputError(f"{name}: expected finite numbers, found {vector.tolist()}")
+    """Return finite numbers as an array (size,)."""
+    vector: Array = as_declared(name, value, Declared((size,), "finite"))
     return vector
 
 

@@ -15,12 +15,12 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bundle.base.arrays import as_array, check_function, check_type
+from bundle.base.arrays import Array as Declared
+from bundle.base.arrays import as_array, as_declared, check_function, check_type
 from bundle.base.display import Display
 from bundle.base.paths import as_path
 from bundle.base.records import dataclass
 from bundle.errors import InputError, shown
-from bundle.inertial.preintegration.preintegration import as_vector
 from bundle.inertial.two_loops.loop_thread import Ring, SolveLoop
 from bundle.inertial.two_loops.yaw_motion import Correction, YawMotion
 from bundle.io.g2o_files import load_g2o
@@ -248,9 +248,7 @@ def solved_on_one_thread(graph: PoseGraph) -> Array:
 
 
 def _as_pose(name: str, value: ArrayLike) -> Array:
-    pose = as_vector(name, value, 7)
-    if not pose[:4].any():
-        raise InputError(f"{name}: expected a quaternion qx qy qz qw, found norm 0")
+    pose = as_declared(name, value, Declared((7,), "pose"))
     unit: Array = unit_poses(pose[None])[0]
     return unit
 

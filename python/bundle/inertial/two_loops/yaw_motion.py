@@ -12,10 +12,10 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bundle.base.arrays import as_array
+from bundle.base.arrays import Array as Declared
+from bundle.base.arrays import as_declared
 from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
-from bundle.errors import InputError
 from bundle.interface.option_fields import number
 from bundle.model.rigid_motions import quaternion_multiply
 
@@ -45,9 +45,7 @@ class YawMotion(Displayed):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "yaw", number("YawMotion: yaw", self.yaw))
-        shift = as_array("YawMotion: translation", self.translation)
-        if shift.shape != (3,) or not np.isfinite(shift).all():
-            raise InputError(f"YawMotion: translation: expected 3 finite numbers, found {shift}")
+        shift = as_declared("YawMotion: translation", self.translation, Declared((3,), "finite"))
         object.__setattr__(self, "translation", shift)
 
     @property

@@ -29,12 +29,12 @@ moves y by [y]x d, so that
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bundle.base.arrays import as_array, as_integers, check_type
+from bundle.base.arrays import Array as Declared
+from bundle.base.arrays import as_array, as_declared, as_integers, check_arrays, check_type, declare
 from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
 from bundle.errors import InputError
@@ -62,24 +62,14 @@ class TrackRows(Displayed):
     by_state: Array
     by_point: Array
 
+    _ARRAYS = declare(
+        innovation=Declared(("m",), "finite"),
+        by_state=Declared(("m", "n"), "finite"),
+        by_point=Declared(("m", 3), "finite"),
+    )
+
     def __post_init__(self) -> None:
-        for name in ("innovation", "by_state", "by_point"):
-            array = as_array(f"TrackRows: {name}", getattr(self, name))
-            if not np.isfinite(array).all():
-                raise InputError(
-                    f"TrackRows: {name}: expected finite numbers, found nan or infinity"
-                )
-            object.__setattr__(self, name, array)
-        rows = len(self.innovation) if self.innovation.ndim == 1 else -1
-        if self.by_state.ndim != 2 or len(self.by_state) != rows:
-            raise InputError(
-                f"TrackRows: expected innovation (m,) and by_state (m, n), found "
-                f"{self.innovation.shape} and {self.by_state.shape}"
-            )
-        if self.by_point.shape != (rows, 3):
-            raise InputError(
-                f"TrackRows: by_point: expected shape ({rows}, 3), found {self.by_point.shape}"
-            )
+        check_arrays(self, self._ARRAYS, "TrackRows: ")
 
     def _display(self) -> Display:
         rms = np.sqrt(np.mean(self.innovation**2)) if len(self.innovation) else 0.0
@@ -117,12 +107,12 @@ def track_rows(
         InputError: shapes do not fit, numbers are not finite, or the landmark is behind a camera;
             if it was triangulated, the track has too little parallax.
     """
-    given = _finite("poses", poses, 7)
-    image = _finite("xy", xy, 2)
+    given = as_declared("poses", poses, Declared(("k", 7), "finite"))
+    image = as_declared("xy", xy, Declared(("k", 2), "finite"))
     first = as_integers("columns", columns)
     size = number("size", size, whole=True, minimum=6)
     sigma = number("sigma", sigma, above=0)
-    extrinsics = _finite("camera_from_imu", [camera_from_imu], 7)
+    extrinsics = as_declared("camera_from_imu", [camera_from_imu], Declared(("k", 7), "finite"))
     if not len(given) == len(image) == first.size or first.ndim != 1 or not len(given):
         raise InputError(
             "poses, xy, columns: expected the same number of rows, at least 1, found "
@@ -137,7 +127,7 @@ def track_rows(
     if point is None:
         landmark = _triangulate(cam_from_world, offset, image)
     else:
-        landmark = _finite("point", [point], 3)[0]
+        landmark = as_declared("point", [point], Declared(("k", 3), "finite"))[0]
     in_camera = cam_from_world @ landmark + offset
     if not (in_camera[:, 2] > 0).all():
         if point is None:
@@ -193,15 +183,6 @@ def _project_jacobian(in_camera: Array) -> Array:
     jacobian[:, 0, 0] = jacobian[:, 1, 1] = 1 / in_camera[:, 2]
     jacobian[:, :, 2] = -in_camera[:, :2] / in_camera[:, 2:] ** 2
     return jacobian
-
-
-def _finite(name: str, value: Any, width: int) -> Array:
-    array = as_array(name, value)
-    if array.ndim != 2 or array.shape[1] != width:
-        raise InputError(f"{name}: expected shape (k, {width}), found {array.shape}")
-    if not np.isfinite(array).all():
-        raise InputError(f"{name}: expected finite numbers, found nan or infinity")
-    return array
 
 
 _NO_PARALLAX = 1e-7  # smallest singular value of F with columns scaled to 1

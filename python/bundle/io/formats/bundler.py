@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import bundle._core as _core
+from bundle.base.arrays import refuse_row
 from bundle.base.words import plural
 from bundle.errors import InputError, brief, shown
 from bundle.io import bal
@@ -206,12 +207,13 @@ def _registered(
     place = np.full(count, -1, np.int32)
     place[registered] = np.arange(len(registered))
     image = place[tracks["image"]]
-    if (image < 0).any():
-        first = int(np.argmax(image < 0))
-        raise InputError(
+    refuse_row(
+        image < 0,
+        lambda first: (
             f"{shown(path)}: point {tracks['point'][first]}: expected views in registered images, "
             f"found one in camera {tracks['image'][first]}, whose focal length is 0"
-        )
+        ),
+    )
     missing = count - len(registered)
     return image, [
         f"{plural(missing, 'image')} of {count} {'is' if missing == 1 else 'are'} not registered."

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import bundle._core as _core
-from bundle.base.arrays import freeze
+from bundle.base.arrays import at, freeze, refuse_row
 from bundle.base.records import dataclass
 from bundle.errors import InputError, shown
 from bundle.model.problem import Problem
@@ -75,10 +75,8 @@ class Imported:
             InputError: a value is invalid, the reprojection errors do not agree, or most points
                 are behind their cameras.
         """
-        try:
+        with at(shown(self.path)):
             problem = Problem(**_frozen(self.fields))
-        except InputError as error:
-            raise InputError(f"{shown(self.path)}: {error}") from None
         ours, behind = _core.reprojection_errors(problem, 0, "auto")
         theirs = self._errors(problem)
         defined = np.isfinite(theirs) & np.isfinite(ours)
@@ -198,12 +196,13 @@ def checked_rotations(matrices: Array, place: Callable[[int], str]) -> Array:
         product = matrices @ matrices.transpose(0, 2, 1)
         off = np.abs(product - np.eye(3)).max(axis=(1, 2), initial=0.0)
         wrong = ~((off <= LEAST_ORTHONORMAL) & (np.linalg.det(matrices) > 0))
-    if wrong.any():
-        index = int(np.argmax(wrong))
-        raise InputError(
+    refuse_row(
+        wrong,
+        lambda index: (
             f"{place(index)}: expected a rotation matrix, found one with R R^T - I up to "
             f"{off[index]:.2g} and determinant {np.linalg.det(matrices[index]):.2g}"
-        )
+        ),
+    )
     u, _, vt = np.linalg.svd(matrices)
     nearest: Array = u @ vt
     return nearest

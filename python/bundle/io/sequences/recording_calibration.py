@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.arrays import at
 from bundle.errors import InputError, brief, shown
 from bundle.model.rigid_motions import quaternion_from_matrix, rotation_matrices
 from bundle.model.sequence.calibration import (
@@ -269,10 +270,8 @@ def imu_sensor(path: Path, content: Table) -> ImuSensor:
             f"{', '.join(missing)} {'is' if len(missing) == 1 else 'are'} missing"
         )
     values = {own: one_number(f"{place}: {key}", content[key]) for key, own in _NOISE.items()}
-    try:
+    with at(place):
         noise = ImuNoise(**values)
-    except InputError as error:
-        raise InputError(f"{place}: {error}") from None
     pose = _motion(place, content, "T_BS") if "T_BS" in content else np.eye(4)
     return ImuSensor(noise, pose, _rate(place, content))
 

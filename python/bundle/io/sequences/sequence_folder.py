@@ -19,6 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
+from bundle.base.arrays import at
 from bundle.base.paths import as_path, numbered_lines
 from bundle.errors import InputError, brief, shown
 from bundle.io.atomic import atomic_write as atomic
@@ -239,11 +240,9 @@ def read_track_csv(path: str | os.PathLike[str]) -> Sequence:
                 f"{name}: line {number}: expected meta, imu or vision_feature, found "
                 f"{brief(row[0])}"
             )
-    try:
+    with at(f"{name}: expected numbers, found", ValueError):
         samples = np.array(imu, np.float64).reshape(-1, 7)
         observations = np.array(tracks, np.float64).reshape(-1, 4)
-    except ValueError as error:
-        raise InputError(f"{name}: expected numbers, found: {error}") from None
     imu_stamps, stamps = _nanoseconds(samples[:, 0]), _nanoseconds(observations[:, 0])
     ids = observations[:, 1].astype(np.int64)
     order = np.lexsort((ids, stamps))

@@ -13,7 +13,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bundle.base.arrays import immutable
+from bundle.base.arrays import Array, check_arrays, declare, refuse_row
 from bundle.base.paths import as_path, numbered_lines
 from bundle.base.records import dataclass
 from bundle.errors import InputError, shown
@@ -41,13 +41,13 @@ class Trajectory:
     timestamps_ns: NDArray[np.int64]
     states: NDArray[np.float64]
 
+    _ARRAYS = declare(
+        timestamps_ns=Array(("n",), dtype=np.int64),
+        states=Array(("n", 16)),
+    )
+
     def __post_init__(self) -> None:
-        stamps = immutable("timestamps_ns", self.timestamps_ns, np.int64)
-        states = immutable("states", self.states, np.float64)
-        if stamps.ndim != 1 or states.shape != (len(stamps), 16):
-            raise InputError(f"states: expected shape ({len(stamps)}, 16), found {states.shape}")
-        object.__setattr__(self, "timestamps_ns", stamps)
-        object.__setattr__(self, "states", states)
+        check_arrays(self, self._ARRAYS)
 
     def __len__(self) -> int:
         return len(self.timestamps_ns)
@@ -158,13 +158,13 @@ def _checked(
     if not len(stamps):
         raise InputError(f"{place(0)}: expected poses, found an empty file")
     norm = np.linalg.norm(states[:, :4], axis=1)
-    wrong = np.flatnonzero(~(np.abs(norm - 1) < 0.01) | ~np.isfinite(states[:, :7]).all(axis=1))
-    if len(wrong):
-        row = int(wrong[0])
-        raise InputError(
+    refuse_row(
+        ~(np.abs(norm - 1) < 0.01) | ~np.isfinite(states[:, :7]).all(axis=1),
+        lambda row: (
             f"{place(row)}: expected finite numbers and a quaternion of norm 1, found norm "
             f"{norm[row]:g}"
-        )
+        ),
+    )
     order = np.arange(len(stamps)) if in_order else np.argsort(stamps, kind="stable")
     back = np.flatnonzero(np.diff(stamps[order]) <= 0)
     if len(back):

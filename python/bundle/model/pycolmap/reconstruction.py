@@ -280,12 +280,13 @@ def check_lengths(
     are_wrong: NDArray[np.bool_],
 ) -> None:
     """Raise an InputError about the first point with a wrong length of its track."""
-    if are_wrong.any():
-        bad = int(np.argmax(are_wrong))
-        raise InputError(
+    refuse_row(
+        are_wrong,
+        lambda bad: (
             f"point {point_ids[bad]}: expected one track element for each keypoint that refers to "
             f"it, found {length[bad]} elements and {observed[bad]} keypoints"
-        )
+        ),
+    )
 
 
 def is_valid(reconstruction: pycolmap.Reconstruction) -> bool:

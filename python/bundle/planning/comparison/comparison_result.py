@@ -25,6 +25,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.arrays import at
 from bundle.base.display import Display, Displayed
 from bundle.base.paths import as_path
 from bundle.base.records import dataclass
@@ -262,10 +263,8 @@ def read_comparison(path: str | os.PathLike[str]) -> Comparison:
     text = Path(as_path(path)).read_text(encoding="utf-8", errors="replace")
     place = shown(os.fspath(path))
     expected = f"{place}: expected a report of bundle compare --json"
-    try:
+    with at(f"{expected}, found no JSON", ValueError):
         report = json.loads(text)
-    except ValueError as error:
-        raise InputError(f"{expected}, found no JSON: {error}") from None
     if not isinstance(report, dict) or report.get("command") != "compare":
         found = report.get("command") if isinstance(report, dict) else report
         raise InputError(f"{expected}, found {brief(found)}")

@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import bundle._core as _core
-from bundle.base.arrays import as_flag, as_integers
+from bundle.base.arrays import as_flag, as_integers, check_shape, refuse_row
 from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
 from bundle.base.words import plural
@@ -367,13 +367,11 @@ def as_edges(edges: Any) -> NDArray[np.int64]:
     pairs = as_integers("edges", edges)
     if pairs.size == 0:
         return np.zeros((0, 2), np.int64)
-    if pairs.ndim != 2 or pairs.shape[1] != 2:
-        raise InputError(f"edges: expected shape (num_edges, 2), found {pairs.shape}")
-    loops = np.flatnonzero(pairs[:, 0] == pairs[:, 1])
-    if len(loops):
-        raise InputError(
-            f"edge {loops[0]}: expected two variables, found {pairs[loops[0], 0]} twice"
-        )
+    check_shape("edges", pairs, ("num_edges", 2))
+    refuse_row(
+        pairs[:, 0] == pairs[:, 1],
+        lambda k: f"edge {k}: expected two variables, found {pairs[k, 0]} twice",
+    )
     return pairs
 
 
@@ -408,10 +406,11 @@ def as_variables(
 ) -> NDArray[np.int64]:
     """Return indices of variables; refuse indices out of range."""
     variables = as_integers(argument, values)
-    wrong = variables[(variables < 0) | (variables >= num_variables)]
-    if len(wrong):
-        expected = f"variables 0 to {num_variables - 1}" if num_variables else "no variables"
-        raise InputError(f"{argument}: expected {expected}, found {wrong[0]}")
+    expected = f"variables 0 to {num_variables - 1}" if num_variables else "no variables"
+    refuse_row(
+        (variables < 0) | (variables >= num_variables),
+        lambda k: f"{argument}: expected {expected}, found {variables.flat[k]}",
+    )
     return variables
 
 
@@ -426,7 +425,8 @@ def as_block_sizes(block_size: int | Sequence[int], num_variables: int) -> NDArr
             f"block_size: expected one size, or {num_variables} sizes, one per variable, found "
             f"{sizes.shape}"
         )
-    wrong = sizes[(sizes < 1) | (sizes > MOST_SCALARS_A_BLOCK)]
-    if len(wrong):
-        raise InputError(f"block_size: expected 1 to {MOST_SCALARS_A_BLOCK}, found {wrong[0]}")
+    refuse_row(
+        (sizes < 1) | (sizes > MOST_SCALARS_A_BLOCK),
+        lambda k: f"block_size: expected 1 to {MOST_SCALARS_A_BLOCK}, found {sizes[k]}",
+    )
     return sizes.astype(np.int32)

@@ -62,8 +62,7 @@ def write_evaluation(
         InputError: ``found`` is not an evaluation, or the path cannot hold a page.
         OSError: the page cannot be written.
     """
-    if not isinstance(found, Evaluation | CheckPointEvaluation):
-        raise InputError(f"found: expected a result of bundle.evaluate, found {brief(found)}")
+    check_type("found", found, Evaluation | CheckPointEvaluation, "a result of bundle.evaluate")
     for name in names:
         check_type("names", name, str)
     write_reported(evaluated((names[0], names[1]), found), path)

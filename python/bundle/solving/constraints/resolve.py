@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bundle.base.arrays import at
 from bundle.errors import InputError, brief
 from bundle.interface.options import SolveOptions
 from bundle.model.cameras import camera_models, param_kinds
@@ -211,14 +212,12 @@ class _Resolver(ConstantParts):
                 f"{self._name(excess.members[0][0])}"
             )
         for group in groups:
-            try:
+            with at(self._rules[group.rules[-1]].place):
                 u, is_held = group.start(
                     lambda member: float(self._params[member]),
                     lambda member: self._why_held(member) != "",
                     self._name,
                 )
-            except InputError as error:
-                raise InputError(f"{self._rules[group.rules[-1]].place}: {error}") from None
             self._bound_group(group, u)
             for member, times in group.members:
                 self._params[member] = times * u

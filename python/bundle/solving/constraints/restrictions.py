@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.base.arrays import as_array, freeze
+from bundle.base.arrays import as_array, check_type, freeze
 from bundle.base.records import dataclass
 from bundle.errors import InputError, brief
 from bundle.model.cameras import camera_models
@@ -148,11 +148,7 @@ class CameraBounds:
                 number of parameters of the camera's model; a bound is nan; a lower bound is above
                 the upper bound; or the problem's parameter is not between them.
         """
-        if not isinstance(bounds, Mapping):
-            raise InputError(
-                'bounds: expected a mapping {("camera", id): (lower, upper)}, '
-                f"found {brief(bounds)}"
-            )
+        check_type("bounds", bounds, Mapping, 'a mapping {("camera", id): (lower, upper)}')
         shape = problem.camera_params.shape
         result = CameraBounds(np.full(shape, -np.inf), np.full(shape, np.inf))
         keys = ProblemKeys(problem, ("camera",), "key")
