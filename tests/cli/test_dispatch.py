@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import inspect
+
 import pytest
 
 from bundle.cli.commands import COMMANDS, FLIGHT, GRAPH_FILE, resolve
 from bundle.cli.main import command_parser
+from bundle.interface.option_classes import option_class
 from bundle.io.recognition import Kind, recognize
 
 WAYS = [
@@ -24,6 +27,22 @@ def test_every_function_of_a_row_exists(way):
         found = resolve(name)
         assert (found.__module__, found.__name__) == (f"bundle.{module}", function)
     assert bool(way.report) != bool(way.run or way.main), "one function makes the report"
+
+
+CALLS = [param for param in WAYS if param.values[0].call]
+
+
+@pytest.mark.parametrize("way", CALLS)
+def test_options_have_the_names_of_the_keywords_of_the_api(way):
+    function = inspect.signature(resolve(way.call)).parameters
+    keywords = {word.partition("=")[0] for word in way.gives.split()}
+    if way.keywords:
+        names = option_class(way.keywords).names()
+        accepted = way.accepts.split()
+        keywords |= {name for name in names if name in accepted or not accepted}
+    assert keywords <= function.keys()
+    assert not way.options or "options" in function
+    assert set(way.reads.split()) <= function.keys()
 
 
 @pytest.mark.parametrize("command", COMMANDS)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from time import perf_counter
@@ -58,22 +59,30 @@ def convert_model(run: Run) -> Report:
         run.progress.stage("moving observations")
         moved = _without_rolling_shutter(edited, run.source)
         edited = moved.problem
-    output = _checked_output(run, edited)
-    place = georeference_at(run.source)
-    if place is not None:
-        check_georeference(**output)
-    check_replaced(run.target, [run.source], run.arguments.overwrite, same_images(edited))
+    output, place = _checked_output(run, [run.source], edited)
     lost = run.write(run.target, lambda _: save(edited, **output, progress=run.progress.text))
     carry_georeference(place, **output)
     return converted(run.source, problem, output, lost, edits, moved)
 
 
-def _checked_output(run: Run, problem: Problem, source: str = "") -> dict[str, str]:
-    """Return path and format of OUTPUT after checking that the problem can be written there."""
-    given = problem.format, run.target, run.arguments.format, source or run.source
-    output = {"path": run.target, "format": output_format(*given)}
-    check_target(problem, output["path"], output["format"])
-    return output
+def _checked_output(
+    run: Run, sources: Sequence[str], *problems: Problem
+) -> tuple[dict[str, str], dict[str, Any] | None]:
+    """Check that the first problem can be written to OUTPUT, and may replace what is there.
+
+    Return path and format of OUTPUT, and the georeference of the first source, if any.
+    """
+    first, path = problems[0], run.target
+    output = {
+        "path": path,
+        "format": output_format(first.format, path, run.arguments.format, sources[0]),
+    }
+    check_target(first, path, output["format"])
+    place = georeference_at(sources[0])
+    if place is not None:
+        check_georeference(**output)
+    check_replaced(path, sources, run.arguments.overwrite, same_images(*problems))
+    return output, place
 
 
 def _without_rolling_shutter(problem: Problem, source: str) -> GlobalShutterModel:
@@ -99,11 +108,7 @@ def merge_models(run: Run) -> Report:
             run.progress.stage(f"reading {shown(path)}")
             problems.append(load(path, run.progress.text))
         a, b = problems
-        output = _checked_output(run, a, paths[0])
-        place = georeference_at(paths[0])
-        if place is not None:
-            check_georeference(**output)
-        check_replaced(run.target, paths, arguments.overwrite, same_images(a, b))
+        output, place = _checked_output(run, paths, a, b)
         run.progress.stage("merging")
         merged = merge(a, b, max_error=arguments.max_error)
         problem = merged.problem
