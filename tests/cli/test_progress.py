@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from bundle.cli.progress import Progress
+from bundle.cli.output import Progress
 
 WIDEST = {
     "iteration": 999,
@@ -93,7 +93,7 @@ def test_shares_of_long_work(screen, monkeypatch):
     with Progress(quiet=False) as progress:
         progress.stage("making a scene")
         progress.share(0.1)  # too soon for another line
-        monkeypatch.setattr("bundle.cli.progress._SECONDS_BETWEEN_LINES", 0.0)
+        monkeypatch.setattr("bundle.cli.output._SECONDS_BETWEEN_LINES", 0.0)
         progress.share(0.5)
     first, second = stream.getvalue().splitlines()
     assert first == "making a scene ..."

@@ -18,7 +18,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import bundle
-from bundle.cli.progress import Progress
+from bundle.cli.output import Progress
 from tests.cli.headline_cases import CASES, outliers
 from tests.printed import figures
 from tests.scenes import make_problem, project, scene, with_observations

@@ -8,8 +8,7 @@ from bundle.cli.carried_georeference import check_georeference, write_georeferen
 from bundle.cli.error_lines import EXIT_DONE
 from bundle.cli.georeference_flags import GEOREFERENCE_FLAGS, settings_of
 from bundle.cli.option_flags import naming_flags, options_given
-from bundle.cli.output import check_replaced, publish, same_images
-from bundle.cli.progress import Progress
+from bundle.cli.output import Progress, check_replaced, publish, same_images
 from bundle.errors import InputError, shown
 from bundle.georeference.alignment import align
 from bundle.interface.georeference_options import GeoreferenceOptions

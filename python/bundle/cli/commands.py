@@ -434,8 +434,8 @@ COMMANDS: dict[str, Command] = {
             ),
         ),
         ways={
-            Kind.RECONSTRUCTION: Way(run="cli.report:report_model"),
-            Kind.POSE_GRAPH: Way(run="cli.report:report_pose_graph"),
+            Kind.RECONSTRUCTION: Way(run="cli.models:report_model"),
+            Kind.POSE_GRAPH: Way(run="cli.models:report_pose_graph"),
         },
     ),
     "triage": Command(

@@ -19,7 +19,7 @@ from bundle.interface.planning_options import (
 from bundle.reports.sections import Report
 
 if TYPE_CHECKING:
-    from bundle.cli.progress import Progress
+    from bundle.cli.output import Progress
     from bundle.cli.run import Run
     from bundle.planning.comparison import work
     from bundle.planning.inspection.graph_inspection import GraphInspection

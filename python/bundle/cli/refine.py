@@ -21,9 +21,8 @@ from bundle.cli.georeference_flags import (
 from bundle.cli.inertial_flags import adjusted_with_imu
 from bundle.cli.on_disk import on_disk, with_disk_use
 from bundle.cli.option_flags import naming_flags
-from bundle.cli.output import publish
+from bundle.cli.output import Progress, publish
 from bundle.cli.problem_edits import loops_closed
-from bundle.cli.progress import Progress
 from bundle.cli.refine_input import Opened, open_input
 from bundle.cli.refine_outcome import judge, readout_sigmas, write_page
 from bundle.cli.refinement import Refinement

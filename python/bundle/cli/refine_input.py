@@ -10,9 +10,8 @@ from bundle.cli.carried_georeference import check_georeference, georeference_at
 from bundle.cli.georeference_flags import priors_of
 from bundle.cli.on_disk import input_on_disk, sliced_input
 from bundle.cli.option_flags import with_named_images
-from bundle.cli.output import check_replaced, same_images
+from bundle.cli.output import Progress, check_replaced, same_images
 from bundle.cli.problem_edits import cameras_edited, with_rigs, with_shutters
-from bundle.cli.progress import Progress
 from bundle.cli.refinement import Refinement
 from bundle.errors import shown
 from bundle.interface.options import SolveOptions

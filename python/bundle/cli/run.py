@@ -24,9 +24,8 @@ from bundle.cli.option_flags import (
     own_options,
     with_named_images,
 )
-from bundle.cli.output import publish
+from bundle.cli.output import Progress, publish
 from bundle.cli.problem_edits import rules_as_options, rules_of, with_rigs
-from bundle.cli.progress import Progress
 from bundle.cli.standard_streams import complain
 from bundle.errors import InputError, shown
 from bundle.interface.camera_edit_options import RuleOptions
