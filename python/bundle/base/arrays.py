@@ -7,7 +7,7 @@ whose flag can be reset. An array that is not immutable in the sense of
 ``cpp/bindings/immutable_array.h`` is copied.
 
 Classes declare the arrays of their fields in a table ``ARRAYS``, functions those of their arguments
-where they read them. :func:`check_arrays` and :func:`as_declared` do what the declaration says.
+where they read them. :func:`check_arrays` and :func:`as_declared` apply the declarations.
 """
 
 from __future__ import annotations

@@ -143,7 +143,7 @@ def _pages(field: int) -> int:
 #
 # * renames of files that belong together: the folder would contain a mixture of two models;
 # * the import of pycolmap, which fails after an interruption;
-# * the start of a process with its files: what an interrupted constructor opened stays open.
+# * the start of a process with its files: files that an interrupted constructor opened stay open.
 
 
 @contextmanager

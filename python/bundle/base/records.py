@@ -31,13 +31,14 @@ METHODS = {
     "eq": ("__eq__", "__hash__"),
     "frozen": ("__setattr__", "__delattr__"),
 }
-"""Methods by the option that asks for them."""
+"""Methods by the option that requests them."""
 
 
 def _define(kind: type, options: dict[str, bool]) -> type:
     if not options.get("frozen") or options.keys() - METHODS - {"kw_only"} or not kind.__doc__:
         return dataclasses.dataclass(**options)(kind)
-    # The fields alone. What derives from a frozen class must be frozen by the standard library.
+    # The fields alone. Classes that derive from a frozen class must be frozen by the standard
+    # library.
     derived = any("__dataclass_fields__" in vars(base) for base in kind.__mro__[1:])
     fields_only = dict.fromkeys(METHODS, False) | {"frozen": derived}
     kind = dataclasses.dataclass(**options | fields_only)(kind)

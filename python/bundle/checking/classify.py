@@ -155,8 +155,8 @@ def is_single(residuals: Sequence[Array]) -> bool:
 def rounds_to_single(values: Callable[[list[Array]], Array], blocks: list[Array]) -> bool:
     """Return True if a function rounds one of its parameters to single precision.
 
-    The values then stand still between the midpoints of neighbouring numbers of single precision,
-    and change right behind them.
+    The values are then constant between the midpoints of neighbouring numbers of single precision,
+    and change at these.
     """
     at_point = values(blocks)
     for b, numbers in enumerate(blocks):
@@ -179,7 +179,7 @@ def rounds_to_single(values: Callable[[list[Array]], Array], blocks: list[Array]
 
 
 def _singles(values: Array) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return masks of numbers of single precision, and of numbers for which this is no chance.
+    """Return masks of numbers of single precision, and of those where chance is excluded.
 
     Numbers such as 0, 1 and 0.5 are exact in any precision.
     """

@@ -1,7 +1,7 @@
 """User-defined residual: calls, checks of shapes, and the points at which it is checked.
 
 Functions such as ``math.sqrt`` raise outside their domain where NumPy returns nan. Both mean that
-the residual has no value there. Only the first call, which counts the residuals, is to succeed.
+the residual has no value there. Only the first call, which counts the residuals, must succeed.
 """
 
 from __future__ import annotations

@@ -18,7 +18,7 @@ u_i <= 1, and d_j is the norm of column j after division of each row by its unit
 No entry is judged more exactly than its numerical derivative: U_ij holds the rounding of the row's
 own values and the truncation of the differences. Where u_i d_j is below U_ij / t, a deviation up to
 2 U_ij is right. No entry is judged more leniently than by c_j. So a row that is zero, constant or
-noise has the unit 1 (nothing in it is known), and its doubt is as small as by c_j.
+noise has the unit 1, and its uncertainty is relative to c_j.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ FLOOR = 1e-3
 ALIKE = 1e3
 """Ratio of the sizes of rows up to which they share a unit."""
 CLEAR = 8
-"""Multiple of its uncertainty above which an entry tells the size of its row."""
+"""Multiple of its uncertainty above which an entry determines the size of its row."""
 SWEEPS = 50
 """Largest number of sweeps of the fit of sizes; one is exact if all entries are known."""
 SETTLED = 0.1
@@ -146,7 +146,7 @@ def _column_sizes(matrices: Array) -> Array:
 
 
 def _row_units(reference: Array, uncertainty: Array) -> Array:
-    """Return the unit of each row, (K, R, 1): 1 for rows that are alike, for others less."""
+    """Return the unit of each row, (K, R, 1): 1 for rows of similar size, less for smaller rows."""
     sizes = np.abs(reference)
     with np.errstate(divide="ignore", invalid="ignore"):
         known = np.isfinite(sizes) & (sizes > CLEAR * uncertainty) & (sizes > 0)

@@ -192,7 +192,7 @@ class _Check:
         )
 
     def details(self, observations: NDArray[np.int64], offsets: Array) -> tuple[CheckDetails, ...]:
-        """Return errors of all entries and curves of some, of each camera model.
+        """Return, by camera model, the errors of all entries and the curves of selected ones.
 
         The residual along a column is computed here by :func:`bundle.project`, not by the core.
         """

@@ -29,8 +29,8 @@ class Layout:
     blocks: list[Block]
     tangent_blocks: list[Block]
     is_step: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, bool))
-    """Mask (N,) of columns whose numbers are steps from a value instead of the value itself; ()
-    without such columns.
+    """Mask (N,) of columns whose numbers are increments of a value instead of the value; () without
+    such columns.
     """
 
     @staticmethod

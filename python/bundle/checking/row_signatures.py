@@ -7,8 +7,8 @@
   E, with e = Log(E). If J_r^-1 is missing, M = W J_r(e) W^-1. Since J_r(e) e = e, M r = r for any
   W.
 - One row alone is wrong: its derivatives are multiplied by a number that differs from point to
-  point, two of them are exchanged, or another formula is there. A deviation in one row has rank
-  one, which therefore says nothing about a product of the chain rule.
+  point, two of them are exchanged, or another formula is there. A deviation in one row always has
+  rank one, so rank one does not prove a product of the chain rule.
 """
 
 from __future__ import annotations
@@ -230,8 +230,8 @@ def _is_number(matrix: Array) -> bool:
 def _is_one_matrix(given: Array, right: Array) -> bool:
     """Return True if an M that is fitted without a column also gives A = M J in that column.
 
-    Columns without which M is not determined tell nothing, as those of a row that depends on one
-    parameter alone. Two others, and half of all, are to be predicted.
+    Columns without which M is undetermined are no evidence, such as those of a row that depends on
+    one parameter. At least two others, and half of all, must be predicted.
     """
     num_residuals, num_columns = given.shape[1:]
 

@@ -122,7 +122,7 @@ class _Check:
         return self._report(tallies, findings, self._summary(space, checker), undecided)
 
     def details(self) -> tuple[CheckDetails, ...]:
-        """Return the errors of all entries and curves of some; () if nothing was compared."""
+        """Return errors of all entries and curves of selected ones; () if nothing was compared."""
         if self.watched is None:
             return ()
         deviations, numbers = self.watched

@@ -165,7 +165,7 @@ LineOf = Callable[[int, int], Line]
 
 @dataclass(frozen=True, eq=False)
 class CheckDetails:
-    """Errors of all entries of a Jacobian, and curves of some.
+    """Errors of all entries of a Jacobian, and curves of selected ones.
 
     Attributes:
         columns: names of the columns.

@@ -23,8 +23,9 @@ Name = str | Callable[..., Any]
 class Way:
     """Steps of a command on one kind of INPUT.
 
-    A way with ``call`` calls the API: ``call(input, options, **keywords)``. One with ``run`` does
-    so itself. Words are names of attributes of :class:`bundle.cli.run.Run`, separated by blanks.
+    A way with ``call`` calls the API: ``call(input, options, **keywords)``. A command with ``run``
+    does this itself. Words are names of attributes of :class:`bundle.cli.run.Run`, separated by
+    blanks.
 
     Attributes:
         call: function of the API.

@@ -1,7 +1,7 @@
 """Flags of this run that the next command of a finding repeats.
 
-The parser says which words it took as the values of a flag (``Parser.taken``), so that no word is
-guessed to be INPUT, a flag or a value.
+The parser records the words that are values of a flag (``Parser.taken``), so no word is guessed to
+be INPUT, a flag or a value.
 """
 
 from __future__ import annotations

@@ -35,7 +35,7 @@ def check_replaced(
 ) -> None:
     """Refuse to replace a model, pose graph or sequence that is not the input.
 
-    ``is_same`` tells whether that at a path has the same images or poses; then it may be replaced.
+    An existing output may be replaced if ``is_same`` of its path is true: same images or poses.
     """
     target = Path(path)
     if overwrite or not target.exists() or any(_is_same_file(target, source) for source in sources):
@@ -58,7 +58,7 @@ def check_replaced(
 
 
 def same_images(*problems: Problem) -> Callable[[Path], bool]:
-    """Return a function that tells whether a model at a path has the images of these problems."""
+    """Return a predicate: True if the model at a path has the images of these problems."""
     names = [name for problem in problems for name in problem.image_names]
     if len(problems) > 1:  # shared images count once
         names = list(dict.fromkeys(names))

@@ -7,8 +7,8 @@ request, without the flag::
     def test_odometry(check_gradients):
         check_gradients(odometry, [x0, x1], ["se3", "se3"], tangent="manif")
 
-pytest loads this module in every project where the package is installed. So it imports the package
-only where it is used.
+pytest loads this module in every project where the package is installed. Therefore it imports the
+package only where needed.
 """
 
 from __future__ import annotations

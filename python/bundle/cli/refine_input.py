@@ -106,7 +106,7 @@ def open_input(asked: Refinement, progress: Progress) -> Opened:
 
 
 def _may_move_images(asked: Refinement) -> bool:
-    """Return True if no image stands still in the solve."""
+    """Return True if no image is constant in the solve."""
     is_held = asked.options.fixed_image_ids or asked.fixed_images or asked.local.only_images
     rules = any(rule.target.kind == "image" for rule in asked.constraints)
     return "poses" in asked.options.refine and not is_held and not rules

@@ -34,7 +34,8 @@ def judge(
     """Return the findings about the result, those of an IMU first.
 
     A result that is not usable has only these and those about the start, one in slices has none. If
-    the pixels of the input are shifted alike, the solve has bent the model, and only that is said.
+    all pixels of the input have the same shift, the solve has bent the model, and this is the only
+    finding.
     """
     command = NextCommand(asked.source, asked.target, asked.given)
     about_imu = tuple(
@@ -75,7 +76,7 @@ def judge(
 
 
 def _shifted_input(opened: Opened, solved: Result, command: NextCommand) -> tuple[Finding, ...]:
-    """Return the finding about pixels of the input that are all shifted alike, if they are.
+    """Return the finding about pixels of the input that all have the same shift, or None.
 
     A refined principal point absorbs a shift without a bend. The RMSE, which is at least as long as
     the shift, clears most models at no cost.

@@ -158,7 +158,7 @@ class Refinement:
         return not self.steps_beyond()
 
     def steps_beyond(self, plain: Set[str] = frozenset(OF_PLAIN)) -> tuple[str, ...]:
-        """Return the names of options that ask for more than a plain solve, sorted."""
+        """Return the sorted names of options that need more than a plain solve."""
         found: list[str] = []
         for name in set(self.__dataclass_fields__) - plain:
             value = getattr(self, name)

@@ -1,7 +1,7 @@
 """One run of a command: check the arguments, open INPUT, call the API, report, write.
 
-The row of the command (``bundle.cli.commands``) says what differs. Where more than that differs,
-it names a function that gets the run, uses what it needs of it, and returns the report.
+The row of the command (``bundle.cli.commands``) states the differences. Where more than that
+differs, it names a function that gets the run, uses what it needs of it, and returns the report.
 """
 
 from __future__ import annotations

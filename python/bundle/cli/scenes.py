@@ -71,7 +71,7 @@ def make_scene(run: Run) -> Report:
             tally = _tally(made)
             progress.stage(f"writing {shown(path)}")
             save(made.problem, path, format)
-            # Nobody who asks for a scene expects another loss.
+            # Users of a scene expect no other loss.
             told = (LOST_ROLLING_SHUTTER,)
             lost = [one for one in save(made.ground_truth, truth_path, format) if one in told]
         true = scene.ground_truth if isinstance(scene, SyntheticScene) else images
@@ -96,7 +96,7 @@ def _files_of_attitudes(
 def _write_attitudes(
     paths: dict[str, str], priors: tuple[AttitudePrior, ...], images: Problem, format: str
 ) -> None:
-    """Write the priors of each kind; a BAL file knows images by their index alone."""
+    """Write the priors of each kind; a BAL file identifies images by index only."""
     from bundle.georeference.attitude_files import gravity_text, orientation_text
     from bundle.georeference.attitude_priors import GravityPrior, OrientationPrior
 

@@ -357,7 +357,7 @@ class Meetings:
     Attributes:
         point_a: (num_pairs,) row of the point in A; the pairs are sorted by the row in B, then A.
         point_b: (num_pairs,) row of the point in B.
-        count: (num_pairs,) number of shared keypoints where they meet.
+        count: (num_pairs,) number of shared keypoints of each pair.
     """
 
     point_a: _Indices

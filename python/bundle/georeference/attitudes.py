@@ -227,11 +227,11 @@ def _radius(size: int, found: Agreement, sigmas: Array) -> float:
 
         k / (k - 1) sum w^2 a^2 / sigma^2 / size / (sum (1 - u) (1 - 3 u) / sigma^2)^2;
 
-    with fewer, the stated sigmas. Few residuals hardly tell their spread. With m degrees of
+    with fewer, the stated sigmas. Few residuals hardly determine their spread. With m degrees of
     freedom, the squared length over that of the residuals has, for two coordinates, the F
     distribution with 2 and m degrees: P(F > x) = (1 + 2 x / m)^(-m / 2), and m (0.05^(-2 / m) - 1)
     takes the place of chi squared's -2 log 0.05. The same factor serves for one and three
-    coordinates. With a good measurement fewer, three tell nothing: the angle is infinite.
+    coordinates. Three measurements, one of them bad, determine nothing: the angle is infinite.
     """
     lengths, weights = found.lengths, found.weights
     count, weight = len(lengths), float(weights.sum())

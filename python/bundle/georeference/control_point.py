@@ -41,8 +41,8 @@ class Measurement(NamedTuple):
         image: name of the image.
         x: pixels from the left edge of the image: the centre of the first pixel is (0.5, 0.5).
         y: pixels from the upper edge.
-        sigma: standard deviation of x and of y in pixels; None: default of the alignment, 0.5 in a
-            solve.
+        sigma: standard deviation of x and of y in pixels; None: in an alignment its default, in a
+            solve 0.5.
     """
 
     image: str

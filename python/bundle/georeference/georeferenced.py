@@ -16,7 +16,7 @@ from bundle.georeference.similarity import Similarity
 from bundle.model.problem import Problem
 
 SAME_BASELINE = 1e-3
-"""Relative change of a rig's baseline that is not worth a word."""
+"""Relative change of a rig's baseline below which no note is given."""
 LARGE = 3.0
 """Length of a residual in sigmas that 3 % of good positions exceed."""
 

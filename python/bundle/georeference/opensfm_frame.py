@@ -183,7 +183,7 @@ def _control_points(node: Node, problem: Problem) -> tuple[GroundControlPoint, .
 
 
 def without_origin(problem: Problem) -> Problem:
-    """Return a moved problem whose OpenSfM data are no longer said to be in the old frame."""
+    """Return a moved problem without the OpenSfM data that refer to the old frame."""
     source = imported_source(problem)
     if source is None or not source.data.get("reference_lla"):
         return problem

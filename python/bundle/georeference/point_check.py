@@ -171,7 +171,7 @@ class SurveyChecks:
 
 
 def scaled_tail(statistic: float, freedom: int, scale2: float, nu: float) -> float:
-    """Return the probability of a larger T if sigmas are right but for a common factor.
+    """Return the probability of a larger T if sigmas are right up to a common factor.
 
     Args:
         statistic: T by the stated sigmas.

@@ -1,4 +1,4 @@
-"""Attitude priors of a problem: their images, the turn of the world that they ask for, residuals.
+"""Attitude priors of a problem: their images, the rotation of the world that fits them, residuals.
 
 A reconstruction has an arbitrary frame. Before a solve, the world is turned about the middle of the
 cameras: by the orientations, then upright by gravity, then about the vertical by the headings. Each
@@ -64,7 +64,7 @@ class AttitudesOfKind:
     rows: NDArray[np.int64]
 
     def turns(self, problem: Problem, turn: Array | None = None) -> Array:
-        """Return (n, 3) further turns of the world that the priors ask for, in radians.
+        """Return (n, 3) the further rotation of the world that fits each prior, in radians.
 
         Args:
             problem: problem with the poses.
@@ -124,8 +124,8 @@ class AttitudesOfKind:
     def of_tied(self, problem: Problem) -> AttitudesOfKind:
         """Return the priors of tied images; all if no image is tied.
 
-        A solve turns an image without observations to its own measurement, which says nothing
-        about the world.
+        A solve rotates an image without observations to its own measurement, so it has no
+        information on the world.
         """
         places = np.flatnonzero(self.tied(problem))
         if len(places) in (0, len(self.rows)):
@@ -274,7 +274,7 @@ TUKEY = 4.685
 MOST_STARTS, MOST_JUDGES = 64, 2000
 MOST_STEPS = 100
 STEP = 1e-13
-"""Turn in radians at which the steps end."""
+"""Rotation in radians below which the steps end."""
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ after ``--gps`` or ``--gcp``.
 
 DJI's XMP has the speeds to the north (``FlightXSpeed``) and to the east (``FlightYSpeed``) in
 metres per second, as a multiple of 0.1. The manuals do not say whether ``FlightZSpeed`` is upwards
-or downwards, so it does not count.
+or downwards, so it is ignored.
 """
 
 from __future__ import annotations

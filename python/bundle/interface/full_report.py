@@ -76,7 +76,7 @@ def full_report(
 
 
 def _rejected_share(summary: Any) -> str:
-    """Return the rejected share of the steps; the start, which Ceres counts, is no step."""
+    """Return the rejected share of the steps, without the start, which Ceres counts as a step."""
     rejected = summary.num_unsuccessful_steps
     steps = summary.num_successful_steps + rejected - 1
     return f"{100 * rejected / steps:.1f} %" if steps > 0 else "-"

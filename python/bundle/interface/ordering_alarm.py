@@ -11,7 +11,7 @@ Three signs, each with the explanation that it must exclude:
   the matrix is another one. Equal orders of equal matrices have equal factors: a record of the same
   order with other flops is of another matrix.
 
-A look is worth its time if the user chose the order, or if the factorisations take seconds. Orders
+Other orders are compared if the user chose the order, or if the factorisations take seconds. Orders
 that a solve chooses by itself are the best of several, or AMD, which is rarely far from the best.
 The alarm counts flops, not seconds, and is therefore the same on every machine.
 """
@@ -76,7 +76,7 @@ def with_ordering_alarm(
         structure: function that returns the arrays on which the structure of the matrix depends.
         look: function that orders the matrix; None if the solve chose the best of several orders.
         advice: option that selects the better order; "" if the solve chose the order.
-        least_flops: flops of all factorisations from which a look is worth its time.
+        least_flops: flops of all factorisations from which other orders are compared.
     """
     fields = dict(summary)
     solves = max(int(fields["num_linear_solves"]), 0)

@@ -85,7 +85,7 @@ class Summary(Displayed):
     system, and its residual evaluation time includes the back-substitution.
     """
 
-    # Iterations of the result, for full_report(). A slot is no field: vars() has the fields alone.
+    # Iterations of the result, for full_report(). A slot is no field: vars() contains only fields.
     __slots__ = ("_iterations",)
 
     initial_cost: float
@@ -341,7 +341,7 @@ def sentence(summary: Summary, num_steps: int, num_rejected: int = 0) -> str:
 
 
 def _verdict(summary: Summary) -> str:
-    """Return the first words; a solve whose result is no solution has not converged to one."""
+    """Return the first words of the outcome; an unusable result never counts as converged."""
     if summary.termination_type == "CONVERGENCE" and not summary.is_solution_usable:
         return "Ended after"
     return _VERDICTS.get(summary.termination_type, "Ended after")

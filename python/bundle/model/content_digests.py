@@ -1,7 +1,7 @@
 """Digests of an input: who observes whom, the measurements, and the start.
 
-Two reports compare them. Equal digests prove that a difference of two solves comes from elsewhere;
-different ones tell data that changed from a start that changed.
+Two reports compare them. Equal digests prove that a difference of two solves has another cause;
+separate digests distinguish changed data from a changed start.
 """
 
 from __future__ import annotations

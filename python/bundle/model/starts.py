@@ -240,7 +240,7 @@ def _costs_up_to(
 
 
 def _comparison(graph: PoseGraph, end: float) -> Callable[[dict[str, float]], bool]:
-    """Return a predicate: is the lowest of some costs below ``end`` by more than rounding?"""
+    """Return a predicate: True if the lowest cost is below ``end`` by more than rounding."""
 
     def is_lower(costs: dict[str, float]) -> bool:
         gain = end - min(costs.values(), default=np.inf)

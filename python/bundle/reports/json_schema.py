@@ -121,7 +121,7 @@ _OTHERS: dict[tuple[str, str], Schema] = {
         "properties": dict.fromkeys(("before", "after"), _REFERENCES["ReprojectionError"]),
     },
 }
-"""Entries with a form that no type says."""
+"""Entries whose form no type describes."""
 
 
 def _entries(command: str) -> dict[str, Schema]:

@@ -78,7 +78,7 @@ def solve_prepared(
 def finished(prepared: Prepared, last: Result, state: State | None = None) -> Result:
     """Convert the last result for the start to one for the problem of the request.
 
-    Its control points and attitudes are tested when someone asks for it.
+    Its control points and attitudes are tested on first access.
     """
     result = prepared.finished(last, state)
     if not prepared.request.priors or not last.summary.is_solution_usable:

@@ -144,8 +144,8 @@ def choose(
 # Both statistics cover the same observations with and without rounds, so that deleting observations
 # does not lower them: removed observations keep their errors. A point that the rounds of the second
 # fit remove is triangulated again, with the cameras of that fit and from the observations that are
-# not held out, by a robust loss. So a fit is judged by its cameras, not by the number of points
-# that it gives up.
+# not held out, by a robust loss. So the cameras of a fit determine its score, not the number of
+# points that it drops.
 #
 # Measurements of control points are never held out. In a local adjustment the observations of the
 # named images are candidates: other images are constant and do not change with their observations.

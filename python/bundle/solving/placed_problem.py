@@ -51,7 +51,7 @@ class PlacedProblem(NamedTuple):
         return () if self.targets is None else self.targets.point_ids
 
     def taken_from(self, problem: Problem) -> Problem:
-        """Return a refined or filtered version of this problem as the user knows it."""
+        """Return a refined or filtered problem without the offset and the control points."""
         if self.offset is not None:
             problem = self.offset.taken_from(problem)
         return problem if self.targets is None else self.targets.taken_from(problem)

@@ -13,9 +13,9 @@ the model that has it. The offset and its test are
 for the height alone, with the other coordinates held, T = g_up^2 / (C^-1)_up with 1. Residuals show
 nothing of an offset that a focal length absorbs; g does. If T is large (p < 1e-3), the model is
 adjusted with the offset, along all axes only if these explain more: o, its sigma and the focal
-length come from there. Pixels and positions whose residuals are larger than their sigmas say, by
-the factors s, make the test one of F = T / (k s^2). It is decided in the adjusted model, because an
-offset bends the other one and enlarges its residuals.
+length come from there. If residuals of pixels and positions are larger than their sigmas by a
+factor s, the test uses F = T / (k s^2). The adjusted model decides, because an offset bends the
+other model and enlarges its residuals.
 
 A gross error and an offset explain the same residuals; the one with the larger T is named, and the
 other tested after it.

@@ -8,8 +8,8 @@ chi-square distribution with these degrees. The interval is therefore wide enoug
 
 Information that is s times too small makes chi2 s times too small, because chi2 is linear in it.
 Wrong edges raise chi2, too, and smear over the edges near them. The median over the edges of the
-test statistics, each with a chi-square distribution of its own, tells them apart: information that
-is too large scales the median as it scales the mean, wrong edges raise the mean far more.
+test statistics, each with a chi-square distribution of its own, separates the two causes:
+information that is too large scales median and mean alike, wrong edges raise the mean far more.
 """
 
 from __future__ import annotations

@@ -17,7 +17,7 @@ pixels' noise, of which outliers may be some. Both parts have at least two image
 
 Cost. Divide the points into 15 disjoint sets. If the points of each set connect all images, any two
 parts share at least 15 points, one of each set, and no weak joint exists. This test takes linear
-time. Only models that fail it, or small ones, need the pairs of images.
+time. The pairs of images are needed only for small models and for models that fail it.
 
 The images of a frame of a rig are one image: the rig holds them together.
 """

@@ -109,7 +109,7 @@ class NullSpace:
         held[rows[taken]] = True
 
     def _is_whole(self, variable: int, basis: Floats, position: dict[int, int]) -> bool:
-        """Tell whether holding a whole variable removes as many directions as it has numbers."""
+        """Return True if holding a whole variable removes as many directions as it has numbers."""
         span = range(*self.begin[variable : variable + 2].tolist())
         if len(span) > basis.shape[1] or self.constant[list(span)].any():
             return False

@@ -14,8 +14,9 @@ together observe all seven numbers: a scaling about one centre is a scaling abou
 shift along the baseline. W therefore has little information on scale if the parallax is small. This
 is the case in which a monocular model drifts.
 
-A track of n images has 2 n - 3 more measurements than coordinates of its point, but pairs of images
-would count them repeatedly. p pairs have 4 p numbers, so that each is weighted by
+A track of n images has 2 n measurements and a point of 3 coordinates, so 2 n - 3 of them inform the
+poses. Pairs of images would count them repeatedly. p pairs have 4 p numbers, so that each is
+weighted by
 
     w_X = (2 n - 3) / (4 p).
 

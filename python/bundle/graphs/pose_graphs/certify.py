@@ -5,11 +5,11 @@ its dual certificate (``cpp/core/pose_graph/dual_certificate.cpp``). A minimum o
 with the logarithm, or with anisotropic information) is no critical point, but near one.
 
 The verdict is about the given poses as long as the critical point belongs to them. It does if
-Newton's method lowers F by at most a tenth. Otherwise two solves tell:
+Newton's method lowers F by at most a tenth. Otherwise two solves decide:
 
 - One from the given poses. If it lowers chi2 by more than a hundredth, they are no minimum at all.
 - One from the critical point. If it ends at the chi2 of the first one, both are the same minimum.
-  Otherwise F has its minimum elsewhere, and its certificate says nothing about the given poses.
+  Otherwise F has another minimum, and its certificate does not apply to the given poses.
 """
 
 from __future__ import annotations

@@ -3,8 +3,8 @@
 ``densest_set`` bounds the largest clique. A clique of d vertices gives each of them d - 1
 neighbours. The largest d for which d vertices have d - 1 neighbours or more is therefore not
 smaller than the largest clique. Odometry with closures has about 4, and a few more closures do not
-change it. A prior that marginalisation left on d variables raises it to d: the number tells a dense
-prior from more measurements.
+change it. A marginal prior on d variables raises it to d, so the number distinguishes a dense prior
+from more measurements.
 """
 
 from __future__ import annotations

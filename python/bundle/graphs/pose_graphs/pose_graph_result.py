@@ -130,8 +130,8 @@ class Certificate(Displayed):
 
     Attributes:
         verdict: "certified": no poses have an F below ``cost - gap``. "not-certified": the test
-            fails; a lower minimum may exist. "not-a-minimum": the given poses are near no
-            minimum of F, so that a certificate says nothing about them.
+            fails; a lower minimum may exist. "not-a-minimum": no minimum of F is near the given
+            poses, so a certificate does not apply to them.
         is_settled: True if the given poses are near a minimum of F or of chi2. False: refine first.
         cost: F at the critical point.
         initial_cost: F at the given poses.

@@ -15,8 +15,9 @@ first order
     an edge that is out  raises the sum by  r^T P^-1 r,  P = I + A C_ij A^T,   if it is put in
 
 (the first is Baarda's test, ``graph_covariance.cpp``). An edge with a test value above c^2 should
-be out. An edge whose price r^T P^-1 r is below c^2 should be in. *Improving* tries such edges, the
-largest gain first, settles each resulting set, and keeps the set if its truncated cost is lower.
+be out. An edge whose cost of inclusion r^T P^-1 r is below c^2 should be in. *Improving* tries such
+edges, the largest gain first, settles each resulting set, and keeps the set if its truncated cost
+is lower.
 
 The loss ``auto`` tries losses for wrong closures and compares them. No loss finds every set of
 wrong closures: dynamic covariance scaling (DCS) ends in local minima that graduated non-convexity

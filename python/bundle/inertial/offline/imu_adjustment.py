@@ -6,9 +6,10 @@ factors of the solve (``motion_solve``). The model is first brought into metres 
 (``upright_start``), where gravity is known. Position and heading stay free, or follow priors in a
 world with z up. A clear offset of the clocks (``clock_offset``) is added to the times of images.
 
-The images alone are adjusted first: their rotations tell axes, units and clocks of the IMU, and
-their cost is what the adjustment with the IMU is judged by (``imu_agreement``, ``imu_findings``).
-Gross errors of axes and units are refused. A result that the IMU contradicts is not usable.
+The images alone are adjusted first: their rotations determine axes, units and clocks of the IMU,
+and their cost is the reference for the adjustment with the IMU (``imu_agreement``,
+``imu_findings``). Gross errors of axes and units are refused. A result that the IMU contradicts is
+not usable.
 
 Preintegrated motions are of first order in the biases. A second solve starts with motions that are
 integrated again at the biases of the first one, if these moved far. Rounds of filtering follow,

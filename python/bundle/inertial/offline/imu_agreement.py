@@ -11,7 +11,7 @@ from the median: v = median chi2_k / median of chi2(6), between the inverse squa
 vibration and 1. An interval is wrong if chi2_k / v exceeds the quantile that the largest of n good
 ones exceeds with a probability of 0.1 %.
 
-Causes. The rotations of images alone and of the gyroscope tell errors of axes (``rotation_map``),
+Causes. The rotations of images alone and of the gyroscope reveal errors of axes (``rotation_map``),
 and errors of single times: a time of image k that is off by x_k changes the rotation between images
 by w_{k+1} x_{k+1} - dR^T w_k x_k (``clock_offset``). A drift is x_k in proportion to the time.
 Other x_k are independent, and moments give their variance. White noise of samples is at most what
@@ -176,7 +176,7 @@ def noise_ratios(
 
 
 def quietest_ratio(stamps: NDArray[np.int64], gyro: Array, accel: Array, noise: ImuNoise) -> float:
-    """Return the larger ratio, of both sensors, of noise where it is least over the calibrated."""
+    """Return the larger ratio of both sensors: least noise of the samples / calibrated noise."""
     period = 1e-9 * float(np.median(np.diff(stamps)))
     return max(
         quietest_noise(values, period) / density

@@ -131,7 +131,8 @@ def _covariance(times: Array, noise: ImuNoise) -> Array:
     return found
 
 
-# Scale of the forces of an accelerometer, by the cost of an adjustment as a function of it.
+# Scale of the forces of an accelerometer, from the cost of an adjustment as a function of this
+# scale.
 #
 # Forces that are f times too large are those of a path and a gravity that are f times as large. The
 # length of gravity is known, and a bias along gravity has the same effect as f on an IMU that does
@@ -150,8 +151,8 @@ def _covariance(times: Array, noise: ImuNoise) -> Array:
 # and its parts at 1 - D, 1 and 1 + D. Each is the end of the same few Gauss-Newton steps from the
 # present minimum: what is left to its own minimum is then the same in all three, and cancels.
 #
-# Relevance. The estimated f would move the positions, without their mean, by a share of their
-# distances from it. On V1_01, whose real errors are not white, T is 25 and this share 1.4 %.
+# Relevance. The estimated f would move each position by a share of its distance from the mean
+# position. On V1_01, whose real errors are not white, T is 25 and this share 1.4 %.
 
 
 STEP = 0.03

@@ -6,7 +6,7 @@ b. Any other axes or units give
 
     c_k = M g_k + T_k b,
 
-by linear least squares with Cauchy weights. The polar decomposition M = Q S tells the error:
+by linear least squares with Cauchy weights. The polar decomposition M = Q S identifies the error:
 
     det Q < 0     the gyroscope has reversed axes, or its axes are left-handed
     Q             camera_from_imu, whose rotation C should be C Q, or the axes of the IMU
@@ -39,7 +39,7 @@ Array = NDArray[np.float64]
 
 STEPS = 20
 DETERMINED = 0.1
-"""Standard deviation of a column up to which the map tells an error of axes."""
+"""Standard deviation of a column up to which the map reveals an error of axes."""
 EXPLAINED = 0.5
 """Residual with the map, relative to that without it, below which the map is an explanation."""
 TURNED, NEAR = 15.0, 12.0
@@ -194,7 +194,7 @@ def _degrees(rotation: Array) -> float:
 #
 # The equations of ``inertial_start`` are linear in the forces. For each of the 24 right-handed
 # choices of axes A, forces A a give a scale of either sign; a negative one is the positive one of
-# -A. The choice with the least residual tells the axes, if it leaves at most half of the residual
+# -A. The choice with the least residual gives the axes, if it leaves at most half of the residual
 # of the given axes, or these give a negative scale.
 
 

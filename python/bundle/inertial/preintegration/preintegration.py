@@ -37,7 +37,7 @@ class Preintegration(Displayed):
     ``cpp/core/inertial/preintegration.cpp`` has the derivation.
 
     The samples are stored: :meth:`corrected` adapts to new biases to first order,
-    :meth:`needs_repropagation` tells if that is not accurate enough, :meth:`repropagated`
+    :meth:`needs_repropagation` is true if that is not accurate enough, :meth:`repropagated`
     integrates again. Example::
 
         motion = bundle.Preintegration(noise, gyro_bias, accel_bias)

@@ -278,8 +278,8 @@ def _patches(small: Array, pixels: Array) -> Array:
 #
 # with singular values of S of 1 on the axis of a pinhole camera. For f theta lenses, S grows as 1 /
 # cos^2 theta away from the axis, and beyond 90 degrees the plane does not exist. Pixels whose S
-# exceeds MOST_STRETCH (55 degrees from the axis for f theta) are not used. Neither are pixels that
-# do not project to themselves: there a polynomial of distortion has turned back.
+# exceeds MOST_STRETCH (55 degrees from the axis for f theta) are not used. Pixels that do not
+# project to themselves are not usable either: there the distortion folds back.
 
 
 MOST_STRETCH = 3.0

@@ -6,9 +6,9 @@ late clock by d leave, with the rates w at both images and T between them,
 
     c - R g = s R g + a x R g + d R (w_j - w_i) - T R b,        k = 1 / (1 + s),
 
-by least squares with the information on c, Cauchy weights, and weak priors, without which a
-turntable of constant speed would not tell s from b. A right k leaves errors of tracks only. Where
-more is left, or s, a or d exceed their priors, another fault bends the rotations: k is unknown.
+by least squares with the information on c, Cauchy weights, and weak priors, without which s and b
+are not separable at constant speed. A right k leaves errors of tracks only. If a larger residual
+remains, or s, a or d exceed their priors, another fault affects the rotations: k is unknown.
 
 **Jitter of stamps.** A camera with a constant rate exposes image k at a + k b; stamps of receipt
 are late by different times. If the stamps deviate from the nearest such line, the rotations of the
@@ -72,7 +72,7 @@ def scale_findings(images: SequenceImages, recording: Recording) -> tuple[Findin
 
 
 def scale_of_rates(pairs: RotationPairs, lens: Array) -> tuple[float, float]:
-    """Return k with its standard deviation; nan if another fault bends the rotations."""
+    """Return k with its standard deviation; nan if another fault affects the rotations."""
     step = float(SHIFTS[1] - SHIFTS[0])
     turned = pairs.imu(0.0) @ lens.T
     change = (pairs.imu(step) - pairs.imu(-step)) @ lens.T / (2 * step)

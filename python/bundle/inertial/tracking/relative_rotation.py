@@ -9,7 +9,7 @@ e is divided by the length of its gradient with respect to both image points (Sa
 makes it a distance on the image plane. Weights are Cauchy's. t moves on the unit sphere: d is
 perpendicular to it. Without translation, t is arbitrary and R still determined; a small damping
 keeps the step finite. The Schur complement of d in the normal matrix is the information on w: small
-where a rotation and a translation move the rays alike.
+where a rotation and a translation move the rays in the same way.
 
 The initial value ignores the translation: the rotation that takes the rays of one image to those of
 the other (Kabsch), with robust weights. Points on a plane have a second solution, which may be the

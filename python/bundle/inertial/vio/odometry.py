@@ -34,7 +34,7 @@ class OdometryResult(Displayed, Tabular):
             ``marginalize="keep"``, states of the last solve, a batch.
         keyframes: telemetry of keyframes.
         start: "static" or "moving": method of initialisation.
-        is_usable: False if the window lost track; ``message`` tells when.
+        is_usable: False if the window lost track; ``message`` gives the time.
         interrupted: True if Ctrl-C ended it; the trajectory ends there.
         message: one sentence.
         num_images: number of solved images.

@@ -6,7 +6,7 @@ of NumPy on the numbers of the file (``Imported.project``). The reprojection err
 and by the problem must agree to 1e-6 pixels, in the mean square and in the median, or the file is
 refused with both numbers. A lens that was fitted may differ by the error of its fit.
 
-Both formulas are wrong alike for a file whose program had other axes than its format. Such a file
+If the program used other axes than the format, both formulas have the same error. Such a file
 is refused by the side on which its points are: most of them must be in front of their cameras.
 """
 

@@ -64,7 +64,7 @@ _UNKNOWN_CENTER = (
 SPACE = '"'
 """Character of the file for a space in the name of an image."""
 LENGTHS = (0.9, 1.1)
-"""Lengths of quaternions that are normalised; others are no rotation."""
+"""Range of quaternion lengths that are normalised; other lengths are refused."""
 STEPS = tuple(10.0**power for power in range(4, -5, -1))
 """Steps of coordinates that count as rounded, in units of the file."""
 LARGEST_ROUNDING = 1.0

@@ -1,7 +1,7 @@
 """Calibration of a recording: its files in the formats of EuRoC and Kalibr, and their combination.
 
 ``--calibration`` names up to two files: ``calibration.yaml`` of this package alone, or Kalibr's
-``camchain-imucam.yaml`` and ``imu.yaml``. What they lack comes from the recording: the files
+``camchain-imucam.yaml`` and ``imu.yaml``. Missing values come from the recording: the files
 ``sensor.yaml`` of EuRoC, or the folder ``dso`` of TUM-VI.
 """
 

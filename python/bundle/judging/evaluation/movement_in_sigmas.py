@@ -15,15 +15,16 @@ scale is a movement like any other. Then
 
 is 1 for a movement by one sigma, and m_i is the median of m_ir over the anchors: one anchor that
 moved itself has no influence. C is scaled by the residuals of A (sigma0). If B is the truth, the
-mean of m_i^2 is about 1 if the covariance is right. Neither points nor images that B lacks matter.
+mean of m_i^2 is about 1 if the covariance is right. Points, and images that B lacks, have no
+influence.
 
 The covariance depends on what the solve of A refined, which no file records: principal points and
 the sensors of rigs are held by default, and A is much less certain if they were refined. A itself
-tells: at a minimum over a parameter, a step along it does not lower the cost; for a held one the
-expected decrease is half of sigma0^2. So if the movement exceeds the default uncertainty, a solve
-that refines these, too, is begun at A. If it lowers the cost by less than 0.025 sigma0^2, they were
-refined, and the covariance is taken with them; one of twenty models with one held principal point
-looks like that. Otherwise the verdict says its assumption.
+shows which: at a minimum over a parameter, a step along it does not lower the cost; for a constant
+parameter the expected decrease is half of sigma0^2. So if the movement exceeds the default
+uncertainty, a solve from A also refines these parameters. If it lowers the cost by less than
+0.025 sigma0^2, they were refined, and the covariance is taken with them; one of twenty models with
+one held principal point looks like that. Otherwise the verdict states its assumption.
 
 Images of one frame of a rig have a constant relative pose, with C = 0; such pairs do not count.
 """
@@ -144,7 +145,7 @@ def _decrease(problem: Problem, options: SolveOptions) -> float:
 def _movement(
     a: Problem, b: Problem, rows_a: Indices, rows_b: Indices, options: SolveOptions
 ) -> SigmaMovement:
-    """Return the movement if the solve of A refined what the options say."""
+    """Return the movement if the solve of A refined the parameters of the options."""
     is_metric = bool(a.num_frames) and gauge_freedom(a, options).degrees < 7
     if is_metric:
         _check_scale(a, b, rows_a, rows_b)

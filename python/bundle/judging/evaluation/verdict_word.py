@@ -244,7 +244,8 @@ def _axes(given: Compared) -> Finding | None:
     if before <= CLOSE[1] or after > EXPLAINED * before:
         return None
     angle = float(angles_of(common[None])[0])
-    # Cameras that look the same way turn alike if noisy centres turn the alignment.
+    # Cameras with the same viewing direction get the same rotation error if noisy centres rotate
+    # the alignment.
     noise, _ = angle_about_line(given.reference[:, 4:], given.position)
     if given.rms()[0] > CLOSE[0] * given.size or angle <= SURE * np.degrees(noise):
         return None

@@ -2,7 +2,7 @@
 
 A detector that returns a feature once per orientation (SIFT) makes two keypoints at one pixel, and
 matching makes two points of them. Each pair counts twice: standard deviations are too small, by a
-factor of up to sqrt(2), and an observation that is held out is predicted by its twin.
+factor of up to sqrt(2), and the duplicate predicts an observation that is held out.
 
 Test. Two points are duplicates if two or more images see both at the same pixel, to a tenth. Chance
 alone does this once in (area in tenths of pixels) / observations per image for one image, and never

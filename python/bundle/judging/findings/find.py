@@ -67,9 +67,9 @@ def find(
 ) -> tuple[Finding, ...]:
     """Return what a user should know about a model and do next.
 
-    Measured and NextCommand explain the arguments. None are unknown options, for which the
-    defaults count, and a covariance that is computed here if that takes milliseconds. Measured
-    positions and attitudes are in the frame of the problem.
+    Measured and NextCommand explain the arguments. None as options means the defaults; None as
+    covariance means that it is computed here if that takes milliseconds. Measured positions and
+    attitudes are in the frame of the problem.
     """
     used = {problem.camera_models[camera] for camera in set(problem.image_camera.tolist())}
     if not problem.num_observations or not used <= camera_models().keys():
@@ -97,7 +97,7 @@ def _lens(measured: Measured, fits: ImageFits, fields: Sequence[LensField]) -> F
 def _repairs(measured: Measured) -> tuple[tuple[str, str], bool]:
     """Return the larger lens and the rolling shutter that a model needs; "": none.
 
-    And True if it moved, but a shutter is not worth its price.
+    And True if it moved, but a shutter would increase standard deviations too much.
     """
     _, fits, fields, moves = _fields(measured)
     if moves is not None:

@@ -14,12 +14,12 @@ With the covariance C of all of them, the contrasts D theta to the first camera 
     T = (D theta)^T (D C D^T)^-1 (D theta),
 
 chi^2 of d = (m - 1) q degrees of freedom if the cameras have one lens with q parameters. Blocks of
-C alone do not do: neighbours see the same points, so that their errors are alike, and a difference
-of distortion hides in f. Significance is not the question: lenses that differ a little cost less
+C are not sufficient: neighbours see the same points, so their errors are correlated, and f absorbs
+a difference of distortion. Significance is not the question: lenses that differ a little cost less
 than the certainty that a lens per image takes away. On 1000 seeded flights and orbits, positions
 had the least error with one lens below T = 4 d and with own lenses above. Below 2 d the finding
-says share; up to 4 d it says that they differ, and that held-out observations decide. Own lenses
-that are not determined, or that drift by half of the limit below, are not compared.
+advises to share the lens; up to 4 d it reports a difference and advises held-out observations. Own
+lenses that are not determined, or that drift by half of the limit below, are not compared.
 
 Drift. In the weighted regression f_i = a + b t_i on the order t of the images, from -1 to 1, the
 gain b^2 / var b must exceed 30, and 30 times the Q / d that is left, and the change 2 b must be 2 %
@@ -125,7 +125,7 @@ def undetermined_intrinsics(measured: Measured, groups: Groups) -> Finding | Non
 
 
 def _differ(measured: Measured, group: FocalLengths) -> bool:
-    """Return True if the lenses of a group are known to differ by so much that own ones pay."""
+    """Return True if the lenses of a group differ enough for separate lenses."""
     joint = joint_statistic(measured, group)
     return joint is not None and joint[0] >= PAYS * joint[1]
 

@@ -18,7 +18,7 @@ otherwise it is the lens. It is also the lens if a larger one explains at least 
 velocities, by Akaike's criterion (larger_lens.py): lenses per image hide the field that they share.
 Row shifts of four times the noise reach 1.5 scales, real models with motion 0.6 to 1.6.
 
-Rows against columns. Linear fields cannot tell them apart: rotation has absorbed the difference.
+Rows against columns. Linear fields cannot distinguish them: rotation has absorbed the difference.
 The derivatives D of the pose can: a velocity times the row y gives the columns y D, times the
 column x gives x D. With S(y), S(x) and S(x, y) the sums of squares that these explain, rows explain
 S(x, y) - S(x) beyond columns, and columns S(x, y) - S(y) beyond rows. A direction is named if its

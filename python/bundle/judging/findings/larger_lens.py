@@ -1,6 +1,6 @@
 r"""Lens model too small, although poses and points have absorbed its field of residuals.
 
-Where all cameras look the same way, as in a flight over flat ground, poses and points can imitate a
+If all cameras have one direction, as in a flight over flat ground, poses and points can imitate a
 missing term of the lens: the block bends, and hardly any residual is left (lens_terms.py).
 
 Test. Put the present values into a larger model, its added terms at zero. There, one step of Newton

@@ -5,7 +5,7 @@ distribution with the median 1.1774 s. `scale` inverts this. The median tolerate
 half of the observations. Errors below 0.01 px have no consequences, so that s has this floor.
 
 Sample. Above 200,000 observations a sample of the points, with all their observations, has enough
-power: each test asks for size as well as significance.
+power: each test requires size and significance.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ milliseconds."""
 SURE_FOCAL_SIGMA = 0.002
 """Predicted relative standard deviation of a focal length below which it is determined."""
 CLIP = 5.0
-"""Errors in units of s beyond which an observation tells nothing about lenses and images."""
+"""Errors in units of s beyond which an observation is not used for lenses and images."""
 CELLS = 8
 """Cells of an image per side, each with its own scale."""
 FEWEST = 30

@@ -1,4 +1,4 @@
-"""Not refined: a step of a solve would lower the cost by much.
+"""Not refined: one more step would lower the cost considerably.
 
 Test. At a minimum the gradient by each free point and by each free pose vanishes, whatever else was
 held constant. With g = J^T W r and H = J^T W J of one point (or one pose), its own Newton step
@@ -7,7 +7,7 @@ cost, is about what a step of all achieves. W are the weights rho'(e^2) of the l
 unknown loss is tried: squares, soft_l1 and cauchy at 1 px; the smallest decrease counts.
 
 Threshold. At the true values, too, k parameters absorb noise: a share e = k / (2 observations) of
-the cost. What is left, (1 - decrease) / (1 - e), must be below 0.8 for points or for poses. Nine
+the cost. The remainder, (1 - decrease) / (1 - e), must be below 0.8 for points or for poses. Nine
 models that others refined: 0.98 or more before division by 1 - e. Starts of synthetic scenes and a
 triangulated rig model: 0.5 or less. Poses of rigs, held ones, and those with priors are left out.
 Other tests need a minimum.
@@ -51,7 +51,7 @@ def not_refined(measured: Measured) -> Finding | None:
 
 @np.errstate(over="ignore", invalid="ignore")
 def shifted_pixels(measured: Measured) -> Finding | None:
-    """Return the finding about a model whose pixels are all shifted alike, or None.
+    """Return the finding about a model whose pixels all have the same shift, or None.
 
     A file with pixels from the corner, read as if from the centre of the image, has one residual
     everywhere: its mean m explains the mean square, |m|^2 >= 0.9 mean e^2 (RMSE equals median), and

@@ -11,8 +11,8 @@ residuals show, per group. Where the file has sigmas of its own, it gives
 factors on these.
 Single positions. The residual of all axes, each in sigmas times the ratio of its group (at least
 1), is above 5 in at most a third of the images.
-A model that outliers or a small lens bend is judged as it is without them. Motion that no
-command removes bends it, too; then no sigmas are advised, as larger ones would let it bend more.
+If outliers or a small lens bend the model, the test uses the model without them. If motion that no
+command removes bends it, no sigmas are advised, because larger sigmas would allow more bending.
 
 Drift. Priors pull the model, so that a drift shows little in the residuals. If these show any
 tension (a ratio above 1.5, or a residual above 5 sigmas), the model is solved without positions,
@@ -54,12 +54,12 @@ TENSION = 1.5
 UNKNOWN_SIGMA = 1e50
 """Sigma of an axis without a measurement."""
 SMALLEST_CHANGE = 0.05
-"""Relative change of a sigma that is worth a command."""
+"""Relative change of a sigma from which a command is given."""
 OUTLIER = 5.0
 FEWEST = 6
 DRIFT, DRIFT_ERRORS = 0.09, 5.0
 LEFT = DRIFT / 3
-"""Drift of the model with its positions, from which smaller sigmas are advised."""
+"""Remaining drift of the model solved with positions, above which smaller sigmas are advised."""
 
 _NO_SOLVE = (
     "A solve without positions does not converge, so the cause is unknown: wrong positions, or a "
@@ -220,7 +220,7 @@ def _pair(values: list[float]) -> str:
 
 
 def is_tense(measured: Measured) -> bool:
-    """Return True if residuals of positions are larger than their sigmas say."""
+    """Return True if residuals of positions are larger than their sigmas explain."""
     rows, priors = _used(measured)
     if len(rows) < FEWEST:
         return False
@@ -374,9 +374,10 @@ def _sigma(priors: list[Any], axis: int) -> float:
 # C the covariance of the antenna in the solution with all priors and u_i the axis, the variances of
 # a group are multiplied by f = sum v^2 / sum red, and the model is solved again, until f is 1. East
 # and north are one group, up is the other: receivers know heights several times less well. The RMS
-# of the residuals alone is too small, because the model follows its positions; repeated, it goes to
-# 0. The rounds begin with sigmas that are certainly too large: the first solve is then free, and
-# its residuals show the errors. With sigmas that are far too small, all redundancies are near 0.
+# of the residuals is too small as an estimate, because the model follows its positions; iterated,
+# it converges to 0. The rounds begin with sigmas that are certainly too large: the first solve is
+# then free, and its residuals show the errors. With sigmas that are far too small, all redundancies
+# are near 0.
 #
 # A standard deviation has the relative error 1 / sqrt(2 sum red). Below a sum of 10, which is 22 %,
 # it is not estimated.

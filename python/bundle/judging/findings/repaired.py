@@ -7,10 +7,10 @@ the command of the finding says (a cauchy loss, a larger lens model, a rolling s
 positions), and the next stage looks at that model. It reports faults of the original only. If the
 robust solve does not converge, the fault has destroyed the model, and no later stage can be
 trusted. That of a larger lens or a shutter begins at a minimum; a few steps are enough. Later
-stages look for large changes, so both solves may end at a cost that is 1e-4 too high: a third of
-the steps reach it, and slow steps near the minimum are no sign of destruction. Positions that bend
-a model take it far from the minimum without them, and the way back is flat: the cost of a drift is
-small. So that solve has more steps and a smaller tolerance.
+stages need only large changes, so both solves may end at a cost that is 1e-4 too high. This takes a
+third of the steps, and slow steps near the minimum do not count as failures. Positions that bend
+a model take it far from the minimum without them, and the return is slow, because a drift costs
+little. So that solve has more steps and a smaller tolerance.
 
 The second solve takes about as long as the first. It is made for models of at most 50,000
 observations and 100 images; of larger ones, later stages look at the model itself, without the

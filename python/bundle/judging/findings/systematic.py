@@ -49,7 +49,7 @@ IMAGE_TERMS = ("s", "a", "h")
 MOST_IMAGES = 100
 MOST_PER_IMAGE = 400
 LEFT = 0.05
-"""Share of a field below which poses and intrinsics have absorbed it."""
+"""Remaining share of a field below which it counts as absorbed by poses and intrinsics."""
 FEWEST = 30
 """Clean observations from which an image takes part."""
 
@@ -78,7 +78,7 @@ class SystematicResiduals:
     Attributes:
         problem: the problem.
         images: images that take part, by index.
-        num_rows: (m,) number of observations of each.
+        num_rows: (m,) number of observations of each image.
         image_of_row: (n,) place in ``images`` of each observation.
         observations: (n,) indices of their observations, sorted by image.
         camera: (n,) index of the camera of each observation.

@@ -272,7 +272,7 @@ def find_ordering(two: Difference) -> TriageCause | None:
 
 
 def find_prior(two: Difference) -> TriageCause | None:
-    """Look for a denser Lambda on as many variables without as many more measurements."""
+    """Look for a denser Lambda that variables and measurements do not explain."""
     if two.old.initial_cost is None:  # a window: the prior is known
         ratio = two.ratio("prior_columns")
         is_same_window = two.old.options.get("window") == two.new.options.get("window")

@@ -19,7 +19,7 @@ SCHEMA = 1
 MOST_DIGITS = 18
 COMMANDS = ("refine", "vio", "compare")
 SIZES = {"num_poses": "poses", "num_images": "images", "duration": "seconds"}
-"""Counts that tell two inputs apart, with their nouns."""
+"""Counts that distinguish two inputs, with their nouns."""
 
 Entry = Mapping[str, Any]
 

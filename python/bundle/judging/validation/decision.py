@@ -13,16 +13,17 @@ observations. D_(i) is the difference without the observations of image i, D_(.)
 
 (Efron and Tibshirani 1993, "An introduction to the bootstrap", chapter 11.) A candidate is as good
 as the best if its score is not significantly higher (D <= z SE), or not higher by a relevant amount
-(D <= t S_best): with many observations, any difference is significant. So is one with fewer
-parameters and a lower score than one that is: its smaller difference may have a smaller error. The
-recommended candidate is the one of these with the fewest free parameters, as in the
-one-standard-error rule of Breiman, Friedman, Olshen and Stone (1984). Among equal numbers of
-parameters the lower score decides.
+(D <= t S_best): with many observations, any difference is significant. A candidate with fewer
+parameters and a lower score than such a candidate also is as good, although its smaller difference
+may have a smaller error. The recommended candidate is the one of these with the fewest free
+parameters, as in the one-standard-error rule of Breiman, Friedman, Olshen and Stone (1984). Among
+equal numbers of parameters the lower score decides.
 
 Two exceptions look at the cameras. A significant difference of less than t to a smaller lens is
 relevant if the cameras of both fits are farther apart than m = 1 times their standard deviation:
 the block bends, and hardly any residual shows it. A best candidate whose positions are more than 3
-times less certain than those of another must predict better by 3 t; else this price decides.
+times less certain than those of another must predict better by 3 t; otherwise the more certain one
+is recommended.
 
 ``tests/campaigns/judge.py`` measures the numbers z and t on scenes of known truth. Lower limits
 choose larger lenses: with z = 1.5 and t = 0.5 %, three times as many scenes get a larger lens than

@@ -1,7 +1,7 @@
 """Errors of a fit at check points and measured positions, and certainty of its positions.
 
 Check points do not influence the fit. Measured positions of images are priors of the fit: their
-residuals tell whether positions and pixels agree, but a fit with more parameters agrees more.
+residuals show whether positions and pixels agree, but more parameters always improve the agreement.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ def _rms(residuals: np.ndarray) -> float:
 # of the model. It is relative to the inner gauge, the mean of cameras and points. A few points of
 # huge uncertainty, far away or from wrong matches, would decide this mean. The covariance therefore
 # leaves out observations beyond 8 times the median error and points with little parallax, which
-# hardly tell where a camera is.
+# hardly determine where a camera is.
 
 LARGEST_ERROR = 8.0
 """Largest error of an observation, in medians of the errors."""
@@ -138,7 +138,7 @@ def _camera_sigma(prepared: Prepared, full: Result) -> float:
 def _sound(prepared: Prepared, full: Result) -> Problem:
     """Return the fitted problem without points that would dominate the gauge.
 
-    Factors name points that must stay, control points among them.
+    Points of factors, such as control points, are always kept.
     """
     known = touched_ids(prepared.factors)["point"]
     kept = sorted({*known, *prepared.options.fixed_point_ids})

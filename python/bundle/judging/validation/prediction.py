@@ -8,8 +8,8 @@ known, and the Jacobian J (2, 3) of the projection by X, its covariance is
 
 where h is the held-out observation. The normalised error sqrt(r^T S^-1 r) / sigma has the same
 distribution for all observations, so that points with little parallax do not decide. S comes from
-one candidate for all, because each candidate's own S would reward an uncertain one. The median of
-r^T S^-1 r is 1.3863 sigma^2 for Gaussian noise (2 log 2, chi-square of two degrees of freedom);
+one candidate for all, because each candidate's own S would favour uncertain candidates. The median
+of r^T S^-1 r is 1.3863 sigma^2 for Gaussian noise (2 log 2, chi-square of two degrees of freedom);
 outliers hardly move it. sigma, too, is common to all candidates.
 
 Observations with a sigma of their own have J and r divided by it.

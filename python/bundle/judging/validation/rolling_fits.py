@@ -13,14 +13,14 @@ the rule of the decision (two standard errors and 1 %)
 
 Where motion is found, by this or by the row test, a lens per image is vetoed. If the shutter
 explains the residuals, the scores of the shared lenses are those with the shutter, which compare
-lens with lens. But a shutter also absorbs what all images lack alike, such as fx / fy. Motion that
+lens with lens. But a shutter also absorbs a term that all images lack, such as fx / fy. Motion that
 varies from image to image moves such a term by chance only, and the standard error over the images
 contains this chance: a shared lens is vetoed, too, if without a shutter it predicts worse than the
 best one by more than the quantile 0.9995 of Student's t with (images - 1) degrees of freedom: t^2
 has the distribution F(1, images - 1).
 
-Fits, positions and commands stay without it: whether it is worth its price in
-certainty is another question (:func:`bundle.judging.findings.images.shutter_movement`).
+Fits, positions and commands do not include it: a separate test compares its gain with the loss of
+certainty (:func:`bundle.judging.findings.images.shutter_movement`).
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ def measured(fit: CandidateFit) -> Measured:
 
 
 def read_order(model: Measured) -> str:
-    """Return the order in which the residuals say that images are read; in doubt "rows"."""
+    """Return the readout order that the residuals show; "rows" if undecided."""
     rows, columns, _ = direction(SystematicResiduals(model))
     return named_order(rows, columns) or "rows"
 

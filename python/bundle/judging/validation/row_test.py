@@ -1,10 +1,10 @@
 """Tests for motion or a rolling shutter: residuals by row, shear of single images.
 
-Held-out errors cannot tell a lens per image from motion during the exposure: a lens per image
-absorbs part of the motion, predicts better, and moves the cameras. The residuals can. Under a
-rolling shutter, an image that moves by (a, b) pixels during the readout has the displacement
-(a, b) y, where y is the row. Let x, y be the projections, relative to the centre of the image, in
-halves of its longer side, and fit the residuals of each image by the affine field
+Held-out errors cannot distinguish a lens per image from motion during the exposure: a lens per
+image absorbs part of the motion, predicts better, and moves the cameras. The residuals can. Under a
+rolling shutter, an image that moves by (a, b) pixels during the readout has the displacement (a, b)
+y, where y is the row. Let x, y be the projections, relative to the centre of the image, in halves
+of its longer side, and fit the residuals of each image by the affine field
 
     r_x = a_0 + a_x x + a_y y,    r_y = b_0 + b_x x + b_y y.
 
@@ -41,10 +41,10 @@ or twice as large as its noise. With few images the first may be out of reach.
 
 Motion along the columns leaves anisotropy only, and few images leave neither clear. Where the sum
 of both Q is beyond the quantile 1 - 1e-4 of 2 d degrees of freedom, motion is suspected: a rolling
-shutter is worth a try (:mod:`.rolling_fits`).
+shutter is tried (:mod:`.rolling_fits`).
 
-Slopes do not tell rows from columns. A motion (a, b) y and a motion (b, -a) x differ by a rotation
-and a scale of the image, which the pose absorbs.
+Slopes do not distinguish rows from columns. A motion (a, b) y and a motion (b, -a) x differ by a
+rotation and a scale of the image, which the pose absorbs.
 """
 
 from __future__ import annotations
@@ -253,7 +253,7 @@ def _chi2_quantile(freedom: float, normal: float) -> float:
 # Exact test for shear of single images: with poses, points, and a lens per image free.
 #
 # Cameras with really different lenses bend the points between them, and so leave some shear in each
-# other's residuals. This test asks for the shear that remains if every image may have its own lens.
+# other's residuals. This test measures the shear that remains if every image has its own lens.
 #
 # Let r be the residuals and J the derivatives by all that is free: poses, points, the lenses of the
 # fit, and per image the fields of a lens, with x, y from the centre of the image and s = x^2 + y^2:

@@ -264,7 +264,7 @@ def _sentence(
 
 
 def _cost(records: Sequence[ValidatedCandidate], decision: Decision, present: int) -> list[str]:
-    """Return the price in certainty of positions: of the change, else of the worst candidate."""
+    """Return a sentence on the loss of certainty of the change, else of the worst candidate."""
     chosen = records[decision.recommended].position_sigma
     if not chosen > 0:
         return []

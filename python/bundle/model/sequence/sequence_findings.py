@@ -95,7 +95,7 @@ def quietest_noise(values: Array, period: float) -> float:
 
 
 def _noise(sequence: Sequence, findings: list[SequenceFinding]) -> None:
-    """Compare stated noise with samples; those of a simulation without noise say nothing."""
+    """Compare stated noise with samples; samples of a simulation without noise give no finding."""
     noise, period = (
         sequence.calibration.noise,
         1e-9 * np.median(np.diff(sequence.imu_timestamps_ns)),

@@ -1,7 +1,7 @@
 """Minima at which the methods of a comparison ended.
 
 Solutions within one sigma of that of the lowest cost are at the same minimum: no measurement could
-tell them apart. Single points at other positions do not count. A solution farther away is at
+distinguish them. Single points at other positions do not count. A solution farther away is at
 another minimum, or its method stopped too early. To distinguish these cases, one method continues
 from each solution at tight tolerances. Solutions whose continuations meet are at one minimum. Costs
 alone cannot distinguish them: an early stop and a poor minimum can have the same gap.

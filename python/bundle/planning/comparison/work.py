@@ -1,6 +1,6 @@
 """Runs of a comparison: one worker process after the other, and their outcomes.
 
-At a minimum, every method stops after a step, and their times say nothing. A seeded perturbation of
+At a minimum, every method stops after a step, and times are meaningless. A seeded perturbation of
 relative size s gives a start from which all methods must work. With n standard normal:
 
     centre of a pose    c + s D n,  D: median distance of its observed points
@@ -58,7 +58,7 @@ TIGHT = {
     "gradient_tolerance": 1e-14,
     "parameter_tolerance": 1e-12,
 }
-"""Options of solves that tell other minima from solutions that are not converged."""
+"""Options of solves that distinguish other minima from solutions that have not converged."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -17,8 +17,8 @@ rates by size. The times follow from solves of graphs whose counts differ, the l
 third-level cache.
 
 Threads divide the edges equally. They divide the factorisation by its subtrees and by slices of the
-panels above them: the busiest thread counts (``panel_work.cpp``). How much of that they really save
-is measured on two graphs.
+panels above them: the busiest thread counts (``panel_work.cpp``). Two graphs measure the actual
+saving.
 """
 
 from __future__ import annotations
@@ -48,8 +48,7 @@ EDGE_BYTES, POSE_BYTES = {3: 100.0, 6: 290.0}, {3: 100.0, 6: 250.0}
 """Bytes of an edge and of a pose, by tangent size."""
 
 EDGES_OF_A_THREAD = 70_000
-"""Edges, weighted by the square of their coordinates, that are worth a thread
-(``pose_graph_problem.cpp``)."""
+"""Edges, weighted by the square of their coordinates, per thread (``pose_graph_problem.cpp``)."""
 
 PASSES = 4
 """Passes of a step over the values of the factor."""

@@ -34,7 +34,7 @@ ON_DISK = ("plan of the points", "points", "sorting")
 
 DOUBLE = 8
 
-# Pages of libraries on first use (BLAS and LAPACK among them), and of the heap.
+# Memory that libraries (such as BLAS and LAPACK) and the heap take on first use.
 _PROCESS, _BLAS_PAGES = 0.9e6, 0.5e6
 
 # OpenBLAS packs slices of 384 columns over the full width of a matrix.

@@ -26,9 +26,9 @@ with several processes, BAL files and binary COLMAP models are read in slices
 (``bundle.solving.slices``), and each process stores the ids of all points of a model.
 
 Scaling limit: in a step t(N) = w(N) t_points + t_first + t_messages(N), only the first term falls
-with N. More processes pay while the efficiency t(1) / (N t(N)) is at least one half: doubling N
-then saves more time than it wastes. N t(N) is the time of all processes; the largest of its added
-terms causes the limit:
+with N. More processes are useful while the efficiency t(1) / (N t(N)) is at least one half:
+doubling N then saves more time than it wastes. N t(N) is the time of all processes; the largest of
+its added terms causes the limit:
 
     imbalance   N w(N) t_points - t_points
     first       (N - 1) t_first            (N - 1 processes wait)
@@ -212,7 +212,7 @@ def _bytes_of(problem: Problem) -> int:
 
 
 PAYS = 0.5
-"""Smallest efficiency at which more processes pay."""
+"""Smallest efficiency at which more processes are useful."""
 
 _WHY = {
     "first": "all wait while rank 0 solves the reduced system",
@@ -223,7 +223,7 @@ _WHY = {
 
 @dataclass(frozen=True, kw_only=True)
 class RankLimit:
-    """Largest number of processes that pays, and the reason.
+    """Largest useful number of processes, and the reason.
 
     Attributes:
         num_processes: largest requested number that pays.

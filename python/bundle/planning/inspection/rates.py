@@ -7,7 +7,7 @@ this.
 Rates of further work are fitted to the times of solves whose counts of work differ. With the counts
 a_ij of solve i and its time t_i, the rates x minimise the squares of the relative errors, sum_i
 (sum_j a_ij x_j / t_i - 1)^2, under the condition that no rate is negative: a time that the solves
-cannot tell from others becomes 0, instead of the difference of two large ones.
+cannot separate from others becomes 0, instead of the difference of two large ones.
 """
 
 from __future__ import annotations

@@ -169,7 +169,7 @@ def blocks(size: int) -> Iterator[slice]:
 
 
 def _counted_up(size: int, kind: type[Any]) -> NDArray[Any]:
-    """Return the numbers from 0 on, in the scratch folder if one is open."""
+    """Return 0, 1, 2, ..., in the scratch folder if one is open."""
     numbers = _core.large_array(size, np.dtype(kind))
     for block in blocks(size):
         numbers[block] = np.arange(block.start, min(block.stop, size))
