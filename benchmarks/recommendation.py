@@ -29,7 +29,7 @@ import bundle
 from benchmarks import machine, problems, table
 from bundle.planning.comparison.compare_methods import compare
 from bundle.planning.comparison.comparison_result import Comparison
-from bundle.planning.comparison.method import Method
+from bundle.planning.comparison.measured_run import Method
 from bundle.planning.comparison.recommendation import COST_TOLERANCE, NEAR_ENOUGH
 from bundle.planning.comparison.work import taken_by_auto
 

@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 
 import bundle
 from bundle import _core
-from bundle.analysis.statistics import covisibility as covisibility_module
-from bundle.analysis.statistics.covisibility import components, covisibility
+from bundle.analysis.diagnosis import track_table
+from bundle.analysis.diagnosis.track_table import components, covisibility
 from bundle.analysis.statistics.description import describe
 from bundle.analysis.statistics.suspicions import fold_radius, lenses
 from tests.scenes import make_problem, scene
@@ -44,7 +44,7 @@ def observe(problem, keep, **changes):
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("cells", [2**27, 30])  # 30: two rows of the adjacency at a time
 def test_covisibility_against_sets(monkeypatch, seed, cells):
-    monkeypatch.setattr(covisibility_module, "_CELLS", cells)
+    monkeypatch.setattr(track_table, "_CELLS", cells)
     problem = random_graph(seed, num_observations=15 * (seed + 1))
     seen_by = {}
     for image, point in zip(problem.observation_image, problem.observation_point, strict=True):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import bundle
-from bundle.analysis.statistics.covisibility import covisibility
+from bundle.analysis.diagnosis.track_table import covisibility
 from bundle.analysis.statistics.description import describe
 from bundle.analysis.statistics.suspicions import (
     broken_parts,

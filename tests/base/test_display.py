@@ -8,7 +8,7 @@ import pytest
 import bundle
 from bundle.base.display import Display
 from bundle.base.tables import render
-from bundle.planning.comparison.method import Method
+from bundle.planning.comparison.measured_run import Method
 from bundle.reports.terminal.compare import compared
 from bundle.reports.terminal.screen import laid_out
 from tests import scenes

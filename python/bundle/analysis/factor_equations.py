@@ -348,8 +348,6 @@ def _component_modes(
                 f"joins this component with the largest, of "
                 f"{plural(len(components[0].pose_ids), 'variable')}; {state}.",
                 pose_ids=part.pose_ids,
-                edges=(),
-                eigenvalue=0.0,
                 dimension=free,
             )
         )
@@ -368,8 +366,6 @@ def _open_modes(graph: FactorGraph, space: NullSpace) -> list[GraphWeakMode]:
                 ". Add a factor with information there, or hold it constant.",
                 pose_ids=keys,
                 edges=_factors_of(graph, keys),
-                eigenvalue=0.0,
-                dimension=1,
             )
         )
     return modes
@@ -397,7 +393,6 @@ def _weak_modes(
                 pose_ids=keys,
                 edges=_factors_of(graph, keys),
                 eigenvalue=float(values[k]),
-                dimension=1,
             )
         )
     return modes

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import bundle._core as _core
-from bundle.analysis.uncertainty.covariance_result import GraphCovariance, is_id
+from bundle.analysis.uncertainty.covariance_result import GraphCovariance, rows_of
 from bundle.base.arrays import freeze
 from bundle.base.words import not_converged, number, plural
 from bundle.errors import InputError, brief
@@ -27,7 +27,6 @@ from bundle.graphs.pose_graphs.edge_weights import (
 from bundle.graphs.pose_graphs.joints import Joints, find_joints
 from bundle.interface.analysis_options import SCALES, one_of
 from bundle.interface.pose_graph_options import PoseGraphOptions
-from bundle.model.pose_graph_arrays import PoseGraph
 
 GRAPH_GAUGES = ("first", "inner", "none")
 
@@ -211,7 +210,12 @@ def graph_covariance(
     if used.num_poses > 1:
         check_edges_exist(used)
     pairs = list(relative)
-    rows = _rows_of(used, pairs)
+    rows = rows_of(used.ids, pairs, "pose")
+    for k, (a, b) in enumerate(rows):
+        if a == b:
+            raise InputError(
+                f"relative: expected two different poses, found {brief(pairs[k])} at [{k}]"
+            )
     equations = PoseEquations(weighted)
     if gauge == "none" and equations.for_gauge:
         raise InputError(
@@ -285,19 +289,3 @@ def _undetermined(equations: NormalEquations, blocks: Sequence[int]) -> InputErr
         f"{words.block if len(names) == 1 else words.block + 's'} {', '.join(names[:3])}{more} "
         f"with an undetermined direction; {words.command} names it"
     )
-
-
-def _rows_of(graph: PoseGraph, pairs: list[Any]) -> list[tuple[int, int]]:
-    """Return pairs of pose ids as pairs of array positions."""
-    place = {key: row for row, key in enumerate(graph.ids.tolist())}
-    rows = []
-    for k, pair in enumerate(pairs):
-        ends = tuple(pair) if isinstance(pair, tuple | list | np.ndarray) else ()
-        if len(ends) != 2 or not all(is_id(end) and int(end) in place for end in ends):
-            raise InputError(f"relative: expected pairs of pose ids, found {brief(pair)} at [{k}]")
-        if ends[0] == ends[1]:
-            raise InputError(
-                f"relative: expected two different poses, found {brief(pair)} at [{k}]"
-            )
-        rows.append((place[int(ends[0])], place[int(ends[1])]))
-    return rows

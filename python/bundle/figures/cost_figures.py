@@ -12,7 +12,7 @@ from bundle.base.records import dataclass
 from bundle.figures.marks import Array, Bars, Figure, StackedBars, Steps, linear, logarithmic
 from bundle.planning.comparison.comparison_result import Comparison, PerformanceProfile
 from bundle.planning.comparison.graph_comparison import GraphComparison, GraphRun, best_cost
-from bundle.planning.comparison.method import Method
+from bundle.planning.comparison.measured_run import Method
 
 WIDE = 30.0
 """Ratio of costs above which the axis is logarithmic."""

@@ -10,7 +10,7 @@ from math import erf, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.analysis.statistics.covisibility import shared_points
+from bundle.analysis.diagnosis.track_table import shared_points
 from bundle.base.arrays import check_type
 from bundle.base.records import dataclass
 from bundle.base.words import amount, plural

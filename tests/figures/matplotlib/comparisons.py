@@ -14,8 +14,7 @@ from bundle.planning.comparison.comparison_result import (
     PerformanceProfile,
     Recommendation,
 )
-from bundle.planning.comparison.measured_run import Measurement, Prediction, Run
-from bundle.planning.comparison.method import Method
+from bundle.planning.comparison.measured_run import Measurement, Method, Prediction, Run
 from tests.planning.comparison.fakes import ENVIRONMENT
 from tests.reports.terminal.fakes import summary
 

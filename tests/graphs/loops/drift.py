@@ -4,7 +4,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import bundle
-from bundle.analysis.statistics.covisibility import shared_points
+from bundle.analysis.diagnosis.track_table import shared_points
 from bundle.georeference.similarity import umeyama
 
 

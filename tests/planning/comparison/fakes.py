@@ -7,8 +7,7 @@ import numpy as np
 from bundle.interface.environment import Environment
 from bundle.interface.options import SolveOptions
 from bundle.planning.comparison.comparison_result import ComparedProblem, Comparison
-from bundle.planning.comparison.measured_run import Measurement, Prediction, Run
-from bundle.planning.comparison.method import Method
+from bundle.planning.comparison.measured_run import Measurement, Method, Prediction, Run
 from tests.reports.terminal import fakes
 
 DENSE = Method(backend="fused", linear_solver_type="dense_schur", num_threads=2)

@@ -8,7 +8,7 @@ from bundle import _core
 from bundle.cli.option_flags import add_fields, options_given
 from bundle.errors import InputError
 from bundle.interface.options import SolveOptions
-from bundle.planning.comparison.method import expand
+from bundle.planning.comparison.measured_run import expand
 from bundle.planning.comparison.recommendation import command_line
 
 CORES = _core.hardware_threads()

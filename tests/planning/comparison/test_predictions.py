@@ -10,7 +10,7 @@ from bundle.base.tables import render
 from bundle.base.words import number
 from bundle.interface.options import SolveOptions
 from bundle.planning.comparison.compare_methods import compare
-from bundle.planning.comparison.method import expand
+from bundle.planning.comparison.measured_run import expand
 from bundle.planning.comparison.work import foresee, predict, taken_by_auto
 from bundle.reports.terminal.compare import compared
 from bundle.reports.terminal.screen import laid_out

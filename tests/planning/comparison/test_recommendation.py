@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from bundle.planning.comparison.method import Method
+from bundle.planning.comparison.measured_run import Method
 from bundle.planning.comparison.recommendation import COST_TOLERANCE, recommend
 from tests.planning.comparison.fakes import (
     CERES,

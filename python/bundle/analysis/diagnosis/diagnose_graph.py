@@ -131,7 +131,7 @@ def graph_diagnosis(
     condition = float(values.get("condition_number", np.nan))
     said = [
         *(
-            (problem if mode.dimension or words.term == "edge" else note)(mode.kind, mode.sentence)
+            (fault if mode.dimension or words.term == "edge" else note)(mode.kind, mode.sentence)
             for mode in fields["weak_modes"]
         ),
         *_about_edges(suspicious, scale, names, words),
@@ -203,7 +203,7 @@ def _about_edges(
     more = f" and {len(suspicious) - MOST_NAMED} more" if len(suspicious) > MOST_NAMED else ""
     against = f" times {number(scale)}, the noise" if scale > 1 else ""
     return [
-        problem(
+        fault(
             "suspicious_edges",
             f"{plural(len(suspicious), noun)} whose error only one correct {noun} in a million "
             f"exceeds (chi2 of the test on degrees of freedom{against}): "
@@ -222,7 +222,7 @@ def _about_conditioning(condition: float) -> list[Finding]:
     if digits >= FEW_DIGITS:
         return []
     return [
-        problem(
+        fault(
             "ill_conditioned",
             f"A step has about {max(0, round(digits))} digits by the normal equations (condition "
             f"number {number(condition)}).",
@@ -295,7 +295,7 @@ def _about_weights(weighted: WeightedGraph) -> list[Finding]:
     ]
 
 
-def problem(kind: str, sentence: str) -> Finding:
+def fault(kind: str, sentence: str) -> Finding:
     """Return a finding that makes a diagnosis not ok."""
     return Finding(kind=kind, is_problem=True, sentence=sentence)
 
@@ -327,8 +327,6 @@ def _component_modes(
                 f"({plural(len(components[0].pose_ids), 'pose')}); {free}. An edge between poses "
                 f"{first} and {second}, the nearest by their ids, would join two components.",
                 pose_ids=part.pose_ids,
-                edges=(),
-                eigenvalue=0.0,
                 dimension=0 if part.num_fixed else graph.tangent_size,
             )
         )
@@ -357,7 +355,6 @@ def _open(graph: PoseGraph, joint: Joint) -> GraphWeakMode:
         "fix one of these poses.",
         pose_ids=_ids(graph, joint),
         edges=_pairs(graph, joint.edges),
-        eigenvalue=0.0,
         dimension=count,
     )
 
@@ -393,8 +390,6 @@ def _together(graph: PoseGraph, joints: Joints, count: int) -> GraphWeakMode:
         f"information together leave {plural(count, 'more direction')} undetermined. Add an edge "
         "with full information among them.",
         pose_ids=ids,
-        edges=(),
-        eigenvalue=0.0,
         dimension=count,
     )
 

@@ -26,14 +26,12 @@ from bundle.analysis.diagnosis.diagnosis_result import (
     Diagnosis,
     GraphDiagnosis,
 )
-from bundle.analysis.diagnosis.findings import findings, scale_drift
+from bundle.analysis.diagnosis.findings import EquationCounts, Unknowns, findings, scale_drift
 from bundle.analysis.diagnosis.modes import component_modes, null_modes, rotation_modes, weak_modes
 from bundle.analysis.diagnosis.shutter_modes import shutter_modes
 from bundle.analysis.diagnosis.track_table import FEW_SHARED, TrackTable
-from bundle.analysis.diagnosis.unknowns import EquationCounts, Unknowns
 from bundle.analysis.factor_equations import diagnose_factor_graph, with_keys
 from bundle.analysis.statistics.suspicions import collapsed_observations, depths_of_observations
-from bundle.base.records import dataclass
 from bundle.base.words import sorted_ids
 from bundle.graphs.factors.factor_graph import FactorGraph
 from bundle.graphs.factors.same_problem import pose_graph_of, problem_of
@@ -206,7 +204,9 @@ def diagnose(
     points = check_points(start, tracks)
     null = np.asarray(found["null_points"], np.int64)
     # Any ray fits a point at a camera; this differs from points whose rays are parallel.
-    parallel = np.setdiff1d(start.point_ids[null[tracks.lengths[null] > 1]], points.at_cameras)
+    parallel = np.setdiff1d(
+        start.point_ids[null[tracks.lengths[null] > 1]], points["points_at_cameras"]
+    )
     parts: dict[str, Any] = {
         "nullity": int(found["nullity"]),
         "expected_nullity": expected,
@@ -219,11 +219,9 @@ def diagnose(
         "condition_number_unscaled": float(found["condition_number_unscaled"]),
         "eigenvalues": found["eigenvalues"],
         "max_null_eigenvalue": float(found["max_null_eigenvalue"]),
-        "unobserved_points": points.unobserved,
-        "points_seen_once": np.setdiff1d(points.seen_once, _held_points(start, options)),
-        "points_seen_twice": points.seen_twice,
-        "points_at_cameras": points.at_cameras,
-        "points_at_infinity": np.setdiff1d(points.at_infinity, parallel),
+        **points,
+        "points_seen_once": np.setdiff1d(points["points_seen_once"], _held_points(start, options)),
+        "points_at_infinity": np.setdiff1d(points["points_at_infinity"], parallel),
         "images_with_few_observations": start.image_ids[_observations(start) < FEW_OBSERVATIONS],
         "images_with_few_shared_points": start.image_ids[
             (tracks.shared < FEW_SHARED) & (_observations(start) > 0) & ~_held(start, options)
@@ -306,19 +304,8 @@ PARALLEL = 1e-4
 Ids = NDArray[np.int64]
 
 
-@dataclass(frozen=True, eq=False)
-class PointChecks:
-    """Ids of points; see :class:`bundle.analysis.diagnosis.diagnosis_result.Diagnosis`."""
-
-    unobserved: Ids
-    seen_once: Ids
-    seen_twice: Ids
-    at_cameras: Ids
-    at_infinity: Ids
-
-
-def check_points(problem: Problem, tracks: TrackTable) -> PointChecks:
-    """Return the points, grouped by the kind of their deficiency."""
+def check_points(problem: Problem, tracks: TrackTable) -> dict[str, Ids]:
+    """Return the ids of deficient points, by the fields of :class:`bundle.Diagnosis`."""
     lengths, images, points = tracks.lengths, tracks.images, tracks.points
     rays = problem.points[points] - problem.projection_centers[images]
     distances = np.linalg.norm(rays, axis=1)
@@ -335,13 +322,13 @@ def check_points(problem: Problem, tracks: TrackTable) -> PointChecks:
         spread = np.maximum.reduceat(off, starts)
         far[points[starts]] = (spread < PARALLEL / 2) & (counts > 1)
     ids = problem.point_ids
-    return PointChecks(
-        unobserved=ids[lengths == 0],
-        seen_once=ids[lengths == 1],
-        seen_twice=ids[lengths == 2],
-        at_cameras=ids[at_camera],
-        at_infinity=ids[far & ~at_camera],
-    )
+    return {
+        "unobserved_points": ids[lengths == 0],
+        "points_seen_once": ids[lengths == 1],
+        "points_seen_twice": ids[lengths == 2],
+        "points_at_cameras": ids[at_camera],
+        "points_at_infinity": ids[far & ~at_camera],
+    }
 
 
 def collapsed_clusters(problem: Problem, tracks: TrackTable) -> tuple[CollapsedCluster, ...]:

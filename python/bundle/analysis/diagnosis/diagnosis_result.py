@@ -78,9 +78,9 @@ class WeakMode:
 
     kind: str
     sentence: str
-    image_ids: tuple[int, ...]
-    camera_ids: tuple[int, ...]
-    eigenvalue: float
+    image_ids: tuple[int, ...] = ()
+    camera_ids: tuple[int, ...] = ()
+    eigenvalue: float = 0.0
     dimension: int = 1
 
 
@@ -226,9 +226,9 @@ class GraphWeakMode:
     kind: str
     sentence: str
     pose_ids: tuple[Any, ...]
-    edges: tuple[tuple[Any, ...], ...]
-    eigenvalue: float
-    dimension: int
+    edges: tuple[tuple[Any, ...], ...] = ()
+    eigenvalue: float = 0.0
+    dimension: int = 1
 
 
 @dataclass(frozen=True, kw_only=True)

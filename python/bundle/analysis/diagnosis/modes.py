@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.analysis.diagnosis.diagnosis_result import CollapsedCluster, Component, WeakMode
+from bundle.analysis.diagnosis.findings import CameraPart, EquationCounts, Unknowns
 from bundle.analysis.diagnosis.track_table import FEW_SHARED, TrackTable, Viewing, viewing
-from bundle.analysis.diagnosis.unknowns import CameraPart, EquationCounts, Unknowns
 from bundle.base.components import component_roots
 from bundle.base.records import dataclass
 from bundle.base.words import named, plural, sorted_ids
@@ -138,7 +138,6 @@ def _without_collapsed(
             "derivatives are so large that all other observations are lost to rounding.",
             image_ids=named_images,
             camera_ids=named_cameras,
-            eigenvalue=0.0,
             dimension=dimension,
         ),
         *(mode for mode in modes if mode not in concerned),
@@ -162,9 +161,7 @@ def _unseen(unknowns: Unknowns, tracks: TrackTable) -> Iterator[WeakMode]:
                 kind="unobserved_parameter",
                 sentence=f"Unobserved: {names} of camera {key}, which no observation depends on. "
                 f"Hold it (--set 'camera {key}: {names.replace(' ', '')} fixed').",
-                image_ids=(),
                 camera_ids=(key,),
-                eigenvalue=0.0,
                 dimension=len(rows),
             )
             continue
@@ -177,8 +174,6 @@ def _unseen(unknowns: Unknowns, tracks: TrackTable) -> Iterator[WeakMode]:
             f"{plural(len(rows), 'direction')}; {plural(shared, 'point')} shared with "
             "other images.",
             image_ids=ids,
-            camera_ids=(),
-            eigenvalue=0.0,
             dimension=len(rows),
         )
 
@@ -229,9 +224,7 @@ def _describe(
             kind=kind,
             sentence=f"Unobserved: {names} of {named('camera', camera_ids(unknowns, cameras))}; "
             f"{reason}. Hold one of them (--set 'camera {key}: {names.split(', ')[-1]} fixed').",
-            image_ids=(),
             camera_ids=camera_ids(unknowns, cameras),
-            eigenvalue=0.0,
             dimension=dimension,
         )
     seen = unknowns.images_of_cameras(cameras)
@@ -343,8 +336,6 @@ def mode_of_poses(
             f"which leaves {how} open ({plural(dimension, 'direction')}). Match more points "
             "between them and the others, or hold them.",
             image_ids=sorted_ids(ids, loose),
-            camera_ids=(),
-            eigenvalue=0.0,
             dimension=dimension,
         )
     energy = np.zeros(len(ids))
@@ -357,8 +348,6 @@ def mode_of_poses(
         sentence=f"{named('Image', sorted_ids(ids, moved))}: the observations leave "
         f"{plural(dimension, 'direction')} of the poses open.",
         image_ids=sorted_ids(ids, moved),
-        camera_ids=(),
-        eigenvalue=0.0,
         dimension=dimension,
     )
 
@@ -413,8 +402,6 @@ def component_modes(
                 f"({plural(near[2], 'point')} of the former and {near[3]} of the latter are seen "
                 "by at most two images).",
                 image_ids=part.image_ids,
-                camera_ids=(),
-                eigenvalue=0.0,
                 dimension=SIMILARITY,
             )
         )
@@ -444,8 +431,6 @@ def rotation_modes(problem: Problem, tracks: TrackTable, counts: EquationCounts)
                 f"{look.baseline:.1g} of the distance of their points): no point has a depth and "
                 "the scale is arbitrary. Add images from elsewhere, or hold the points.",
                 image_ids=ids,
-                camera_ids=(),
-                eigenvalue=0.0,
                 dimension=0,
             )
         )

@@ -103,7 +103,6 @@ def shutter_modes(problem: Problem) -> list[WeakMode]:
             sentence=f"Twists of {named('image', sorted_ids(problem.image_ids, images))}: {words} "
             f"{_REMEDY}{tested}",
             image_ids=sorted_ids(problem.image_ids, images),
-            camera_ids=(),
             eigenvalue=max(float(found.eigenvalues[0]), 0.0),
             dimension=dimension,
         )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.analysis.statistics.covisibility import Covisibility, covisibility
+from bundle.analysis.diagnosis.track_table import Covisibility, covisibility
 from bundle.analysis.statistics.suspicions import (
     Depths,
     count_repeated,

@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.analysis.statistics.covisibility import Covisibility
+from bundle.analysis.diagnosis.track_table import Covisibility
 from bundle.base.arrays import median
 from bundle.base.records import dataclass
 from bundle.base.words import plural
@@ -96,47 +96,26 @@ def _empty(problem: Problem) -> Iterator[Finding]:
 
 def _models(problem: Problem) -> Iterator[Finding]:
     unknown = np.array([model not in camera_models() for model in problem.camera_models], bool)
-    if unknown.any():
-        names = sorted({problem.camera_models[i] for i in np.flatnonzero(unknown)})
-        yield _suspicion(
-            "unsupported_camera_models",
-            "camera",
-            problem.camera_ids[unknown],
-            ("camera has", "cameras have"),
-            f"a model that cannot be refined yet ({', '.join(names)})",
-        )
+    names = ", ".join(sorted({problem.camera_models[i] for i in np.flatnonzero(unknown)}))
+    what = f"a model that cannot be refined yet ({names})"
+    yield from _where(problem, ("unsupported_camera_models", "camera", unknown, "has", what))
 
 
 def _images(problem: Problem, graph: Covisibility) -> Iterator[Finding]:
     observations = np.bincount(problem.observation_image, minlength=problem.num_images)
     empty = observations == 0
-    if empty.any():
-        yield _suspicion(
-            "images_without_observations",
-            "image",
-            problem.image_ids[empty],
-            ("image has", "images have"),
-            "no observation: the pose is undetermined",
-        )
     few = ~empty & (observations < FEW_OBSERVATIONS)
-    if few.any():
-        yield _suspicion(
-            "images_with_few_observations",
-            "image",
-            problem.image_ids[few],
-            ("image has", "images have"),
-            f"fewer than {FEW_OBSERVATIONS} observations",
-        )
     names = Counter(name for name in problem.image_names if name)
     twice = np.array([names[name] > 1 for name in problem.image_names], bool)
-    if twice.any():
-        yield _suspicion(
-            "images_of_one_name",
-            "image",
-            problem.image_ids[twice],
-            ("image has", "images have"),
-            "the name of another image: names do not identify images",
-        )
+    poor = f"fewer than {FEW_OBSERVATIONS} observations"
+    none = "no observation: the pose is undetermined"
+    same = "the name of another image: names do not identify images"
+    yield from _where(
+        problem,
+        ("images_without_observations", "image", empty, "has", none),
+        ("images_with_few_observations", "image", few, "has", poor),
+        ("images_of_one_name", "image", twice, "has", same),
+    )
     if len(graph.component_sizes) > 1:
         sizes = ", ".join(map(str, graph.component_sizes[:NAMED]))
         more = ", ..." if len(graph.component_sizes) > NAMED else ""
@@ -156,44 +135,25 @@ def _lenses(problem: Problem, lens: Lens) -> Iterator[Finding]:
     with np.errstate(invalid="ignore", divide="ignore"):
         absurd = (lens.focal < low * lens.size) | (lens.focal > high * lens.size)
         folded = lens.farthest > lens.fold
-    if absurd.any():
-        yield _suspicion(
-            "absurd_focal_lengths",
-            "camera",
-            problem.camera_ids[absurd],
-            ("camera has", "cameras have"),
-            f"a focal length below {low:g} or above {high:g} image sizes",
-        )
-    if folded.any():
-        yield _suspicion(
-            "folding_distortion",
-            "camera",
-            problem.camera_ids[folded],
-            ("camera has", "cameras have"),
-            "a radial distortion that folds back inside the image: no point projects to its outer "
-            "observations",
-        )
-    if lens.stretched.any():
-        yield _suspicion(
-            "absurd_distortion",
-            "camera",
-            problem.camera_ids[lens.stretched],
-            ("camera has", "cameras have"),
-            "a radial distortion that moves its outer observations by more than half their radius",
-        )
+    size = f"a focal length below {low:g} or above {high:g} image sizes"
+    fold = (
+        "a radial distortion that folds back inside the image: no point projects to its outer "
+        "observations"
+    )
+    stretch = "a radial distortion that moves its outer observations by more than half their radius"
+    yield from _where(
+        problem,
+        ("absurd_focal_lengths", "camera", absurd, "has", size),
+        ("folding_distortion", "camera", folded, "has", fold),
+        ("absurd_distortion", "camera", lens.stretched, "has", stretch),
+    )
 
 
 def _quaternions(problem: Problem) -> Iterator[Finding]:
     norm = np.linalg.norm(problem.cam_from_world[:, :4], axis=1)
     off = np.abs(norm - 1.0) > QUATERNION_TOLERANCE
-    if off.any():
-        yield _suspicion(
-            "quaternions_not_normalised",
-            "image",
-            problem.image_ids[off],
-            ("image has", "images have"),
-            "a rotation quaternion that is not normalised",
-        )
+    what = "a rotation quaternion that is not normalised"
+    yield from _where(problem, ("quaternions_not_normalised", "image", off, "has", what))
 
 
 def _observations(
@@ -255,13 +215,11 @@ def _collapsed(
 
 def _points(problem: Problem) -> Iterator[Finding]:
     length = np.bincount(problem.observation_point, minlength=problem.num_points)
-    is_are = ("point is", "points are")
-    for kind, mask, what in (
-        ("points_not_seen", length == 0, "not observed by any registered image"),
-        ("points_seen_once", length == 1, "seen only once: the depth is free"),
-    ):
-        if mask.any():
-            yield _suspicion(kind, "point", problem.point_ids[mask], is_are, what)
+    yield from _where(
+        problem,
+        ("points_not_seen", "point", length == 0, "is", "not observed by any registered image"),
+        ("points_seen_once", "point", length == 1, "is", "seen only once: the depth is free"),
+    )
 
 
 def _positions(problem: Problem) -> Iterator[Finding]:
@@ -271,14 +229,8 @@ def _positions(problem: Problem) -> Iterator[Finding]:
     distance = np.linalg.norm(problem.points - middle, axis=1)
     size = float(np.median(distance))
     far = distance > FAR_POINT * size
-    if size > 0 and far.any():
-        yield _suspicion(
-            "far_points",
-            "point",
-            problem.point_ids[far],
-            ("point lies", "points lie"),
-            f"more than {FAR_POINT:g} times the size of the scene away from it",
-        )
+    what = f"more than {FAR_POINT:g} times the size of the scene away from it"
+    yield from _where(problem, ("far_points", "point", far & (size > 0), "lies", what))
     offset = float(np.linalg.norm(middle))
     if offset > FAR_SCENE * size > 0:
         yield Finding(
@@ -291,14 +243,21 @@ def _positions(problem: Problem) -> Iterator[Finding]:
 
 def _unused_cameras(problem: Problem) -> Iterator[Finding]:
     unused = np.bincount(problem.image_camera, minlength=problem.num_cameras) == 0
-    if unused.any():
-        yield _suspicion(
-            "unused_cameras",
-            "camera",
-            problem.camera_ids[unused],
-            ("camera is", "cameras are"),
-            "used by no registered image",
-        )
+    what = "used by no registered image"
+    yield from _where(problem, ("unused_cameras", "camera", unused, "is", what))
+
+
+_PLURAL = {"has": "have", "is": "are", "lies": "lie"}
+
+
+def _where(
+    problem: Problem, *checks: tuple[str, str, NDArray[np.bool_], str, str]
+) -> Iterator[Finding]:
+    """Yield a finding for each check with a true flag: kind, entity, flags, verb, words."""
+    for kind, of, flags, verb, what in checks:
+        if flags.any():
+            verbs = (f"{of} {verb}", f"{of}s {_PLURAL[verb]}")
+            yield _suspicion(kind, of, getattr(problem, f"{of}_ids")[flags], verbs, what)
 
 
 def _suspicion(

@@ -11,82 +11,30 @@ it.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 import bundle._core as _core
-from bundle.analysis.uncertainty.covariance_result import Covariance
+from bundle.analysis.uncertainty.covariance_result import Covariance, rows_of
 from bundle.base.arrays import freeze
 from bundle.base.records import dataclass
 from bundle.base.words import not_converged, plural
-from bundle.errors import InputError, brief
-from bundle.interface.analysis_options import GAUGES, ROBUST, SCALES, one_of, parts_of
+from bundle.errors import InputError
 from bundle.interface.options import SolveOptions
-from bundle.io.files import Source, as_problem
 from bundle.model.problem import Problem
 from bundle.solving.prepare import prepare
 from bundle.solving.request import SolveRequest
 from bundle.solving.result import Result
 
 if TYPE_CHECKING:
-    from bundle.graphs.factors.factors import Factor
-    from bundle.solving.constraints.rule_list import Constraints
-    from bundle.solving.constraints.rules import Rule
-    from bundle.solving.placed_problem import Prior
     from bundle.solving.request import Rules
 
 AT_MINIMUM = 1e-4
 """Relative decrease of the cost by one more step, below which a state counts as a minimum."""
-
-
-def problem_covariance(
-    problem: Source | Result,
-    options: SolveOptions | None,
-    *,
-    of: str | Iterable[str],
-    relative: Iterable[tuple[int, int]],
-    gauge: str,
-    scale: str,
-    robust: str,
-    factors: Iterable[Factor],
-    priors: Iterable[Prior],
-    bounds: Mapping[tuple[str, int], tuple[ArrayLike, ArrayLike]] | None,
-    constraints: Constraints | Iterable[str | Rule],
-    changes: dict[str, Any],
-) -> Covariance:
-    """Compute the covariances of a reconstruction; see :func:`bundle.covariance`."""
-    if isinstance(problem, Result):
-        check_same_factors(problem, factors, priors, constraints)
-        options = problem.options if options is None else options
-        problem = problem.problem
-    problem = as_problem(problem)
-    options = SolveOptions.of(options, changes, "covariance")
-    gauge = one_of("gauge", gauge, GAUGES)
-    request = SolveRequest(
-        problem=problem,
-        options=options.replace(gauge="none" if gauge == "inner" else gauge),
-        factors=factors,
-        priors=priors,
-        align=None,
-        bounds=bounds,
-        constraints=constraints if not isinstance(constraints, Iterable) else tuple(constraints),
-    )
-    recipe = _Recipe(
-        request=request if not request.priors else replace(request, align=False),
-        of=parts_of("of", of),
-        gauge=gauge,
-        scale=one_of("scale", scale, SCALES),
-        robust=one_of("robust", robust, ROBUST),
-    )
-    if recipe.robust == "sandwich" and recipe.scale == "sigma0":
-        raise InputError(
-            "scale: expected unit with the sandwich, which takes its scale from the residuals"
-        )
-    return recipe.compute(list(relative))
 
 
 def intrinsics_covariance(
@@ -100,7 +48,7 @@ def intrinsics_covariance(
     request = SolveRequest(
         problem=problem, options=options.replace(gauge=gauge), constraints=constraints
     )
-    recipe = _Recipe(request, ("intrinsics",), gauge, "sigma0", "weights", long_sums=False)
+    recipe = Recipe(request, ("intrinsics",), gauge, "sigma0", "weights", long_sums=False)
     return recipe.compute([])
 
 
@@ -111,7 +59,7 @@ HARD_TWISTS = (
 
 
 @dataclass(frozen=True)
-class _Recipe:
+class Recipe:
     """All inputs of a covariance; supports pickling."""
 
     request: SolveRequest
@@ -124,7 +72,7 @@ class _Recipe:
     def compute(self, pairs: list[tuple[int, int]]) -> Covariance:
         """Return the covariance, with the relative poses of these pairs of image ids."""
         given = self.request.problem
-        rows = rows_of(given, pairs)
+        rows = rows_of(given.image_ids, pairs, "image")
         if not given.num_observations:
             raise InputError("problem: expected observations, found 0")
         refuse_huge(given)
@@ -307,24 +255,6 @@ def refuse_rounding(problem: Problem, out: dict[str, Any]) -> None:
                 "only a rounding error: the problem is too ill-conditioned; bundle diagnose names "
                 "the cause"
             )
-
-
-def rows_of(problem: Problem, pairs: list[Any]) -> list[tuple[int, int]]:
-    """Return pairs of image ids as pairs of positions in the problem's arrays."""
-    place = {key: row for row, key in enumerate(problem.image_ids.tolist())}
-    rows = []
-    for number_of, pair in enumerate(pairs):
-        try:
-            a, b = pair
-        except (TypeError, ValueError):
-            a, b = None, None
-        for one in (a, b):
-            if not isinstance(one, int | np.integer) or int(one) not in place:
-                raise InputError(
-                    f"relative: expected pairs of image ids, found {brief(pair)} at [{number_of}]"
-                )
-        rows.append((place[int(a)], place[int(b)]))
-    return rows
 
 
 def check_same_factors(result: Result, *given: Iterable[Any]) -> None:

@@ -3,23 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Unpack, overload
 
 from numpy.typing import ArrayLike
 
-from bundle.analysis.uncertainty.compute_covariance import problem_covariance
+from bundle.analysis.uncertainty.compute_covariance import Recipe, check_same_factors
 from bundle.analysis.uncertainty.covariance_result import (
     Covariance,
     FactorGraphCovariance,
     GraphCovariance,
 )
+from bundle.errors import InputError
 from bundle.graphs.factors.factor_graph import FactorGraph
-from bundle.interface.analysis_options import PARTS
+from bundle.interface.analysis_options import GAUGES, PARTS, ROBUST, SCALES, one_of, parts_of
 from bundle.interface.option_class import takes_options
 from bundle.interface.options import SolveOptions
 from bundle.interface.pose_graph_options import PoseGraphOptions
-from bundle.io.files import Source
+from bundle.io.files import Source, as_problem
 from bundle.model.pose_graph_arrays import PoseGraph
+from bundle.solving.request import SolveRequest
 from bundle.solving.result import Result
 
 if TYPE_CHECKING:
@@ -202,17 +205,31 @@ def covariance(
             scale=scale,
             **changes,
         )
-    return problem_covariance(
-        problem,  # type: ignore[arg-type]
-        options,  # type: ignore[arg-type]
-        of=of,  # type: ignore[arg-type]
-        relative=relative,
-        gauge="inner" if gauge is None else gauge,
-        scale=scale,
-        robust=robust,
+    if isinstance(problem, Result):
+        check_same_factors(problem, factors, priors, constraints)
+        options = problem.options if options is None else options
+        problem = problem.problem
+    problem = as_problem(problem)  # type: ignore[arg-type]
+    options = SolveOptions.of(options, changes, "covariance")  # type: ignore[arg-type]
+    gauge = one_of("gauge", "inner" if gauge is None else gauge, GAUGES)
+    request = SolveRequest(
+        problem=problem,
+        options=options.replace(gauge="none" if gauge == "inner" else gauge),
         factors=factors,
         priors=priors,
+        align=None,
         bounds=bounds,
-        constraints=constraints,
-        changes=changes,
+        constraints=constraints if not isinstance(constraints, Iterable) else tuple(constraints),
     )
+    recipe = Recipe(
+        request=request if not request.priors else replace(request, align=False),
+        of=parts_of("of", of),  # type: ignore[arg-type]
+        gauge=gauge,
+        scale=one_of("scale", scale, SCALES),
+        robust=one_of("robust", robust, ROBUST),
+    )
+    if recipe.robust == "sandwich" and recipe.scale == "sigma0":
+        raise InputError(
+            "scale: expected unit with the sandwich, which takes its scale from the residuals"
+        )
+    return recipe.compute(list(relative))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -52,6 +52,15 @@ class _Saved(FrozenArrays, Displayed):
     def _arrays(self) -> dict[str, Any]:
         names = (field.name for field in dataclasses.fields(self))  # type: ignore[arg-type]
         return {name: np.asarray(getattr(self, name)) for name in names if name[0] != "_"}
+
+    @staticmethod
+    def _one(kind: str, ids: _Ids, values: _Floats, wanted: int) -> _Floats:
+        found = np.flatnonzero(ids == wanted) if _is_id(wanted) else ()
+        if not len(found):
+            known = f"one of {plural(len(ids), kind)}" if len(ids) else f"no {kind} (see of=)"
+            raise InputError(f"{kind}: expected the id of {known}, found {brief(wanted)}")
+        one: _Floats = values[found[0]]
+        return one
 
     def _counts(self) -> list[str]:
         raise NotImplementedError
@@ -208,15 +217,6 @@ class Covariance(_Saved):
             | {f"sigma_{axis}": sigmas[:, k] for k, axis in enumerate(axes)}
         )
 
-    @staticmethod
-    def _one(kind: str, ids: _Ids, values: _Floats, wanted: int) -> _Floats:
-        found = np.flatnonzero(ids == wanted) if isinstance(wanted, int | np.integer) else ()
-        if not len(found):
-            known = f"one of {plural(len(ids), kind)}" if len(ids) else f"no {kind} (see of=)"
-            raise InputError(f"{kind}: expected the id of {known}, found {brief(wanted)}")
-        one: _Floats = values[found[0]]
-        return one
-
     def _display(self) -> Display:
         facts = [
             ("gauge", self.gauge.replace("_", " ")),
@@ -282,12 +282,7 @@ class GraphCovariance(_Saved, Tabular):
         Raises:
             InputError: the pose does not exist.
         """
-        found = np.flatnonzero(self.pose_ids == pose_id)
-        if not is_id(pose_id) or not len(found):
-            count = plural(len(self.pose_ids), "pose")
-            raise InputError(f"pose: expected the id of one of {count}, found {brief(pose_id)}")
-        one: _Floats = self.pose_covariance[found[0]]
-        return one
+        return self._one("pose", self.pose_ids, self.pose_covariance, pose_id)
 
     def relative(self, id_a: int, id_b: int) -> _Floats:
         """Return the (d, d) covariance of X_a^-1 X_b.
@@ -396,8 +391,24 @@ class FactorGraphCovariance(_Saved, Tabular):
         return [plural(len(self.covariances), "variable")]
 
 
-def is_id(value: object) -> bool:
-    """Tell whether a value is a whole number."""
+def rows_of(ids: _Ids, pairs: Iterable[Any], noun: str) -> list[tuple[int, int]]:
+    """Return pairs of ids as pairs of positions; refuse unknown ids."""
+    place = {key: row for row, key in enumerate(ids.tolist())}
+    rows = []
+    for k, pair in enumerate(pairs):
+        try:
+            a, b = pair
+        except (TypeError, ValueError):
+            a, b = None, None
+        if not all(_is_id(end) and int(end) in place for end in (a, b)):
+            raise InputError(
+                f"relative: expected pairs of {noun} ids, found {brief(pair)} at [{k}]"
+            )
+        rows.append((place[int(a)], place[int(b)]))
+    return rows
+
+
+def _is_id(value: object) -> bool:
     return isinstance(value, int | np.integer) and not isinstance(value, bool)
 
 

@@ -48,7 +48,7 @@ from bundle.planning.comparison.graph_comparison import (
     compare_factor_graph,
     compare_graph,
 )
-from bundle.planning.comparison.method import expand
+from bundle.planning.comparison.measured_run import expand
 from bundle.planning.comparison.recommendation import recommend
 from bundle.planning.comparison.work import Progress, Work
 

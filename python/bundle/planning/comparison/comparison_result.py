@@ -35,8 +35,7 @@ from bundle.interface.environment import Environment
 from bundle.interface.options import SolveOptions
 from bundle.interface.summary import Summary
 from bundle.interface.tabular import Tabular
-from bundle.planning.comparison.measured_run import Measurement, Prediction, Run
-from bundle.planning.comparison.method import Method
+from bundle.planning.comparison.measured_run import Measurement, Method, Prediction, Run
 
 GAPS = (1e-2, 1e-3, 1e-5)
 """Relative distances to the best cost at which methods are compared by time."""

@@ -49,7 +49,7 @@ from bundle.interface.pose_graph_options import PoseGraphOptions
 from bundle.interface.tabular import Tabular
 from bundle.io.g2o_files import load_g2o
 from bundle.model.pose_graph_arrays import PoseGraph
-from bundle.planning.comparison.method import (
+from bundle.planning.comparison.measured_run import (
     FactorGraphMethod,
     GraphMethod,
     as_tuple,

@@ -44,8 +44,7 @@ from bundle.interface.options import SolveOptions
 from bundle.model.losses import evaluate_loss
 from bundle.model.problem import Problem
 from bundle.model.reprojection import residuals
-from bundle.planning.comparison.measured_run import Run
-from bundle.planning.comparison.method import Method
+from bundle.planning.comparison.measured_run import Method, Run
 from bundle.planning.comparison.process import WorkerEnd
 from bundle.planning.comparison.worker import restore_solution
 

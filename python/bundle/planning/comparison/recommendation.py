@@ -17,8 +17,7 @@ from bundle.interface.options import SolveOptions
 from bundle.interface.planning_options import COMPARED, CompareOptions
 from bundle.interface.pose_graph_options import PoseGraphOptions
 from bundle.planning.comparison.comparison_result import Comparison, Recommendation
-from bundle.planning.comparison.measured_run import Prediction, Run
-from bundle.planning.comparison.method import ITERATIVE, Method
+from bundle.planning.comparison.measured_run import ITERATIVE, Method, Prediction, Run
 from bundle.planning.inspection.inspection_result import Inspection
 
 

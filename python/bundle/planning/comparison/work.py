@@ -44,8 +44,7 @@ from bundle.model.rigid_motions import (
 from bundle.model.unobserved import require_observations, require_tracks
 from bundle.planning.comparison import worker
 from bundle.planning.comparison.comparison_result import ComparedProblem
-from bundle.planning.comparison.measured_run import Measurement, Prediction, Run
-from bundle.planning.comparison.method import Method
+from bundle.planning.comparison.measured_run import Measurement, Method, Prediction, Run
 from bundle.planning.comparison.minima import find_minima
 from bundle.planning.comparison.process import WorkerEnd, run_worker
 from bundle.planning.inspection.inspection_result import Inspection, MethodInspection

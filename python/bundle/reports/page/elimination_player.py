@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.analysis.statistics.covisibility import shared_points
+from bundle.analysis.diagnosis.track_table import shared_points
 from bundle.model.problem import Problem
 from bundle.reports.page.page import tag
 from bundle.reports.page.table import table

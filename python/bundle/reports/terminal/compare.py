@@ -10,8 +10,7 @@ from bundle.base.words import contents, format_name, format_size, number, plural
 from bundle.errors import shown
 from bundle.interface.summary import share
 from bundle.planning.comparison.comparison_result import GAPS, ComparedProblem, Comparison
-from bundle.planning.comparison.measured_run import Measurement, Prediction, Run
-from bundle.planning.comparison.method import Method
+from bundle.planning.comparison.measured_run import Measurement, Method, Prediction, Run
 from bundle.reports.sections import Column, Report, Section, Table, fields, records
 from bundle.reports.terminal.compare_verdict import findings, headline, sigmas
 from bundle.reports.terminal.solve_data import solve_options

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bundle.analysis.statistics.covisibility import Covisibility
+from bundle.analysis.diagnosis.track_table import Covisibility
 from bundle.analysis.statistics.description import Description, Distribution
 from bundle.analysis.statistics.suspicions import COLLAPSED
 from bundle.base.tables import Bar
