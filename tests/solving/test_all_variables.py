@@ -17,7 +17,7 @@ from bundle.judging.validation.candidates import Candidate
 from bundle.model.estimates import VARIABLES, estimates, with_estimates
 from bundle.model.folds import folds_of
 from bundle.model.rigid_motions import rotation_matrices
-from bundle.planning.comparison import worker
+from bundle.planning.comparison import process
 from bundle.solving.rounds import input_digest
 from bundle.solving.slices.out_of_core import OutOfCoreRefinement, scratch_folder
 from tests.rig_scenes import rig_problem
@@ -297,14 +297,14 @@ def test_files(plain, tmp_path, format):
 
 
 def test_processes_of_a_comparison(problem, plain, tmp_path):
-    worker.store(problem, tmp_path / "0")
-    given = worker.restore(tmp_path / "0")
+    process.store(problem, tmp_path / "0")
+    given = process.restore(tmp_path / "0")
     assert_same(given, problem)
     for field in dataclasses.fields(problem.rolling_shutter):
         one, other = (getattr(of.rolling_shutter, field.name) for of in (given, problem))
         np.testing.assert_array_equal(one, other, err_msg=field.name)
-    worker.store_solution(plain.problem, tmp_path / "0.npz")
-    assert_same(worker.restore_solution(given, tmp_path / "0.npz"), plain.problem)
+    process.store_solution(plain.problem, tmp_path / "0.npz")
+    assert_same(process.restore_solution(given, tmp_path / "0.npz"), plain.problem)
 
 
 def test_out_of_core(problem, tmp_path):

@@ -14,7 +14,7 @@ from types import SimpleNamespace
 import pytest
 
 from bundle.interface.options import SolveOptions
-from bundle.planning.comparison import process, worker
+from bundle.planning.comparison import process
 from bundle.planning.comparison import work as under_way
 from bundle.planning.comparison.process import WorkerEnd, _listen, _take
 from bundle.planning.comparison.work import Work
@@ -93,11 +93,11 @@ def solved(monkeypatch, tmp_path):
             "limit_growth": lambda *arguments: limits.append(arguments),
         }.items():
             monkeypatch.setattr(process, name, value)
-        monkeypatch.setattr(worker, "restore", lambda _: scene())
+        monkeypatch.setattr(process, "restore", lambda _: scene())
         channel = (tmp_path / "channel").open("w")
         options = SolveOptions(num_threads=1, max_num_iterations=1)
         with channel:
-            report = worker._run(tmp_path, options, {"memory_cap": cap}, worker.Reporter(channel))
+            report = process._run(tmp_path, options, {"memory_cap": cap}, process.Reporter(channel))
         first = json.loads((tmp_path / "channel").read_text().splitlines()[0])
         assert first == {"resident": resident}
         return report["measurement"], limits
@@ -172,8 +172,8 @@ def test_growth_beyond_the_limit_fails_and_below_it_does_not():
 
 
 def test_a_worker_goes_first_when_memory_ends(tmp_path, monkeypatch):
-    """The kernel's score of the real worker, read while it runs; its cores are not kept either."""
-    worker.store(make_problem(num_images=6, num_points=500), tmp_path / "problem")
+    """The kernel's score of the real process, read while it runs; its cores are not kept either."""
+    process.store(make_problem(num_images=6, num_points=500), tmp_path / "problem")
     options = SolveOptions(
         num_threads=1,
         backend="ceres",

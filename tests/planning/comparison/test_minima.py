@@ -10,7 +10,7 @@ import bundle
 from bundle.interface.options import SolveOptions
 from bundle.model.reprojection import linearize
 from bundle.model.rigid_motions import quaternion_from_vector, quaternion_multiply
-from bundle.planning.comparison import worker
+from bundle.planning.comparison import process
 from bundle.planning.comparison.compare_methods import compare
 from bundle.planning.comparison.minima import SolutionDistance, find_minima
 from bundle.planning.comparison.process import WorkerEnd
@@ -51,7 +51,7 @@ def test_distance_is_that_of_the_dense_covariance(tmp_path, loss):
     best = bundle.solve(make_problem(num_images=4, num_points=30), options).problem
     other, pose, point = moved(best, np.random.default_rng(1), 1e-5, held=2)
     for name, problem in (("best", best), ("other", other)):
-        worker.store_solution(problem, tmp_path / name)
+        process.store_solution(problem, tmp_path / name)
     residual, jacobian = dense_jacobian(best)
     squared = (residual**2).sum(axis=1)
     weight = 1 / (1 + squared / 0.7**2) if loss == "cauchy" else np.ones(len(squared))
@@ -78,8 +78,8 @@ def test_a_gap_of_the_cost_is_a_distance(tmp_path):
     problem = make_problem(num_images=5, num_points=60)
     best = bundle.solve(problem, function_tolerance=1e-14, gradient_tolerance=1e-14)
     early = bundle.solve(problem, max_num_iterations=1)
-    worker.store_solution(best.problem, tmp_path / "best")
-    worker.store_solution(early.problem, tmp_path / "early")
+    process.store_solution(best.problem, tmp_path / "best")
+    process.store_solution(early.problem, tmp_path / "early")
     summary = best.summary
     redundancy = summary.num_residuals_reduced - summary.num_parameters_reduced
     gap = early.summary.final_cost / summary.final_cost - 1
@@ -90,13 +90,13 @@ def test_a_gap_of_the_cost_is_a_distance(tmp_path):
 
 def test_other_gauge_no_distance(tmp_path):
     best = bundle.solve(make_problem(num_images=4, num_points=30)).problem
-    worker.store_solution(best, tmp_path / "best")
+    process.store_solution(best, tmp_path / "best")
     scaled = dataclasses.replace(
         best,
         points=3 * best.points,
         cam_from_world=best.cam_from_world * np.array([1, 1, 1, 1, 3, 3, 3]),
     )
-    worker.store_solution(scaled, tmp_path / "scaled")
+    process.store_solution(scaled, tmp_path / "scaled")
     distance = SolutionDistance(best, SolveOptions(), tmp_path / "best", 100)
     assert distance.between(tmp_path / "scaled", tmp_path / "best").sigmas < 1e-8
 
@@ -105,20 +105,20 @@ def test_data_without_noise_has_no_distant_solutions(tmp_path):
     exact = bundle.synthesize(num_images=4, num_points=40, pixel_noise=0.0).problem
     tight = bundle.solve(exact, function_tolerance=1e-15, gradient_tolerance=1e-15).problem
     usual = bundle.solve(exact).problem
-    worker.store_solution(tight, tmp_path / "tight")
-    worker.store_solution(usual, tmp_path / "usual")
+    process.store_solution(tight, tmp_path / "tight")
+    process.store_solution(usual, tmp_path / "usual")
     distance = SolutionDistance(exact, SolveOptions(), tmp_path / "tight", 100)
     assert distance.between(tmp_path / "usual", tmp_path / "tight").sigmas < 1
 
 
 def test_single_points_at_other_positions_are_counted_and_left_out(tmp_path):
     best = bundle.solve(make_problem(num_images=4, num_points=1000)).problem
-    worker.store_solution(best, tmp_path / "best")
+    process.store_solution(best, tmp_path / "best")
     distance = SolutionDistance(best, SolveOptions(), tmp_path / "best", 100)
     for number, counted in ((1, 1), (2, 2), (3, 0)):  # at most 0.2 % of the points
         points = best.points + 0.3 * (np.arange(1000) < number)[:, None]
         path = tmp_path / str(number)
-        worker.store_solution(dataclasses.replace(best, points=points), path)
+        process.store_solution(dataclasses.replace(best, points=points), path)
         found = distance.between(path, tmp_path / "best")
         assert found.num_points == counted
         assert found.sigmas > 10 if counted == 0 else found.sigmas == 0
@@ -134,7 +134,7 @@ def ended(tmp_path):
 
         def write(offset, path):
             points = best.problem.points + [[offset, 0, 0]] * (np.arange(30) == 0)[:, None]
-            worker.store_solution(dataclasses.replace(best.problem, points=points), path)
+            process.store_solution(dataclasses.replace(best.problem, points=points), path)
 
         paths, stored = {}, {}
         for number, (method, (start, end)) in enumerate(ends.items()):

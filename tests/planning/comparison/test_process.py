@@ -13,7 +13,7 @@ import pytest
 
 import bundle
 from bundle.interface.options import SolveOptions
-from bundle.planning.comparison import process, worker
+from bundle.planning.comparison import process
 from tests.printed import figures
 from tests.scenes import make_problem, scene
 
@@ -25,7 +25,7 @@ def work(tmp_path):
     def run(problem=None, *, timeout=30.0, memory_cap=0, on_iteration=lambda _: None, **changes):
         folder = tmp_path / "problem"
         if not folder.exists():
-            worker.store(problem or scene(), folder)
+            process.store(problem or scene(), folder)
         request = tmp_path / "request.json"
         options = SolveOptions(num_threads=1, **changes).asdict()
         request.write_text(json.dumps({"options": options, "memory_cap": memory_cap}))
@@ -60,9 +60,9 @@ def is_running(note):
 
 def test_problem_survives_the_way(tmp_path):
     problem = make_problem()
-    worker.store(problem, tmp_path / "problem")
+    process.store(problem, tmp_path / "problem")
     for mode in (None, "r"):
-        back = worker.restore(tmp_path / "problem", mode)
+        back = process.restore(tmp_path / "problem", mode)
         for name in problem.__dataclass_fields__:
             if name != "source":
                 assert (getattr(back, name) == getattr(problem, name)) is not False

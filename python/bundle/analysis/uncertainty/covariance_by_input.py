@@ -210,7 +210,7 @@ def covariance(
         options = problem.options if options is None else options
         problem = problem.problem
     problem = as_problem(problem)  # type: ignore[arg-type]
-    options = SolveOptions.of(options, changes, "covariance")  # type: ignore[arg-type]
+    options = SolveOptions.of(options, changes, "covariance")
     gauge = one_of("gauge", "inner" if gauge is None else gauge, GAUGES)
     request = SolveRequest(
         problem=problem,

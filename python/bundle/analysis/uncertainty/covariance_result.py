@@ -55,8 +55,8 @@ class _Saved(FrozenArrays, Displayed):
 
     @staticmethod
     def _one(kind: str, ids: _Ids, values: _Floats, wanted: int) -> _Floats:
-        found = np.flatnonzero(ids == wanted) if _is_id(wanted) else ()
-        if not len(found):
+        found = np.flatnonzero(ids == wanted)
+        if not (_is_id(wanted) and len(found)):
             known = f"one of {plural(len(ids), kind)}" if len(ids) else f"no {kind} (see of=)"
             raise InputError(f"{kind}: expected the id of {known}, found {brief(wanted)}")
         one: _Floats = values[found[0]]

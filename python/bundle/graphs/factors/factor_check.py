@@ -4,7 +4,7 @@ A factor's Jacobian J at X is with respect to the tangent coordinates at X. At e
 checker gets the residual as a function of s, evaluated at X Exp(s - c) with a constant c. The
 Jacobian of this function at s = c is J itself, including any mistake. Euclidean variables are
 passed unchanged. For Jacobians in the coordinates of another library, M (s - c) takes the place of
-s - c (``tangent_conventions``).
+s - c (``variables``).
 
 The checker's first steps are proportional to the size of a parameter, so that a parameter must not
 be zero. Therefore c is 1 for an angle. For a translation, c is the length of the variable's
@@ -32,8 +32,7 @@ from bundle.graphs.factors.contents import GraphContents, factor_name
 from bundle.graphs.factors.factor_report import FactorCheck, Member
 from bundle.graphs.factors.factors import Factor, FunctionFactor
 from bundle.graphs.factors.spot_check import code_of
-from bundle.graphs.factors.tangent_conventions import TANGENTS, other_coordinates, tangent_of
-from bundle.graphs.factors.variables import Array, Variable
+from bundle.graphs.factors.variables import TANGENTS, Array, Variable, other_coordinates, tangent_of
 from bundle.interface.analysis_options import TOLERANCE
 from bundle.interface.option_fields import choice, number
 

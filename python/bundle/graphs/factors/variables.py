@@ -1,4 +1,35 @@
-"""Variables of a factor graph: keys, manifolds, values."""
+"""Variables of a factor graph: keys, manifolds, values, and tangent coordinates.
+
+Tangent coordinates of poses in several libraries, and derivatives by the wrong ones.
+
+A variable of a :class:`bundle.FactorGraph` moves by delta to X Exp(delta), with the rotation first.
+In another convention it moves by d, with delta = M d to first order. Its Jacobian is J M, J the
+Jacobian by delta. With R and t the rotation and translation of X, M is a product of
+
+- the motion. Exp(d) X: X^-1 Exp(d) X = Exp(Ad(X)^-1 d), so Ad(X)^-1; t + d in the frame of the
+  world: R^T for the translation; Exp(d) R: R^T for the rotation; X as the inverse of another pose
+  that moves by Exp(d) on its right: X moves to Exp(-d) X, so -Ad(X)^-1;
+- the angle. The vector part of a quaternion is half the rotation vector: 2 for the rotation;
+- the order of translation and rotation: a permutation.
+
+Libraries:
+
+============  ====================  =================  ================================
+tangent       se3: motion           order              rotation by
+============  ====================  =================  ================================
+gtsam         X Exp(d)              rotation first     rotation vector
+manif         X Exp(d)              translation first  rotation vector
+g2o           X Exp(d)              translation first  vector part of the quaternion
+g2o_expmap    Exp(d) X              rotation first     rotation vector
+============  ====================  =================  ================================
+
+These are GTSAM's Pose3, manif's SE3 (also Sophus' manifold for Ceres), g2o's VertexSE3 and its
+VertexSE3Expmap (ORB-SLAM). In the plane, all move by x y angle in the frame of X, but g2o's
+VertexSE2, which adds the translation in the frame of the world.
+
+If the expected convention has M_e and a mistake M_w, the wrong Jacobian is J M_w, and the expected
+one times M_e^-1 M_w.
+"""
 
 from __future__ import annotations
 
@@ -16,6 +47,7 @@ from bundle.base.records import dataclass
 from bundle.base.words import plural
 from bundle.errors import InputError, brief
 from bundle.interface.option_fields import choice
+from bundle.model.rigid_motions import rotation_matrices
 
 Key = Hashable
 Array = NDArray[np.float64]
@@ -203,3 +235,188 @@ def _bound(
     if np.isnan(values).any():
         raise InputError(f"{name}: {what}: expected numbers, found nan")
     return np.ascontiguousarray(np.broadcast_to(values, (size,)), dtype=np.float64).copy()
+
+
+Conventions = dict[tuple[str, str], Array]
+
+TANGENTS = ("gtsam", "manif", "g2o", "g2o_expmap")
+"""Conventions by the library that uses them; gtsam is that of a factor graph."""
+
+MOTIONS = {
+    "right": "X Exp(d)",
+    "left": "Exp(d) X",
+    "world": "R Exp(d), t + d",
+    "split": "Exp(d) R, t + d",
+    "turn": "Exp(d) R, t + R d",
+    "inverse": "Exp(-d) X, of which the inverse is X^-1 Exp(d)",
+    "inverse_left": "X Exp(-d), of which the inverse is Exp(d) X^-1",
+}
+_ON_THE_LEFT = {"left", "split", "turn", "inverse"}
+
+
+@dataclass(frozen=True)
+class Tangent:
+    """Tangent coordinates of one manifold.
+
+    Attributes:
+        motion: motion of a variable, one of MOTIONS.
+        is_translation_first: order of the coordinates; in the plane, False for the angle first.
+        is_half: True if the rotation is the vector part of a quaternion.
+    """
+
+    motion: str = "right"
+    is_translation_first: bool = False
+    is_half: bool = False
+
+    def order(self, manifold: str) -> list[int]:
+        """Return the coordinate of a factor graph, x y angle in the plane, for each column."""
+        if manifold == "se3":
+            return [3, 4, 5, 0, 1, 2] if self.is_translation_first else [0, 1, 2, 3, 4, 5]
+        if manifold == "se2":
+            return [0, 1, 2] if self.is_translation_first else [2, 0, 1]
+        return [0, 1, 2] if manifold == "so3" else [0]
+
+    def matrix(self, manifold: str, values: Array) -> Array:
+        """Return M (K, d, d) at the values (K, n)."""
+        if manifold == "so2":
+            return np.ones((len(values), 1, 1))
+        order = self.order(manifold)
+        moved = _motion(self.motion, manifold, values)
+        if self.is_half and manifold in ("so3", "se3"):
+            moved = moved * np.where(np.arange(len(order)) < 3, 2.0, 1.0)
+        reordered: Array = moved[..., order]
+        return reordered
+
+
+_SE3: Mapping[str, Tangent] = {
+    "gtsam": Tangent(),
+    "manif": Tangent(is_translation_first=True),
+    "g2o": Tangent(is_translation_first=True, is_half=True),
+    "g2o_expmap": Tangent("left"),
+}
+
+
+def tangent_of(name: str, manifold: str) -> Tangent:
+    """Return the tangent coordinates of a library on a manifold."""
+    if manifold == "se2":
+        return Tangent("world" if name == "g2o" else "right", is_translation_first=True)
+    if manifold == "so3":
+        return replace(_SE3[name], is_translation_first=False)
+    return _SE3[name]
+
+
+def other_coordinates(manifold: str, values: Array, tangent: str = "gtsam") -> Conventions:
+    """Return kind, description and M_e^-1 M_w (K, d, d) of each wrong convention, simplest first.
+
+    ``values``: values (K, n) of the variable.
+    """
+    if manifold not in ("so3", "se2", "se3"):
+        return {}
+    expected = tangent_of(tangent, manifold)
+    back = np.linalg.inv(expected.matrix(manifold, values))
+    found: Conventions = {}
+    for other in sorted(_all(manifold), key=lambda one: _distance(one, expected)):
+        # By the inverse pose, on the same side, only the sign is another.
+        same_side = "inverse" if expected.motion == "left" else "inverse_left"
+        if other == expected or other.motion == same_side:
+            continue
+        kind, words = _difference(other, expected, manifold)
+        found[kind, words] = back @ other.matrix(manifold, values)
+    return found
+
+
+def _all(manifold: str) -> list[Tangent]:
+    motions = {
+        "so3": ("right", "left", "inverse", "inverse_left"),
+        "se2": ("right", "left", "world", "inverse", "inverse_left"),
+    }
+    orders = (False,) if manifold == "so3" else (True, False)
+    halves = (False,) if manifold == "se2" else (False, True)
+    return [
+        Tangent(motion, order, half)
+        for motion in motions.get(manifold, tuple(MOTIONS))
+        for order in orders
+        for half in halves
+    ]
+
+
+def _distance(one: Tangent, other: Tangent) -> int:
+    """Return the number of differences, most of them first for the motion."""
+    return (
+        4 * (one.motion != other.motion)
+        + one.motion.startswith("inverse")
+        + 2 * (one.is_half != other.is_half)
+        + 2 * (one.is_translation_first != other.is_translation_first)
+    )
+
+
+def _difference(wrong: Tangent, expected: Tangent, manifold: str) -> tuple[str, str]:
+    """Return kind and description of a wrong convention."""
+    words, kinds = [], []
+    if wrong.motion != expected.motion:
+        sides = wrong.motion in _ON_THE_LEFT, expected.motion in _ON_THE_LEFT
+        turns = sides[0] != sides[1]
+        kind = "perturbation" if turns else "frame"
+        is_inverse = wrong.motion.startswith("inverse")
+        kinds.append("inverse" if is_inverse else kind)
+        what = "another frame of the translation"
+        if is_inverse:
+            what = "by the inverse pose"
+        elif turns:
+            what = f"{'left for right' if sides[0] else 'right for left'} perturbation"
+        words.append(
+            f"{what}: derivative by d of {MOTIONS[wrong.motion]}, not of {MOTIONS[expected.motion]}"
+        )
+    if wrong.is_half != expected.is_half:
+        kinds.append("half_angle")
+        vector, part = "the rotation vector", "the vector part of the quaternion, half of it,"
+        first, second = (part, vector) if wrong.is_half else (vector, part.rstrip(","))
+        words.append(f"the rotation is by {first} instead of {second}")
+    if wrong.is_translation_first != expected.is_translation_first:
+        kinds.append("order")
+        turn = "angle" if manifold == "se2" else "rotation"
+        first = "translation" if wrong.is_translation_first else turn
+        words.append(f"wrong order: {first} first")
+    same = [name for name in TANGENTS if tangent_of(name, manifold) == wrong]
+    library = f" (as in {' and '.join(same)})" if same else ""
+    return kinds[0], f"{'; and '.join(words)}{library}"
+
+
+def _motion(motion: str, manifold: str, values: Array) -> Array:
+    """Return M of a motion in the order of a factor graph."""
+    if manifold == "so3":
+        back = rotation_matrices(values).transpose(0, 2, 1)
+        one = np.broadcast_to(np.eye(3), back.shape)
+        return {"right": one, "inverse_left": -one, "inverse": -back}.get(motion, back)
+    return _se2(motion, values) if manifold == "se2" else _se3(motion, values)
+
+
+def _se3(motion: str, values: Array) -> Array:
+    back: Array = rotation_matrices(values[:, :4]).transpose(0, 2, 1)
+    one = np.broadcast_to(np.eye(3), back.shape)
+    if motion == "inverse_left":
+        return -_blocks(one, one)
+    if motion in ("left", "inverse"):
+        left = _blocks(back, back)
+        left[:, 3:, :3] = -back @ np.cross(values[:, None, 4:], np.eye(3)).transpose(0, 2, 1)
+        return left if motion == "left" else -left
+    turns = back if motion in ("split", "turn") else one
+    return _blocks(turns, back if motion in ("world", "split") else one)
+
+
+def _se2(motion: str, values: Array) -> Array:
+    cosine, sine = np.cos(values[:, 2]), np.sin(values[:, 2])
+    matrices = np.zeros((len(values), 3, 3))
+    matrices[:, 2, 2] = 1
+    back = np.array([[cosine, sine], [-sine, cosine]]).transpose(2, 0, 1)
+    matrices[:, :2, :2] = np.eye(2) if motion in ("right", "inverse_left") else back
+    if motion in ("left", "inverse"):
+        across = np.stack([-values[:, 1], values[:, 0]], axis=1)
+        matrices[:, :2, 2] = (back @ across[..., None])[..., 0]
+    return -matrices if motion.startswith("inverse") else matrices
+
+
+def _blocks(first: Array, second: Array) -> Array:
+    matrices = np.zeros((len(first), 6, 6))
+    matrices[:, :3, :3], matrices[:, 3:, 3:] = first, second
+    return matrices

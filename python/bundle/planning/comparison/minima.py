@@ -45,8 +45,7 @@ from bundle.model.losses import evaluate_loss
 from bundle.model.problem import Problem
 from bundle.model.reprojection import residuals
 from bundle.planning.comparison.measured_run import Method, Run
-from bundle.planning.comparison.process import WorkerEnd
-from bundle.planning.comparison.worker import restore_solution
+from bundle.planning.comparison.process import WorkerEnd, restore_solution
 
 SAME = 1.0
 """Distance in sigmas up to which two solutions are at the same minimum."""

@@ -42,7 +42,7 @@ from bundle.model.rigid_motions import (
     quaternion_rotate,
 )
 from bundle.model.unobserved import require_observations, require_tracks
-from bundle.planning.comparison import worker
+from bundle.planning.comparison import process
 from bundle.planning.comparison.comparison_result import ComparedProblem
 from bundle.planning.comparison.measured_run import Measurement, Method, Prediction, Run
 from bundle.planning.comparison.minima import find_minima
@@ -102,7 +102,7 @@ class Work:
         require_tracks(source, shown(name), self.options)
         if self.perturb:
             source = perturbed(source, self.options, self.perturb, self.seed)
-        worker.store(source, self.folder / str(index))
+        process.store(source, self.folder / str(index))
         return ComparedProblem(
             name=name,
             is_file=is_file,
@@ -145,7 +145,7 @@ class Work:
             yield from self._with_minima(index, runs, interrupted)
 
     def _with_minima(self, index: int, runs: Sequence[Run], interrupted: bool) -> Sequence[Run]:
-        problem = worker.restore(self.folder / str(index), mmap_mode="r")
+        problem = process.restore(self.folder / str(index), mmap_mode="r")
         paths = {run.method: self._solution(index, run.method) for run in runs}
 
         def refine(run: Run, target: Path) -> WorkerEnd:
@@ -160,7 +160,7 @@ class Work:
         return self.folder / f"{index}-{self.methods.index(method)}.npz"
 
     def _predict(self, index: int) -> None:
-        problem = worker.restore(self.folder / str(index), mmap_mode="r")
+        problem = process.restore(self.folder / str(index), mmap_mode="r")
         self.predictions.append(predict(problem, self.options, self.methods))
         self.foreseen.append(
             foresee(problem, self.options, self.methods, self.predictions[index], self.memory_cap)
