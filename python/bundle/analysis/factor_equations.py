@@ -44,7 +44,7 @@ from bundle.analysis.normal_equations import (
     Floats,
     Pairs,
     SelectedInverse,
-    Tests,
+    TermTests,
     Words,
     graph_covariance,
     selected_covariance,
@@ -133,7 +133,7 @@ class FactorEquations:
             self._threads,
         )
         redundancy, test, rank = (np.array(out[name]) for name in ("redundancy", "test", "rank"))
-        tests = Tests(redundancy, test, rank, float(out["predicted_decrease"]))
+        tests = TermTests(redundancy, test, rank, float(out["predicted_decrease"]))
         found = (int(out["undetermined"]), float(out["inflation"]), tests)
         return SelectedInverse(out["variables"], (), out["across"], *found)
 

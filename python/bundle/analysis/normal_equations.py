@@ -52,7 +52,7 @@ class Words(NamedTuple):
     doubt: str
 
 
-class Tests(NamedTuple):
+class TermTests(NamedTuple):
     """Redundancy and test (m,) of the terms, NaN where unknown, with the test's degrees.
 
     ``decrease`` is that of the cost by one more step.
@@ -80,7 +80,7 @@ class SelectedInverse(NamedTuple):
     across: Any
     undetermined: int
     inflation: float
-    tests: Tests
+    tests: TermTests
 
 
 class NormalEquations(Protocol):
@@ -181,7 +181,7 @@ class PoseEquations:
             self.graph, self._error, is_inner, with_tests, list(pairs), self._threads
         )
         redundancy, test, rank = (out[f"edge_{name}"] for name in ("redundancy", "test", "rank"))
-        tests = Tests(redundancy, test, rank, float(out["predicted_decrease"]))
+        tests = TermTests(redundancy, test, rank, float(out["predicted_decrease"]))
         found = (int(out["undetermined_pose"]), float(out["inflation"]), tests)
         return SelectedInverse(out["poses"], out["relative"], out["across"], *found)
 

@@ -15,7 +15,7 @@ from bundle.analysis.diagnosis.diagnosis_result import (
     GraphWeakMode,
     SuspiciousEdge,
 )
-from bundle.analysis.normal_equations import NormalEquations, PoseEquations, Tests, Words
+from bundle.analysis.normal_equations import NormalEquations, PoseEquations, TermTests, Words
 from bundle.base.arrays import freeze
 from bundle.base.words import named, number, plural, sorted_ids
 from bundle.graphs.pose_graphs.chi2_quantiles import chi2_limit, chi2_median
@@ -79,12 +79,12 @@ def diagnose_graph(
 
 def tests_of(
     equations: NormalEquations, num_terms: int, terms: NDArray[np.int64] | slice = slice(None)
-) -> Tests:
+) -> TermTests:
     """Return the tests of all given terms; unknown for terms of weight 0.
 
     ``terms``: positions of the terms of the equations.
     """
-    tests = Tests(
+    tests = TermTests(
         np.full(num_terms, np.nan), np.full(num_terms, np.nan), np.zeros(num_terms, np.int64)
     )
     if equations.open_blocks():
@@ -99,7 +99,7 @@ def tests_of(
 
 def graph_diagnosis(
     equations: NormalEquations,
-    tests: Tests,
+    tests: TermTests,
     chi2: Floats,
     edge: Callable[[int], tuple[tuple[Any, ...], int | None, str]],
     fields: dict[str, Any],
@@ -255,7 +255,7 @@ def _about_noise(scale: float) -> list[Finding]:
     ]
 
 
-def _about_unchecked(tests: Tests, noun: str) -> list[Finding]:
+def _about_unchecked(tests: TermTests, noun: str) -> list[Finding]:
     unchecked = int((np.isfinite(tests.redundancy) & (tests.rank == 0)).sum())
     if not unchecked:
         return []
