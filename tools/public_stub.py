@@ -1,28 +1,33 @@
-"""Write bundle/__init__.pyi: the public names for type checkers and editors.
+"""Write the stubs of bundle and bundle.georeference: public names for type checkers and editors.
 
-``bundle/__init__.py`` has one table of its names and imports each on first use.
+Their ``__init__.py`` have one table of names and import each on first use.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
+from types import ModuleType
 
 import bundle
+import bundle.georeference
 
-TARGET = Path(bundle.__file__).with_suffix(".pyi")
+TARGETS = {
+    Path(str(one.__file__)).with_suffix(".pyi"): one for one in (bundle, bundle.georeference)
+}
 
 
-def stub() -> str:
-    """Return the text of the stub."""
-    tables = vars(bundle)
-    places = {name: f"bundle.{place}" for name, place in tables["_MODULES"].items()}
+def stub(package: ModuleType) -> str:
+    """Return the text of the stub of a package."""
+    tables, root = vars(package), package.__name__
+    places = {name: f"{root}.{place}" for name, place in tables.get("_MODULES", {}).items()}
     homes = {name: place.rpartition(".")[::2] for name, place in places.items()}
-    homes |= {name: (f"bundle.{home}", name) for name, home in tables["_MODULE_OF"].items()}
+    homes |= {name: (f"{root}.{home}", name) for name, home in tables["_MODULE_OF"].items()}
     lines = sorted(f"from {home} import {own} as {name}" for name, (home, own) in homes.items())
     names = "".join(f'    "{name}",\n' for name in sorted(homes))
-    head = f'"""{bundle.__doc__}\n\nWritten by tools/public_stub.py; do not edit.\n"""\n\n'
+    head = f'"""{package.__doc__}\n\nWritten by tools/public_stub.py; do not edit.\n"""\n\n'
     return head + "\n".join(lines) + f"\n\n__all__ = [\n{names}]\n"
 
 
 if __name__ == "__main__":
-    TARGET.write_text(stub(), encoding="utf-8")
+    for target, package in TARGETS.items():
+        target.write_text(stub(package), encoding="utf-8")

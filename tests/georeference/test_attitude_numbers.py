@@ -136,9 +136,9 @@ def test_a_world_that_must_stay_may_be_wrong_by_three_sigmas(sigma, tilt, is_ref
     model = moved(truth, Similarity(1.0, turn, np.zeros(3)))
     if is_refused:
         with pytest.raises(InputError, match=rf"{tilt:.3g} degrees off"):
-            Attitudes(exact).check_upright(model, "because")
+            Attitudes(exact).check_kept(model, "because")
     else:
-        Attitudes(exact).check_upright(model, "because")
+        Attitudes(exact).check_kept(model, "because")
 
 
 @pytest.mark.parametrize(("length", "agrees"), [(4.55, True), (4.75, False)])

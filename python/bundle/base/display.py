@@ -14,12 +14,16 @@ class Display:
         facts: pairs (label, fact), one per line.
         head: column titles of a table; its first column is text, the other columns are numbers.
         rows: cells of the table.
+        left: number of columns of text in reports.
+        most: largest number of rows that reports show; None: all.
     """
 
     title: str
     facts: tuple[tuple[str, str], ...] = ()
     head: tuple[str, ...] = ()
     rows: tuple[tuple[str, ...], ...] = ()
+    left: int = 1
+    most: int | None = None
 
     def text(self) -> str:
         """Return the content as lines of text."""

@@ -6,17 +6,18 @@ import argparse
 
 from bundle.cli.carried_georeference import check_georeference, write_georeference
 from bundle.cli.error_lines import EXIT_DONE
-from bundle.cli.georeference_flags import GEOREFERENCE_FLAGS, settings_of
+from bundle.cli.georeference_flags import prior_flags
 from bundle.cli.option_flags import naming_flags, options_given
 from bundle.cli.output import Progress, check_replaced, publish, same_images
 from bundle.errors import InputError, shown
 from bundle.georeference.alignment import align
+from bundle.georeference.measurements import ROWS, settings_of
+from bundle.georeference.survey_priors import survey_settings
 from bundle.interface.georeference_options import GeoreferenceOptions
 from bundle.io.open import check_target, load, output_format, save
 from bundle.reports.terminal.align import alignment
 
 FLAGS = {
-    **GEOREFERENCE_FLAGS,
     "to": "--reference",
     "align": "expected --gcp, --gps or --reference",
 }
@@ -31,7 +32,10 @@ def run(arguments: argparse.Namespace) -> int:
         raise InputError(
             "--gps-offset: valid only with refine, which estimates it together with the cameras"
         )
-    with Progress(quiet=arguments.quiet) as progress, naming_flags(**FLAGS):
+    with (
+        Progress(quiet=arguments.quiet) as progress,
+        naming_flags(**{**prior_flags(given), **FLAGS}),
+    ):
         progress.stage(f"reading {shown(source)}")
         problem = load(source, progress.text)
         output = {
@@ -42,7 +46,8 @@ def run(arguments: argparse.Namespace) -> int:
         check_replaced(target, [source], arguments.overwrite, same_images(problem))
         check_georeference(**output)
         progress.stage("aligning")
-        aligned = align(problem, to=arguments.reference, **settings_of(given, problem))
+        settings = settings_of(given, *(row for row in ROWS if row.places))
+        aligned = align(problem, to=arguments.reference, **survey_settings(problem, settings))
         progress.stage(f"writing {shown(target)}")
         lost = save(aligned.problem, **output, progress=progress.text)
         write_georeference(aligned, **output, reference=arguments.reference)

@@ -179,7 +179,7 @@ COMMANDS: dict[str, Command] = {
             a.options("RoundOptions", "rounds of adjusting and filtering"),
             a.options("HoldOutOptions", "held-out observations"),
             a.RULES,
-            a.georeference(),
+            a.measurements(),
             a.IMU,
             a.options("LensOptions", "cameras of OUTPUT"),
             a.options("ShutterOptions", "rolling shutters"),
@@ -250,7 +250,7 @@ COMMANDS: dict[str, Command] = {
             a.RIG_CONFIG,
             a.options("SolveOptions", "options of every solve", without=("loss", "refine")),
             a.RULES,
-            a.georeference(
+            a.measurements(
                 "Priors of every fit. The report has the errors at check points and at positions.",
                 "--gps exif",
             ),
@@ -298,7 +298,7 @@ COMMANDS: dict[str, Command] = {
             a.options("CovarianceOptions", "what is wanted"),
             a.options("SolveOptions", "what is refined, as in the solve", a.INFORMATION),
             a.RULES,
-            a.georeference(
+            a.measurements(
                 "The priors with which `bundle refine` made INPUT, by the same flags. INPUT is not "
                 "moved.",
                 "--gps exif",
@@ -342,7 +342,7 @@ COMMANDS: dict[str, Command] = {
             a.RIG_CONFIG,
             a.options("SolveOptions", "what would be refined", a.LINEARIZATION),
             a.RULES,
-            a.georeference(
+            a.measurements(
                 "What a refine with the same flags would be given; the model is looked at in "
                 "metres about the middle of the control points, or of the positions where there "
                 "are none.",
@@ -381,10 +381,9 @@ COMMANDS: dict[str, Command] = {
         arguments=lambda a: (
             a.INPUT,
             a.output("-o", "--output", required=True),
-            a.options("GeoreferenceOptions", "ground control points", a.CONTROL_POINTS),
-            a.options("GeoreferenceOptions", "positions of images", a.POSITIONS),
+            a.placing(),
             a.group("another model", a.ALIGNED_TO),
-            a.options("GeoreferenceOptions", "robustness", a.ROBUSTNESS),
+            a.options("GeoreferenceOptions", "robustness", a.ROBUST),
         ),
         ways={Kind.RECONSTRUCTION: Way(main="cli.align:run")},
     ),
@@ -428,7 +427,7 @@ COMMANDS: dict[str, Command] = {
             a.PAGE_OUTPUT,
             a.RIG_CONFIG,
             a.RULES,
-            a.georeference(
+            a.measurements(
                 "The priors with which `bundle refine` made INPUT, by the same flags: standard "
                 "deviations depend on them. INPUT is not moved.",
                 "--gps exif and residuals of the worst images on their photographs",

@@ -34,6 +34,13 @@ from bundle.cli.path_checks import (
     report_path,
 )
 from bundle.errors import InputError
+from bundle.georeference.measurements import (
+    ROBUST,
+    ROWS,
+    Measurement,
+    fields_of,
+    options_class,
+)
 from bundle.interface.option_classes import option_class
 from bundle.interface.options import INFORMATION, LINEARIZATION, PATTERN  # noqa: F401 (in rows)
 from bundle.io.formats.read_options import ORIGINS, ReadOptions
@@ -336,33 +343,31 @@ MOVED = (
     "points, or without them of the positions. "
     f"{GEOREFERENCE} in the folder OUTPUT, or beside the file OUTPUT, describes this frame."
 )
-POSITIONS = ("gps", "images", "gps_sigma", "gps_sigma_scale", "gps_offset", "antenna")
-CONTROL_POINTS = ("gcp", "gcp_sigma", "gcp_pixel_sigma", "check_points")
-ATTITUDES = (
-    *("gravity", "gravity_sigma", "gravity_sigma_scale"),
-    *("orientations", "orientation_sigma", "orientation_sigma_scale"),
-)
-VELOCITIES = ("velocities", "velocity_sigma")
-ROBUSTNESS = ("prior_loss", "prior_loss_scale")
 
 
-def georeference(
+def measurements(
     meaning: str = MOVED,
     images_are_for: str = "--gps exif, --orientations xmp, --velocities xmp and --html",
 ) -> tuple[Declaration, ...]:
-    """Declare flags for positions of images, control points and their loss, with their purpose."""
+    """Declare the flags of all measurements, in the order of their options."""
     images = f"folder of the images, for {images_are_for}"
-    kind = "GeoreferenceOptions"
-    adjusted = "They are adjusted with the model, but not written as its points."
-    turned = "A model without positions is first rotated to fit them."
-    rolling = "They need rolling shutters with free or tied twists, readouts and --frame-rate."
+    kind = options_class()
+    names, groups = kind.names(), dict[str, list[Measurement]]()
+    for row in sorted(ROWS, key=lambda row: names.index(row.source)):
+        groups.setdefault(row.title, []).append(row)
     return (
-        options(kind, "positions of images", POSITIONS, meaning, images=images),
-        options(kind, "ground control points", CONTROL_POINTS, adjusted),
-        options(kind, "gravity, orientations and headings", ATTITUDES, turned),
-        options(kind, "velocities of images", VELOCITIES, rolling),
-        options(kind, "robustness of all of these", ROBUSTNESS),
+        *(
+            options(kind, title, fields_of(*rows), rows[0].meaning or meaning, images=images)
+            for title, rows in groups.items()
+        ),
+        options(kind, "robustness of all of these", ROBUST),
     )
+
+
+def placing() -> tuple[Declaration, ...]:
+    """Declare the flags of measurements that place a model."""
+    rows = [row for row in reversed(ROWS) if row.places]
+    return tuple(options(options_class(), row.title, row.fields) for row in rows)
 
 
 # Single commands

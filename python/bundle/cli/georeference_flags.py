@@ -1,24 +1,27 @@
-"""Priors from the command line: positions, control points, attitudes and velocities."""
+"""Measurements from the command line: their options, and the priors that they give."""
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Collection
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from bundle.cli.carried_georeference import georeference_at
 from bundle.cli.option_flags import flags_of, naming_flags, options_given
 from bundle.errors import InputError, shown
+from bundle.georeference.measurements import (
+    ROWS,
+    Measurements,
+    kinds_given,
+    options_class,
+    readers,
+)
 from bundle.interface.georeference_options import GeoreferenceOptions
+from bundle.interface.option_fields import join
 
 if TYPE_CHECKING:
-    from bundle.georeference.known_priors import KnownPriors
-    from bundle.georeference.survey_priors import GcpPriors, GpsPriors
     from bundle.model.problem import Problem
-
-GEOREFERENCE_FLAGS = {**flags_of(GeoreferenceOptions), "gcps": "--gcp"}
-"""Flags of the arguments of ``gps_priors``, ``gcp_priors`` and :func:`bundle.align`."""
 
 
 def georeference_given(
@@ -28,7 +31,7 @@ def georeference_given(
     page: bool = False,
     only_images: str | None = None,
 ) -> GeoreferenceOptions:
-    """Return the options of positions, control points, attitudes and velocities.
+    """Return the options of all measurements.
 
     Args:
         arguments: parsed command line.
@@ -42,56 +45,49 @@ def georeference_given(
     """
     if page and arguments.images is not None and not Path(arguments.images).is_dir():
         raise InputError(f"--images: there is no folder {shown(arguments.images)}")
-    beside = ("images",) if page else ()
-    given = options_given(arguments, GeoreferenceOptions, beside=beside)
-    if not given.is_given:
+    given = options_given(arguments, options_class(), beside=("images",) if page else ())
+    kinds = kinds_given(given)
+    if not kinds:
         return given
-    sources = {"gps": "exif", "orientations": "xmp", "velocities": "xmp"}
-    read = [f"--{name} {word}" for name, word in sources.items() if getattr(given, name) == word]
+    flags = prior_flags(given)
+    reading = [row for row in kinds if row.from_photographs]
+    read = [row for row in reading if getattr(given, row.source) == row.from_photographs]
     if read and given.images is None:
-        raise InputError(f"{read[0]}: expected --images DIR, too")
+        word = f"{flags[read[0].source]} {read[0].from_photographs}"
+        raise InputError(f"{word}: expected --images DIR, too")
     if given.images is not None and not read and not page:
-        kind = next(f"--{name} {sources[name]}" for name in sources if getattr(given, name))
-        raise InputError(f"--images: valid only with {kind}, found {kind.split()[0]} with a file")
+        flag, word = flags[reading[0].source], reading[0].from_photographs
+        raise InputError(f"--images: valid only with {flag} {word}, found {flag} with a file")
     if arguments.prior_loss_scale is not None and given.prior_loss == "trivial":
         raise InputError("--prior-loss-scale: valid only with a --prior-loss other than trivial")
-    if (
-        given.velocities is not None
-        and not given.has_positions
-        and georeference_at(arguments.input) is None
-    ):
+    placed = any(row.places for row in kinds)
+    for row in kinds:
+        if row.needs_axes and not placed and georeference_at(arguments.input) is None:
+            placing = dict.fromkeys(flags[one.source] for one in ROWS if one.places)
+            places = join([*placing, "a georeference.json beside INPUT"])
+            raise InputError(
+                f"{flags[row.source]}: expected {places}, which say where east, north and up are, "
+                f"found {shown(arguments.input)} without any"
+            )
+    if only_images is not None and placed:
         raise InputError(
-            "--velocities: expected --gps, --gcp or a georeference.json beside INPUT, which say "
-            f"where east, north and up are, found {shown(arguments.input)} without any"
-        )
-    if given.gps_offset != "none" and given.gcp is None:
-        raise InputError("--gps-offset: expected --gcp, too: control points determine the offset")
-    flag = main_flag(given)
-    if only_images is not None and given.has_positions:
-        raise InputError(
-            f"{flag}: not valid with --only-images, which leaves all other images in place"
+            f"{flags['priors']}: not valid with --only-images, which leaves all other images in "
+            "place"
         )
     if "poses" not in refined:
-        raise InputError(f"{flag}: expected poses in --refine, found constant poses")
+        raise InputError(f"{flags['priors']}: expected poses in --refine, found constant poses")
     return given
 
 
-def main_flag(given: GeoreferenceOptions) -> str:
-    """Return the flag for errors about all priors."""
-    flags = {
-        "--gcp": given.gcp,
-        "--gps": given.gps,
-        "--gravity": given.gravity,
-        "--orientations": given.orientations,
-        "--velocities": given.velocities,
-    }
-    return next((flag for flag, value in flags.items() if value is not None), "--gps")
+def prior_flags(given: GeoreferenceOptions) -> dict[str, str]:
+    """Return the flags of measurements by the names of arguments; "priors" is about all of them."""
+    flags, kinds = flags_of(type(given)), kinds_given(given)
+    main = next((row for row in reversed(kinds) if row.places), kinds[0] if kinds else ROWS[0])
+    return {**flags, "gcps": flags["gcp"], "priors": flags[main.source]}
 
 
-def priors_of(
-    given: GeoreferenceOptions, problem: Problem, *, kept: str = ""
-) -> KnownPriors | None:
-    """Return the priors of images and control points; None without any.
+def priors_of(given: GeoreferenceOptions, problem: Problem, *, kept: str = "") -> Measurements:
+    """Return the priors that options give for a problem.
 
     Args:
         given: options of the command line.
@@ -102,78 +98,11 @@ def priors_of(
         InputError: a file or a flag is wrong; the message names the flag.
         OSError: a file cannot be read.
     """
-    if not given.is_given:
-        return None
-    from bundle.georeference.known_priors import KnownPriors  # most runs have no priors
-
-    survey = attitudes = velocities = None
-    with naming_flags(**GEOREFERENCE_FLAGS):
-        if given.has_positions:
-            survey = _survey(given, problem)
-        if given.has_attitudes:
-            from bundle.georeference.attitudes import read_attitudes
-
-            attitudes = read_attitudes(problem, **_settings(given, _OF_ATTITUDES)).scaled(
-                given.gravity_sigma_scale, given.orientation_sigma_scale
-            )
-            if kept:
-                attitudes.check_upright(problem, kept)
-    if given.velocities is not None:
-        from bundle.georeference.velocities import read_velocities
-
-        settings = _settings(given, _OF_VELOCITIES)
-        if "antenna" in settings:
-            settings["antenna"] = given.lever_arm
-        with naming_flags(**{**GEOREFERENCE_FLAGS, "priors": "--velocities"}):
-            velocities = read_velocities(problem, **settings)
-    return KnownPriors(survey, attitudes, velocities)
-
-
-def _survey(given: GeoreferenceOptions, problem: Problem) -> GcpPriors | GpsPriors:
-    """Return the priors of positions and control points."""
-    # Only geographic coordinates need pyproj.
-    from bundle.georeference.survey_priors import gcp_priors, gps_priors
-
-    settings = settings_of(given, problem)
-    if given.gps != "exif":  # the folder is for the report page
-        settings.pop("images", None)
-    if given.gcp is None:
-        return gps_priors(problem, **settings)
-    return gcp_priors(problem, **settings)
-
-
-_SCALES = {"gps_sigma_scale", "gravity_sigma_scale", "orientation_sigma_scale"}
-_ONLY_ATTITUDES = {"gravity", "gravity_sigma", "orientations", "orientation_sigma"}
-_SHARED = {"images", "prior_loss", "prior_loss_scale"}
-_OF_ATTITUDES = {*_ONLY_ATTITUDES, *_SHARED}
-_ONLY_VELOCITIES = {"velocities", "velocity_sigma"}
-_OF_VELOCITIES = {*_ONLY_VELOCITIES, *_SHARED, "antenna"}
-
-
-def _settings(given: GeoreferenceOptions, names: Collection[str]) -> dict[str, Any]:
-    return {name: value for name, value in given.changed().items() if name in names}
-
-
-def settings_of(given: GeoreferenceOptions, problem: Problem) -> dict[str, Any]:
-    """Return non-default arguments of ``gps_priors``, ``gcp_priors`` and ``align``.
-
-    Positions with scaled standard deviations are read here.
-
-    Raises:
-        InputError: the antenna position is invalid.
-    """
-    names = set(given.names()) - _ONLY_ATTITUDES - _ONLY_VELOCITIES - _SCALES
-    settings = _settings(given, names)
-    if given.changed().keys() & {"gps_sigma_scale"}:
-        from bundle.georeference.given_positions import scaled_gps  # few runs have a scale
-
-        images = settings.pop("images", None) if given.gps == "exif" else None
-        scales = given.gps_sigma, given.gps_sigma_scale
-        settings["gps"] = scaled_gps(given.gps, images, problem, *scales)
-    if "antenna" in settings:
-        settings["antenna"] = given.lever_arm
-    if "gcp" in settings:
-        settings["gcps"] = settings.pop("gcp")
-    if "check_points" in settings:
-        settings["check_points"] = given.check_point_names
-    return settings
+    flags, found = prior_flags(given), []
+    with naming_flags(**flags):
+        for source, read in readers(given):
+            with naming_flags(**{**flags, "priors": flags[source]}):
+                found.append(read(problem))
+                if kept:
+                    found[-1].check_kept(problem, kept)
+    return Measurements(tuple(found))

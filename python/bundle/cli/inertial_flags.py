@@ -20,12 +20,12 @@ from bundle.errors import InputError
 from bundle.interface.window_options import TrackingOptions
 
 if TYPE_CHECKING:
+    from bundle.georeference.measurements import Prior
     from bundle.inertial.offline.inertial_result import InertialAdjustment
     from bundle.interface.options import SolveOptions
     from bundle.interface.round_options import RoundOptions
     from bundle.interface.solve_record import Progress
     from bundle.model.problem import Problem
-    from bundle.solving.placed_problem import Prior
 
 ELSEWHERE = (
     *("only_images", "hold_out", "checkpoint", "resume", "loops", "rules", "constraints"),

@@ -8,18 +8,19 @@ from __future__ import annotations
 
 import argparse
 
+from bundle.georeference.measurements import ROWS
+
 DROPPED = ("output", "json", "html", "quiet", "verbose", "check_gradients")
 """Arguments about the files and the output of a run, which do not affect the model."""
 CHECKPOINTS = {"resume": "--checkpoint"}
 """A checkpoint belongs to the options of its run: the next run begins it anew."""
-READING_IMAGES = {"gps": "exif", "orientations": "xmp", "velocities": "xmp"}
-"""Arguments whose value reads the folder of photographs, which otherwise only pages need."""
 
 
 def repeated_flags(arguments: argparse.Namespace) -> tuple[str, ...]:
     """Return the flags of a run with their values, without those about its output."""
     reads_images = any(
-        getattr(arguments, name, None) == word for name, word in READING_IMAGES.items()
+        row.from_photographs and getattr(arguments, row.source, None) == row.from_photographs
+        for row in ROWS
     )
     dropped = DROPPED if reads_images else (*DROPPED, "images")
     words: dict[int | str, tuple[str, ...]] = {}

@@ -14,10 +14,7 @@ from bundle.cli.carried_georeference import (
     write_georeference,
 )
 from bundle.cli.error_lines import EXIT_DONE, EXIT_NO_SOLUTION
-from bundle.cli.georeference_flags import (
-    GEOREFERENCE_FLAGS,
-    main_flag,
-)
+from bundle.cli.georeference_flags import prior_flags
 from bundle.cli.inertial_flags import adjusted_with_imu
 from bundle.cli.on_disk import on_disk, with_disk_use
 from bundle.cli.option_flags import naming_flags
@@ -28,6 +25,7 @@ from bundle.cli.refine_outcome import judge, readout_sigmas, write_page
 from bundle.cli.refinement import Refinement
 from bundle.cli.standard_streams import complain
 from bundle.errors import InputError, shown
+from bundle.georeference.measurements import place_of
 from bundle.interface.judging_options import HoldOutOptions
 from bundle.interface.options import SolveOptions
 from bundle.interface.pose_graph_options import LoopOptions
@@ -40,7 +38,9 @@ from bundle.solving.request import PartRequest, RunPlan, SolveRequest
 from bundle.solving.rounds import solve_rounds
 
 if TYPE_CHECKING:
-    from bundle.georeference.georeferenced import Georeference
+    from collections.abc import Sequence
+
+    from bundle.georeference.measurements import MeasurementErrors
     from bundle.graphs.loops.loop_closing import LoopClosing
     from bundle.inertial.offline.inertial_result import InertialAdjustment
     from bundle.solving.result import Result
@@ -62,18 +62,15 @@ def run(arguments: argparse.Namespace) -> int:
         result = _solve(asked, opened, closed, progress) if inertial is None else inertial.result
         solved = _with_edits(result, asked, opened, closed)
         waiting = waiting_since(before)
-        known = opened.known
-        georeference = None if known is None else known.georeference(solved)
-        attitudes = () if known is None else known.attitude_errors(solved)
-        velocities = None if known is None else known.velocity_errors(solved)
+        measured = opened.known.errors(solved)
         begun = perf_counter()
-        written, lost = _write(opened, solved, georeference, progress)
+        written, lost = _write(opened, solved, measured, progress)
         save_time = perf_counter() - begun
         statistics_time = _measure(opened, solved, progress)
         findings = judge(asked, opened, solved, inertial)
         if asked.page is not None:
             progress.stage(f"writing {shown(asked.page)}")
-            write_page(asked, asked.page, opened, solved, georeference, findings)
+            write_page(asked, asked.page, opened, solved, measured, findings)
     wall = WallTime(
         load=opened.load_time,
         build=solved.build_time_in_seconds,
@@ -86,8 +83,7 @@ def run(arguments: argparse.Namespace) -> int:
     sigmas = readout_sigmas(asked, opened, closed, solved)
     beside = asked.options_beside()
     report = refinement(
-        *told, lost, beside, georeference, opened.edits, closed, findings, waiting,
-        attitudes, inertial, sigmas, velocities,
+        *told, lost, beside, opened.edits, closed, findings, waiting, measured, inertial, sigmas,
     )  # fmt: skip
     publish(with_disk_use(report, asked), asked)
     if solved.summary.is_solution_usable and not solved.summary.interrupted:
@@ -108,10 +104,9 @@ def _solve(
 ) -> Result:
     """Refine the problem with its priors, rules and loops, in rounds if requested."""
     progress.stage("building the problem")
-    flags = {**GEOREFERENCE_FLAGS, "priors": main_flag(asked.georeference)}
-    known, checkpoints = opened.known, asked.checkpoints.asdict()
+    checkpoints = asked.checkpoints.asdict()
     classes = (SolveOptions, RoundOptions, LocalOptions, CheckpointOptions, HoldOutOptions)
-    with naming_flags(*classes, **flags):
+    with naming_flags(*classes, **prior_flags(asked.georeference)):
         if opened.sliced is not None:
             return opened.sliced.solve(opened.options, progress.iteration, **checkpoints)
         plan = RunPlan(rounds=asked.rounds, held_out=asked.held_out, **checkpoints)
@@ -119,7 +114,7 @@ def _solve(
             problem=opened.problem if closed is None else closed.problem,
             options=opened.options,
             factors=() if closed is None else closed.factors,
-            priors=() if known is None else known.priors,
+            priors=opened.known.priors,
             align=opened.align,
             constraints=asked.constraints,
             part=PartRequest.of(asked.local.only_images, asked.local.rest),
@@ -136,11 +131,9 @@ def _adjusted_with_imu(
     if opened.place is not None:
         raise InputError("--imu: expected a model without georeference.json, which it would move")
     progress.stage("adjusting with the IMU")
-    priors = () if opened.known is None else opened.known.priors
-    flags = {**GEOREFERENCE_FLAGS, "priors": main_flag(asked.georeference)}
-    with naming_flags(SolveOptions, RoundOptions, **flags):
+    with naming_flags(SolveOptions, RoundOptions, **prior_flags(asked.georeference)):
         return adjusted_with_imu(
-            asked.inertial, opened.problem, opened.options, priors, asked.rounds,
+            asked.inertial, opened.problem, opened.options, opened.known.priors, asked.rounds,
             progress.iteration,
         )  # fmt: skip
 
@@ -163,24 +156,24 @@ def _with_edits(
 
 
 def _write(
-    opened: Opened, solved: Result, georeference: Georeference | None, progress: Progress
+    opened: Opened, solved: Result, measured: Sequence[MeasurementErrors], progress: Progress
 ) -> tuple[dict[str, str] | None, tuple[str, ...]]:
     """Write a usable result; return its path and format, and the data that the format loses."""
     if not (solved.summary.is_solution_usable or solved.summary.interrupted):
         return None, ()
-    target = opened.output["path"]
+    target, place = opened.output["path"], place_of(measured)
     progress.stage(f"writing {shown(target)}")
     if opened.sliced is None:
         refined = solved.problem
-        if georeference is not None:
-            from bundle.georeference.opensfm_frame import with_origin  # late: needs the room
+        if place is not None:
+            from bundle.georeference.opensfm_frame import with_origin  # few runs have a place
 
-            refined = with_origin(refined, georeference.origin)
+            refined = with_origin(refined, place.origin)
         lost = save(refined, **opened.output, progress=progress.text)
     else:
         lost = opened.sliced.save(Path(target))
-    if georeference is not None:
-        write_georeference(georeference, **opened.output)
+    if place is not None:
+        write_georeference(place, **opened.output)
     else:
         carry_georeference(opened.place, **opened.output, changed=STAYED)
     return opened.output, lost

@@ -14,13 +14,13 @@ from bundle.cli.output import Progress, check_replaced, same_images
 from bundle.cli.problem_edits import cameras_edited, with_rigs, with_shutters
 from bundle.cli.refinement import Refinement
 from bundle.errors import shown
+from bundle.georeference.measurements import Measurements, kinds_given
 from bundle.interface.options import SolveOptions
 from bundle.io.open import check_target, load, output_format
 from bundle.model.unobserved import require_observations, require_tracks
 
 if TYPE_CHECKING:
     from bundle.editing.edit_record import CameraEdits
-    from bundle.georeference.known_priors import KnownPriors
     from bundle.model.problem import Problem
     from bundle.solving.slices.sliced_refinement import SlicedRefinement
 
@@ -35,7 +35,7 @@ class Opened:
         edits: changes of its cameras; None without any.
         options: options of the solve, images by id.
         output: path and format of OUTPUT.
-        known: priors of positions, control points, attitudes and velocities, or None.
+        known: priors of all measurements.
         align: True to move the problem to its priors.
         place: content of the georeference.json next to INPUT, or None.
         sliced: refinement by processes that read one slice each; None: one process reads all.
@@ -47,7 +47,7 @@ class Opened:
     edits: CameraEdits | None
     options: SolveOptions
     output: dict[str, str]
-    known: KnownPriors | None
+    known: Measurements
     align: bool | None
     place: dict[str, Any] | None
     sliced: SlicedRefinement | None
@@ -73,21 +73,16 @@ def open_input(asked: Refinement, progress: Progress) -> Opened:
     options = with_named_images(options, asked.fixed_images, problem)
     output = _checked_output(asked, problem, options)
     given = asked.georeference
-    for what, path in (
-        ("control points", given.gcp),
-        ("positions", given.gps),
-        ("gravity", given.gravity),
-        ("orientations", given.orientations),
-        ("velocities", given.velocities),
-    ):
-        if path is not None:
-            if given.has_positions:
-                check_georeference(**output)
-            progress.stage(f"reading {what}: {shown(path)}")
+    kinds = kinds_given(given)
     place = georeference_at(source)
     kept = _kept_world(asked, place)
+    if any(row.places for row in kinds):
+        kept = ""
+        check_georeference(**output)
+    for row in kinds:
+        progress.stage(f"reading {row.noun}: {shown(getattr(given, row.source))}")
     known = priors_of(given, problem, kept=kept)
-    if sliced is None and known is None and not asked.rules.changed():
+    if sliced is None and not kinds and not asked.rules.changed():
         require_tracks(problem, shown(source), options)
     if place is not None:
         check_georeference(**output)
@@ -98,7 +93,7 @@ def open_input(asked: Refinement, progress: Progress) -> Opened:
         options=options,
         output=output,
         known=known,
-        align=None if known is None or kept else True,
+        align=True if not kept and any(row.moves for row in kinds) else None,
         place=place,
         sliced=sliced,
         load_time=load_time,
@@ -113,9 +108,7 @@ def _may_move_images(asked: Refinement) -> bool:
 
 
 def _kept_world(asked: Refinement, place: dict[str, Any] | None) -> str:
-    """Return the reason for which attitudes must not turn the world; "" if they may."""
-    if asked.georeference.has_positions:
-        return ""
+    """Return the reason for which measurements must not move the model; "" if they may."""
     if asked.local.only_images is not None:
         return "with --only-images"
     return "because INPUT has a georeference.json" if place is not None else ""

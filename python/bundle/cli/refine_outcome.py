@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from bundle.analysis.statistics.suspicions import broken_parts
 from bundle.base.words import plural
+from bundle.georeference.measurements import place_of
 from bundle.interface.finding import Finding, one_list
 from bundle.judging.findings.find import find
 from bundle.judging.findings.measured import Measured
@@ -19,7 +20,7 @@ from bundle.judging.findings.positions import positions_of_start
 if TYPE_CHECKING:
     from bundle.cli.refine_input import Opened
     from bundle.cli.refinement import Refinement
-    from bundle.georeference.georeferenced import Georeference
+    from bundle.georeference.measurements import MeasurementErrors
     from bundle.graphs.loops.loop_closing import LoopClosing
     from bundle.inertial.offline.inertial_result import InertialAdjustment
     from bundle.solving.result import Result
@@ -53,7 +54,7 @@ def judge(
         return one_list(shift, about_imu, broken_parts(solved.problem))
     if opened.sliced is not None:
         return about_imu
-    priors: tuple[Any, ...] = () if opened.known is None else opened.known.priors
+    priors = opened.known.priors
     if not solved.summary.is_solution_usable:
         start = Measured(
             whole=solved.initial_problem, command=command, options=solved.options, priors=priors
@@ -122,7 +123,7 @@ def readout_sigmas(
         of="intrinsics",
         scale="sigma0",
         factors=() if closed is None else closed.factors,
-        priors=() if opened.known is None else opened.known.priors,
+        priors=opened.known.priors,
         constraints=asked.constraints,
     ).readout_sigmas
 
@@ -132,7 +133,7 @@ def write_page(
     page: str,
     opened: Opened,
     solved: Result,
-    georeference: Georeference | None,
+    measured: Sequence[MeasurementErrors],
     findings: Sequence[Finding],
 ) -> None:
     """Write the report page; most runs do not need its imports."""
@@ -142,9 +143,10 @@ def write_page(
         solved,
         page,
         images=asked.georeference.images,
-        priors=() if opened.known is None else opened.known.priors,
+        priors=opened.known.priors,
         constraints=asked.constraints,
-        georeference=georeference,
+        georeference=place_of(measured),
+        measured=measured,
         findings=findings,
         name=asked.source,
     )

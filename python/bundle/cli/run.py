@@ -35,9 +35,9 @@ from bundle.io.recognition import Kind, recognize
 from bundle.reports.sections import Report, several
 
 if TYPE_CHECKING:
+    from bundle.georeference.measurements import Prior
     from bundle.interface.georeference_options import GeoreferenceOptions
     from bundle.solving.constraints.rule_list import Constraints
-    from bundle.solving.placed_problem import Prior
 
 AnyOptions = TypeVar("AnyOptions", bound=Options)
 
@@ -89,9 +89,9 @@ class Run:
         options: options of the call, or None.
         rules: rules as given.
         constraints: the parsed rules.
-        georeference: options of positions and control points; None: the command has none.
+        georeference: options of measurements; None: the command has none.
         input: INPUT once it is opened.
-        priors: priors of positions, control points, attitudes and velocities.
+        priors: priors of all measurements.
         found: result of the call.
         findings: findings about INPUT.
         code: exit code.
@@ -191,8 +191,7 @@ class Run:
         if self.georeference is not None:
             from bundle.cli.georeference_flags import priors_of
 
-            known = priors_of(self.georeference, self.input)
-            self.priors = () if known is None else known.priors
+            self.priors = priors_of(self.georeference, self.input).priors
 
     # Call
 
@@ -218,9 +217,9 @@ class Run:
             flags |= flags_of(type(self.options))
         flags |= self.arguments.flags
         if self.georeference is not None:
-            from bundle.cli.georeference_flags import GEOREFERENCE_FLAGS, main_flag
+            from bundle.cli.georeference_flags import prior_flags
 
-            flags |= {**GEOREFERENCE_FLAGS, "priors": main_flag(self.georeference)}
+            flags |= prior_flags(self.georeference)
         with naming_flags(**flags):
             yield
 

@@ -1,44 +1,42 @@
 """Georeferencing: coordinates on the earth, measured positions, and alignment to them."""
 
-from bundle.georeference.alignment import align
-from bundle.georeference.alignment_result import Alignment, ControlPointError, ImageError
-from bundle.georeference.attitudes import AttitudeErrors, Attitudes, read_attitudes
-from bundle.georeference.control_point import GroundControlPoint, Measurement
-from bundle.georeference.exif_gps import read_exif_gps
-from bundle.georeference.gcp_list import read_gcp_list
-from bundle.georeference.georeferenced import Georeference
-from bundle.georeference.gps_positions import GpsPositions, read_geo_file
-from bundle.georeference.local_frame import LocalFrame
-from bundle.georeference.reference_system import ReferenceSystem
-from bundle.georeference.similarity import Similarity
-from bundle.georeference.survey_priors import GcpPriors, GpsPriors, gcp_priors, gps_priors
-from bundle.georeference.vector_priors import PositionPrior, VelocityPrior
-from bundle.georeference.velocities import Velocities, read_velocities
+from __future__ import annotations
 
-__all__ = [
-    "Alignment",
-    "AttitudeErrors",
-    "Attitudes",
-    "ControlPointError",
-    "GcpPriors",
-    "Georeference",
-    "GpsPositions",
-    "GpsPriors",
-    "GroundControlPoint",
-    "ImageError",
-    "LocalFrame",
-    "Measurement",
-    "PositionPrior",
-    "ReferenceSystem",
-    "Similarity",
-    "Velocities",
-    "VelocityPrior",
-    "align",
-    "gcp_priors",
-    "gps_priors",
-    "read_attitudes",
-    "read_exif_gps",
-    "read_gcp_list",
-    "read_geo_file",
-    "read_velocities",
-]
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from typing import Any
+
+_DEFERRED = {
+    "alignment": "align",
+    "alignment_result": "Alignment ControlPointError ImageError",
+    "attitudes": "AttitudeErrors Attitudes read_attitudes",
+    "control_point": "GroundControlPoint Measurement",
+    "exif_gps": "read_exif_gps",
+    "gcp_list": "read_gcp_list",
+    "georeferenced": "Georeference",
+    "gps_positions": "GpsPositions read_geo_file",
+    "local_frame": "LocalFrame",
+    "reference_system": "ReferenceSystem",
+    "similarity": "Similarity",
+    "survey_priors": "GcpPriors GpsPriors gcp_priors gps_priors",
+    "vector_priors": "PositionPrior VelocityPrior",
+    "velocities": "Velocities read_velocities",
+}
+"""Modules with their public names, imported on first use, as in ``bundle/__init__.py``."""
+_MODULE_OF = {name: module for module, names in _DEFERRED.items() for name in names.split()}
+
+__all__ = sorted(_MODULE_OF)  # noqa: PLE0605 (the stub has a list)
+
+
+def __getattr__(name: str) -> Any:
+    import importlib
+
+    if name not in _MODULE_OF:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(importlib.import_module(f"{__name__}.{_MODULE_OF[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -11,12 +11,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.display import Display
 from bundle.base.records import dataclass
 from bundle.base.words import plural
 from bundle.errors import InputError, brief, shown
 from bundle.georeference.attitude_files import read_gravity, read_orientations
 from bundle.georeference.attitude_priors import AttitudePrior, GravityPrior
+from bundle.georeference.georeferenced import Solved
 from bundle.georeference.image_index import ImageFinder
+from bundle.georeference.measurements import KnownPriors, MeasurementErrors
 from bundle.georeference.problem_attitudes import (
     MEDIAN,
     TUKEY,
@@ -39,6 +42,10 @@ from bundle.model.rigid_motions import rotation_matrices
 Array = NDArray[np.float64]
 
 MOST_NAMED = 3
+MOST_IMAGES = 5
+"""Number of listed images that disagree."""
+KEYS = {"gravity": "gravity", "orientation": "orientations", "heading": "headings"}
+"""Entries of the JSON report, by the noun of the measurements."""
 FALSE_ALARM = 1e-3
 """Probability that any of n good measurements counts as wrong."""
 FEWEST = 5
@@ -269,7 +276,54 @@ def _largest(size: int, count: int) -> float:
 
 
 @dataclass(frozen=True)
-class Attitudes:
+class ErrorsOfAttitudes(MeasurementErrors):
+    """Residuals of all attitude priors in a result, by kind."""
+
+    kinds: tuple[AttitudeErrors, ...]
+
+    @property
+    def entries(self) -> dict[str, Any]:
+        """Entries of the JSON report."""
+        return {KEYS[errors.noun]: errors.asdict() for errors in self.kinds}
+
+    @property
+    def sentences(self) -> list[str]:
+        """Accuracy of the model in words, by kind."""
+        return [errors.sentence for errors in self.kinds]
+
+    @property
+    def displays(self) -> tuple[Display, ...]:
+        """Residuals by kind, and the images whose measurement contradicts the others."""
+        rows = tuple(
+            (
+                errors.noun,
+                str(len(errors.images)),
+                f"{errors.median:.3g}",
+                f"{errors.rms_sigmas:.2f}",
+                f"{errors.off:.2g}",
+                str(len(errors.suspects)),
+            )
+            for errors in self.kinds
+        )
+        numbers = ("median [degrees]", "rms [sigmas]", "mean off by [degrees]", "disagree")
+        wrong = (
+            Display(
+                title=f"{errors.noun.capitalize()} against most others",
+                head=(f"{errors.noun} against most others", "degrees", "sigmas"),
+                rows=tuple(
+                    (shown(image.image), f"{image.degrees:.1f}", f"{image.sigmas:.1f}")
+                    for image in errors.suspects
+                ),
+                most=MOST_IMAGES,
+            )
+            for errors in self.kinds
+            if errors.suspects
+        )
+        return (Display(title="Attitudes", head=("", "images", *numbers), rows=rows), *wrong)
+
+
+@dataclass(frozen=True)
+class Attitudes(KnownPriors):
     """Attitude priors that were read for a problem.
 
     Attributes:
@@ -308,7 +362,11 @@ class Attitudes:
             problem = moved(problem, similarity)
         return tuple(AttitudeErrors.of(group, problem, free) for group in known.groups)
 
-    def check_upright(self, problem: Problem, reason: str) -> None:
+    def errors_of(self, result: Solved) -> ErrorsOfAttitudes:
+        """Return the residuals in a result, judged without the pull of the priors."""
+        return ErrorsOfAttitudes(self.errors(result.problem, free=result.without_attitudes))
+
+    def check_kept(self, problem: Problem, reason: str) -> None:
         """Refuse a model that its attitudes contradict and that cannot be turned.
 
         Raises:
@@ -377,6 +435,18 @@ def read_attitudes(
         change: dict[str, Any] = {"loss": loss, "loss_scale": scale}
         priors = [dataclasses.replace(prior, **change) for prior in priors]
     return Attitudes(tuple(priors), notes)
+
+
+def attitudes_given(
+    problem: Problem,
+    *,
+    gravity_sigma_scale: float = 1.0,
+    orientation_sigma_scale: float = 1.0,
+    **options: Any,
+) -> Attitudes:
+    """Return the attitudes that options of a command give."""
+    known = read_attitudes(problem, **options)
+    return known.scaled(gravity_sigma_scale, orientation_sigma_scale)
 
 
 def _sigmas(given: str | tuple[float, float]) -> tuple[float, float]:

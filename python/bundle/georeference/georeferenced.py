@@ -8,9 +8,17 @@ import numpy as np
 
 from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
-from bundle.base.words import plural
-from bundle.georeference.alignment_result import ControlPointError, metres, root_mean_square
+from bundle.base.words import number, plural
+from bundle.errors import shown
+from bundle.georeference.alignment_result import (
+    ControlPointError,
+    metres,
+    point_errors,
+    root_mean_square,
+    suspicions,
+)
 from bundle.georeference.local_frame import LocalFrame
+from bundle.georeference.measurements import MeasurementErrors
 from bundle.georeference.point_check import OffsetCheck, SurveyChecks
 from bundle.georeference.similarity import Similarity
 from bundle.model.problem import Problem
@@ -19,6 +27,9 @@ SAME_BASELINE = 1e-3
 """Relative change of a rig's baseline below which no note is given."""
 LARGE = 3.0
 """Length of a residual in sigmas that 3 % of good positions exceed."""
+MOST_IMAGES = 5
+"""Number of listed images with large residuals."""
+NOUNS = {"gps": "position", "control": "control point", "check": "check point"}
 
 
 class Solved(Protocol):
@@ -64,7 +75,7 @@ class PositionError:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Georeference(Displayed):
+class Georeference(MeasurementErrors, Displayed):
     """Georeference of a refined model, and the residuals of its positions.
 
     Attributes:
@@ -86,6 +97,8 @@ class Georeference(Displayed):
     notes: tuple[str, ...]
     control_points: tuple[ControlPointError, ...] = ()
     offset: OffsetCheck | None = None
+
+    is_place = True
 
     @property
     def rms(self) -> tuple[float, float, float]:
@@ -115,6 +128,86 @@ class Georeference(Displayed):
         """Images whose residual exceeds three sigmas, the largest first."""
         large = [image for image in self.images if image.used and image.sigmas > LARGE]
         return tuple(sorted(large, key=lambda image: -image.sigmas))
+
+    @property
+    def entries(self) -> dict[str, Any]:
+        """Entries of the JSON report."""
+        return {"georeference": self.asdict()}
+
+    @property
+    def sentences(self) -> list[str]:
+        """Errors of positions, control points and check points, and an estimated offset."""
+        said = []
+        for kind, noun in NOUNS.items():
+            rms = self.rms_of(kind)
+            if not np.isnan(rms[0]):
+                said.append(f"{noun}s {' / '.join(map(_plain, rms))}")
+        errors = [f"RMS east / north / up [m]: {'; '.join(said)}."] if said else []
+        return [*errors, *self._offset_sentences()]
+
+    def _offset_sentences(self) -> list[str]:
+        """Return the estimated offset of the positions in a sentence; a finding names others."""
+        offset = self.offset
+        if offset is None or not offset.is_estimated:
+            return []
+        _, focal, sigma = offset.focal_lengths
+        said = f"{offset.sentence}, estimated."
+        if not offset.is_significant:
+            return [f"{said} It is not significant (p = {offset.p:.2g}): leave out --gps-offset."]
+        if not sigma > 0:
+            return [said]
+        return [
+            f"{said} Only relief separates it from the focal length, {focal:.1f} +- {sigma:.2g} "
+            "px: add oblique images or calibrate the focal length."
+        ]
+
+    @property
+    def warnings(self) -> list[str]:
+        """Positions and control points that are probably wrong, then notes."""
+        suspects, offset = self.suspects, self.offset
+        said = []
+        if suspects and (offset is None or offset.is_estimated or not offset.is_significant):
+            worst = max(suspects, key=lambda image: image.sigmas)
+            said.append(
+                f"{plural(len(suspects), 'position')} off by over 3 sigmas, {shown(worst.name)} by "
+                f"{worst.sigmas:.1f}."
+            )
+        return [*said, *suspicions(self.control_points), *self.notes]
+
+    @property
+    def displays(self) -> tuple[Display, ...]:
+        """Place of the model, its errors, and the images with large errors."""
+        rows = []
+        if self.images:
+            used = sum(image.used for image in self.images)
+            rows.append(("positions", f"{used} of {plural(len(self.images), 'image')} used"))
+        points = self.control_points
+        if points:
+            controls = sum(point.role == "control" for point in points)
+            checks = plural(sum(point.role == "check" for point in points), "check point")
+            rows.append(("control points", f"{controls} of {len(points)} used, {checks}"))
+        read = self.reference_system
+        frame = f"metres east, north, up; read in {shown(read)}" if read else "metres, as given"
+        rows.append(("coordinates", frame))
+        if (at := self.origin) is not None:
+            place = f"latitude {at.latitude:.8f}, longitude {at.longitude:.8f}"
+            rows.append(("origin", f"{place}, height {at.height:.3f} m"))
+        rows.append(("scale", f"{number(self.similarity.scale)} m per length unit of the input"))
+        for kind, title in (("control", "rms control"), ("check", "rms check"), ("gps", "rms")):
+            east, north, up = self.rms_of(kind)
+            if not np.isnan(east):
+                rows.append((title, f"{east:.4f} m east, {north:.4f} m north, {_plain(up)} m up"))
+        cells = tuple(
+            (shown(image.name), *map(metres, image.residual), f"{image.sigmas:.1f}")
+            for image in self.suspects
+        )
+        head = ("position off by over 3 sigmas", "east [m]", "north [m]", "up [m]", "sigmas")
+        suspects = Display(title="Positions", head=head, rows=cells, most=MOST_IMAGES)
+        return (
+            Display(title="Place", facts=tuple(rows)),
+            *([suspects] if cells else []),
+            *point_errors(points, adjusted=True),
+        )
 
     def asdict(self) -> dict[str, Any]:
         """Return the content of ``georeference.json``.
@@ -167,6 +260,10 @@ class Georeference(Displayed):
         return Display(
             title="Georeference", facts=tuple(facts), head=head if rows else (), rows=rows
         )
+
+
+def _plain(value: float) -> str:
+    return "-" if np.isnan(value) else f"{value:.4f}"
 
 
 def origin_text(origin: LocalFrame) -> str:

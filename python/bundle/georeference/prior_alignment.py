@@ -11,7 +11,7 @@ from __future__ import annotations
 import cmath
 import dataclasses
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -21,11 +21,13 @@ from bundle.base.records import dataclass
 from bundle.errors import InputError, brief
 from bundle.georeference.consensus import agreeing
 from bundle.georeference.image_index import rows_of_images
+from bundle.georeference.measurements import FoundPriors
 from bundle.georeference.position_offset import PositionOffset
 from bundle.georeference.similarity import Similarity, moved
 from bundle.georeference.similarity_fit import WIDEST_ANGLE, Correspondences, fit_similarity
+from bundle.georeference.target_priors import TargetPriors
 from bundle.georeference.vector_priors import PositionPrior
-from bundle.graphs.factors.factors import PositionFactor
+from bundle.graphs.factors.factors import Factor, PositionFactor
 from bundle.graphs.factors.variables import as_list
 from bundle.interface.georeference_options import ROBUST_SCALE
 from bundle.model.problem import Problem
@@ -33,23 +35,26 @@ from bundle.model.rigid_motions import rotation_matrices
 
 Array = NDArray[np.float64]
 
+FEWEST = 3
 NOT_COUNTING = 1e50
 """Standard deviation beyond which a coordinate counts as unknown."""
 
 
 @dataclass(frozen=True)
-class ProblemPriors:
+class ProblemPriors(FoundPriors):
     """Priors of image positions, and their images in a problem.
 
     Attributes:
         priors: priors in the order given.
         rows: (n,) index of each prior's image.
         image_ids: n ids of these images.
+        offset: offset that some have in common; None without.
     """
 
     priors: tuple[PositionPrior, ...]
     rows: NDArray[np.int64]
     image_ids: tuple[int, ...]
+    offset: PositionOffset | None = None
 
     @staticmethod
     def make(problem: Problem, priors: Iterable[PositionPrior]) -> ProblemPriors:
@@ -61,24 +66,51 @@ class ProblemPriors:
         """
         given = _listed(priors)
         found_rows = rows_of_images(problem, given)
-        return ProblemPriors(given, found_rows, tuple(problem.image_ids[found_rows].tolist()))
+        ids = tuple(problem.image_ids[found_rows].tolist())
+        asked = {prior.offset for prior in given} - {"none"}
+        axes = "all" if "all" in asked else "up"
+        offset = PositionOffset.beside(problem, axes) if asked else None
+        return ProblemPriors(given, found_rows, ids, offset)
 
-    def offset_beside(self, problem: Problem) -> PositionOffset | None:
-        """Return the offset that priors have in common; None without such priors."""
-        asked = {prior.offset for prior in self.priors} - {"none"}
-        if not asked:
-            return None
-        return PositionOffset.beside(problem, "all" if "all" in asked else "up")
-
-    def factors(self, offset: PositionOffset | None = None) -> list[PositionFactor]:
+    def factors(self, problem: Problem) -> list[PositionFactor]:  # noqa: ARG002
         """Return a factor for each prior, in order."""
         factors = []
         for prior, image_id in zip(self.priors, self.image_ids, strict=True):
             factor = prior.factor(image_id)
-            if offset is not None and prior.offset != "none":
-                factor = offset.of(factor, prior.offset)
+            if self.offset is not None and prior.offset != "none":
+                factor = self.offset.of(factor, prior.offset)
             factors.append(factor)
         return factors
+
+    def last_factors(self) -> list[Factor]:
+        """Return the factors that hold what the offset leaves open."""
+        return [] if self.offset is None else self.offset.factors()
+
+    def added_to(self, problem: Problem, moved: Similarity | None) -> Problem:  # noqa: ARG002
+        """Return the problem with the pose of the offset, if there is one."""
+        if self.offset is None:
+            return problem
+        return self.offset.added_to(problem, self.typical_offset(problem))
+
+    def taken_from(self, problem: Problem) -> Problem:
+        """Return a solved or filtered problem without the pose of the offset."""
+        return problem if self.offset is None else self.offset.taken_from(problem)
+
+    def check(self, problem: Problem, groups: Sequence[FoundPriors]) -> None:  # noqa: ARG002
+        """Raise an InputError if nothing determines the offset of positions."""
+        if self.offset is None or any(prior.offset == "none" for prior in self.priors):
+            return  # other positions determine it
+        used = [one for group in groups if isinstance(group, TargetPriors) for one in group.used]
+        if not used:
+            raise InputError(
+                "gps_offset: expected control points in the model, which determine the offset of "
+                "the positions, found 0"
+            )
+        if all(np.isnan(entry.point.position[2]) for entry in used):
+            raise InputError(
+                "gps_offset: expected a control point with a height, which determines the offset "
+                f"of the positions, found {len(used)} without"
+            )
 
     def typical_offset(self, problem: Problem) -> Array:
         """Return the median (3,) of positions with an offset minus the model; 0 if unknown."""
@@ -115,9 +147,9 @@ class ProblemPriors:
         Raises:
             InputError: there are fewer than three positions, or they lie on one line.
         """
-        if len(self.priors) < 3:
+        if len(self.priors) < FEWEST:
             raise InputError(
-                "expected positions of at least 3 images to place the model, found "
+                f"expected positions of at least {FEWEST} images to place the model, found "
                 f"{len(self.priors)}"
             )
         return robust_similarity(self.correspondences(problem), "positions of images")
@@ -147,6 +179,101 @@ class ProblemPriors:
         levers = np.array([prior.lever_arm for prior in self.priors], dtype=np.float64)
         along: Array = np.einsum("nji,nj->ni", rotations, levers)
         return along
+
+
+def placement(problem: Problem, groups: Sequence[FoundPriors]) -> Similarity | None:
+    """Return the similarity to priors; without positions, the motion that the others ask for.
+
+    Positions on a line leave the turn about it to priors with a vertical.
+
+    Raises:
+        InputError: the priors do not determine the similarity.
+    """
+    moving = [one for one in groups if one.moves]
+    if moving and not any(isinstance(one, ProblemPriors | TargetPriors) for one in groups):
+        return _motion(problem, moving)
+    known, targets = _survey(problem, groups)
+    try:
+        return _similarity(problem, known, targets)
+    except InputError as error:
+        upright = next((one for one in groups if one.has_vertical), None)
+        if upright is None:
+            raise
+        turned = upright.placement(problem)
+        rotation = np.eye(3) if turned is None else turned.rotation
+        try:
+            return level_similarity(survey_points(problem, groups), rotation)
+        except InputError:
+            raise error from None
+
+
+def survey_points(problem: Problem, groups: Sequence[FoundPriors]) -> Correspondences:
+    """Return control points, then positions of images, in the problem and in the priors."""
+    known, targets = _survey(problem, groups)
+    points = known.correspondences(problem)
+    return points if targets is None else Correspondences.joined(targets.correspondences(), points)
+
+
+def _survey(
+    problem: Problem, groups: Sequence[FoundPriors]
+) -> tuple[ProblemPriors, TargetPriors | None]:
+    known = next((one for one in groups if isinstance(one, ProblemPriors)), None)
+    targets = next((one for one in groups if isinstance(one, TargetPriors)), None)
+    return ProblemPriors.make(problem, ()) if known is None else known, targets
+
+
+def _motion(problem: Problem, groups: Sequence[FoundPriors]) -> Similarity | None:
+    """Return the motions that groups ask for, one after the other."""
+    total: Similarity | None = None
+    for group in groups:
+        found = group.placement(problem if total is None else moved(problem, total))
+        if found is not None:
+            total = found if total is None else found.after(total)
+    return total
+
+
+def _similarity(problem: Problem, known: ProblemPriors, targets: TargetPriors | None) -> Similarity:
+    """Return the similarity to positions and control points."""
+    if targets is None or not targets.used:
+        return known.align(problem)
+    if any(prior.offset != "none" for prior in known.priors):
+        return _similarity_beside_offset(problem, known, targets)
+    count = len(targets.used) + len(known.priors)
+    if count < FEWEST:
+        raise InputError(
+            f"expected at least {FEWEST} control points and positions of images to place the "
+            f"model, found {count}"
+        )
+    joined = Correspondences.joined(targets.correspondences(), known.correspondences(problem))
+    what = "control points and positions of images"
+    losses = {entry.point.loss for entry in targets.used} | {prior.loss for prior in known.priors}
+    if losses == {"trivial"}:
+        # A few priors against thousands of pixels move the model slowly. A solve that starts at
+        # the least-squares fit to the priors avoids this motion.
+        try:
+            return fit_similarity(joined, what=what).similarity
+        except InputError:
+            pass
+    return robust_similarity(joined, what)
+
+
+def _similarity_beside_offset(
+    problem: Problem, known: ProblemPriors, targets: TargetPriors
+) -> Similarity:
+    """Return the similarity to control points, whose positions have no offset.
+
+    If they do not determine it, positions of images give scale and rotation.
+    """
+    points = targets.correspondences()
+    try:
+        return fit_similarity(points, what="control points").similarity
+    except InputError:
+        turned = known.align(problem)
+    missing = points.target - turned.apply(points.source)
+    known_axes = np.isfinite(missing).any(axis=0)
+    shift = np.zeros(3)
+    shift[known_axes] = np.nanmean(missing[:, known_axes], axis=0)
+    return Similarity(turned.scale, turned.rotation, turned.translation + shift)
 
 
 def robust_similarity(points: Correspondences, what: str) -> Similarity:

@@ -14,7 +14,7 @@ R is the rotation of cam_from_world and Q the turn of the world.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from functools import cached_property
 from typing import Any
 
@@ -30,6 +30,7 @@ from bundle.georeference.attitude_priors import (
     OrientationPrior,
 )
 from bundle.georeference.image_index import rows_of_images
+from bundle.georeference.measurements import FoundPriors
 from bundle.georeference.similarity import Similarity
 from bundle.graphs.factors.factors import Factor
 from bundle.model.problem import Problem
@@ -170,7 +171,7 @@ class AttitudesOfKind:
 
 
 @dataclass(frozen=True, eq=False)
-class ProblemAttitudes:
+class ProblemAttitudes(FoundPriors):
     """Attitude priors, and their images in a problem.
 
     Attributes:
@@ -182,6 +183,8 @@ class ProblemAttitudes:
     priors: tuple[AttitudePrior, ...]
     image_ids: tuple[int, ...]
     groups: tuple[AttitudesOfKind, ...]
+
+    moves = True
 
     @staticmethod
     def make(problem: Problem, priors: Iterable[AttitudePrior]) -> ProblemAttitudes:
@@ -204,7 +207,7 @@ class ProblemAttitudes:
         ids = tuple(image_ids[place] for place in range(len(given)))
         return ProblemAttitudes(given, ids, tuple(groups))
 
-    def factors(self) -> list[Factor]:
+    def factors(self, problem: Problem) -> list[Factor]:  # noqa: ARG002
         """Return a factor for each prior, in order."""
         pairs = zip(self.priors, self.image_ids, strict=True)
         return [prior.factor(image_id) for prior, image_id in pairs]
@@ -221,11 +224,11 @@ class ProblemAttitudes:
         return Similarity(1.0, turn, middle - turn @ middle)
 
     @property
-    def has_vertical(self) -> bool:
+    def has_vertical(self) -> bool:  # type: ignore[override]
         """True for priors that determine the vertical of the world on their own."""
         return any(group.kind is not HeadingPrior for group in self.groups)
 
-    def check(self, problem: Problem) -> None:
+    def check(self, problem: Problem, groups: Sequence[FoundPriors] = ()) -> None:  # noqa: ARG002
         """Refuse priors without a meaning at the start of a solve.
 
         Raises:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -33,11 +33,13 @@ from bundle.georeference.georeferenced import (
 from bundle.georeference.given_positions import (
     given_control_points,
     given_gps,
+    scaled_gps,
     with_check_points,
 )
 from bundle.georeference.gps_positions import GpsPositions, matched, too_few, unmatched_notes
 from bundle.georeference.image_index import ImageIndex
 from bundle.georeference.local_frame import LocalFrame
+from bundle.georeference.measurements import KnownPriors
 from bundle.georeference.other_readings import check_readings
 from bundle.georeference.point_check import SurveyChecks
 from bundle.georeference.prior_alignment import ProblemPriors, robust_similarity
@@ -53,7 +55,7 @@ FEWEST = 3
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class GpsPriors(Displayed):
+class GpsPriors(KnownPriors, Displayed):
     """Priors of a problem's images in a local frame.
 
     Attributes:
@@ -97,6 +99,8 @@ class GpsPriors(Displayed):
             tuple(images),
             (*self.notes, *rig_notes(result)),
         )
+
+    errors_of = georeference
 
     def _display(self) -> Display:
         at = "none: Cartesian" if self.origin is None else origin_text(self.origin)
@@ -216,7 +220,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class GcpPriors(Displayed):
+class GcpPriors(KnownPriors, Displayed):
     """Priors of a problem's control points, and of its images, in a local frame.
 
     Attributes:
@@ -266,6 +270,8 @@ class GcpPriors(Displayed):
             tuple(self._judged(point, checks) for point in result.control_points),
             None if checks is None else checks.offset,
         )
+
+    errors_of = georeference
 
     def _judged(self, point: ControlPointError, checks: SurveyChecks | None) -> ControlPointError:
         """Return a point with its test in the adjusted model.
@@ -397,3 +403,32 @@ def gcp_priors(
         tuple(dict.fromkeys((*notes, *survey.notes()))),
         known,
     )
+
+
+# Positions and control points from the options of a command.
+
+
+def survey_given(problem: Problem, **options: Any) -> GcpPriors | GpsPriors:
+    """Return the priors of positions and control points that options of a command give."""
+    if "gps_offset" in options and "gcp" not in options:
+        raise InputError("gps_offset: expected --gcp, too: control points determine the offset")
+    settings = survey_settings(problem, options)
+    if settings.get("gps") != "exif":  # the folder is for the report page
+        settings.pop("images", None)
+    make: Callable[..., GcpPriors | GpsPriors] = gcp_priors if "gcps" in settings else gps_priors
+    return make(problem, **settings)
+
+
+def survey_settings(problem: Problem, options: Mapping[str, Any]) -> dict[str, Any]:
+    """Return options as arguments of ``gps_priors``, ``gcp_priors`` and ``align``.
+
+    Positions with scaled standard deviations are read here.
+    """
+    settings = dict(options)
+    if (scale := settings.pop("gps_sigma_scale", None)) is not None:
+        images = settings.pop("images", None) if settings["gps"] == "exif" else None
+        sigma = settings.get("gps_sigma", GPS_SIGMA)
+        settings["gps"] = scaled_gps(settings["gps"], images, problem, sigma, scale)
+    if "gcp" in settings:
+        settings["gcps"] = settings.pop("gcp")
+    return settings

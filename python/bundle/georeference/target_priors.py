@@ -23,6 +23,7 @@ from bundle.errors import InputError
 from bundle.georeference.alignment_result import ControlPointError
 from bundle.georeference.control_point import GCP_PIXEL_SIGMA, GCP_SIGMA, GroundControlPoint
 from bundle.georeference.image_index import ImageIndex
+from bundle.georeference.measurements import FoundPriors
 from bundle.georeference.similarity import Similarity
 from bundle.georeference.similarity_fit import Correspondences
 from bundle.georeference.survey import control_point_error, surveyed
@@ -37,7 +38,7 @@ LARGEST_ID = 2**63 - 1
 
 
 @dataclass(frozen=True)
-class TargetPriors:
+class TargetPriors(FoundPriors):
     """Control points of a solve, in the frame of its priors.
 
     Attributes:
@@ -51,6 +52,8 @@ class TargetPriors:
     used: tuple[Triangulated, ...]
     point_ids: tuple[int, ...]
     had_sigmas: bool
+
+    adds_points = True
 
     @staticmethod
     def make(problem: Problem, points: Iterable[GroundControlPoint]) -> TargetPriors:
@@ -91,7 +94,7 @@ class TargetPriors:
         target = np.array([entry.point.position for entry in self.used]).reshape(-1, 3)
         return surveyed(self.used, target, GCP_SIGMA)
 
-    def factors(self) -> list[PriorFactor]:
+    def factors(self, problem: Problem) -> list[PriorFactor]:  # noqa: ARG002
         """Return a factor for each used point, in order."""
         return [
             PriorFactor(
@@ -161,7 +164,7 @@ class TargetPriors:
             observation_sigma=sigma[:left] if self.had_sigmas and sigma is not None else None,
         )
 
-    def errors(self, problem: Problem) -> tuple[ControlPointError, ...]:
+    def point_errors(self, problem: Problem) -> tuple[ControlPointError, ...]:
         """Return the residuals of all points in a problem in the frame of the priors."""
         targets = triangulate(
             problem, self.points, ImageIndex(problem), pixel_sigma=GCP_PIXEL_SIGMA

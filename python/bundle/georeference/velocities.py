@@ -31,7 +31,9 @@ from bundle.base.records import dataclass
 from bundle.base.words import plural
 from bundle.errors import InputError, shown
 from bundle.georeference.control_point import parse_sigma
+from bundle.georeference.georeferenced import Solved
 from bundle.georeference.image_index import ImageFinder, rows_of_images
+from bundle.georeference.measurements import FoundPriors, KnownPriors, MeasurementErrors
 from bundle.georeference.text_lines import headed_rows, row_numbers
 from bundle.georeference.vector_priors import VelocityPrior
 from bundle.graphs.factors.image_factors import VelocityFactor
@@ -49,7 +51,7 @@ VERTICAL = ("vz", "up", "down")
 
 
 @dataclass(frozen=True)
-class Velocities:
+class Velocities(KnownPriors):
     """Velocity priors that were read for a problem.
 
     Attributes:
@@ -57,6 +59,10 @@ class Velocities:
     """
 
     priors: tuple[VelocityPrior, ...]
+
+    def errors_of(self, result: Solved) -> VelocityErrors | None:
+        """Return the residuals in a result."""
+        return self.errors(result.problem)
 
     def errors(self, problem: Problem) -> VelocityErrors | None:
         """Return the residuals in a model; None if a solve left the readout undetermined."""
@@ -175,7 +181,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class ProblemVelocities:
+class ProblemVelocities(FoundPriors):
     """Velocity priors, and their images in a problem.
 
     Attributes:
@@ -283,7 +289,7 @@ class ImageVelocity:
 
 
 @dataclass(frozen=True)
-class VelocityErrors:
+class VelocityErrors(MeasurementErrors):
     """Residuals of velocity priors in a model.
 
     Attributes:
@@ -308,6 +314,16 @@ class VelocityErrors:
             f"Velocities of {plural(len(self.images), 'image')}: median difference "
             f"{self.median:.2g} m/s, {self.rms_sigmas:.2f} sigmas (rms)."
         )
+
+    @property
+    def sentences(self) -> list[str]:
+        """The sentence, for reports."""
+        return [self.sentence]
+
+    @property
+    def entries(self) -> dict[str, Any]:
+        """Entries of the JSON report."""
+        return {"velocities": self.asdict()}
 
     def asdict(self) -> dict[str, Any]:
         """Return the content of the JSON report."""

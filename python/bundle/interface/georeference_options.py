@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 from bundle.base.records import dataclass
 from bundle.errors import InputError, brief
@@ -196,20 +197,11 @@ class GeoreferenceOptions(Options):
         needs=("velocities",),
     )
 
-    @property
-    def is_given(self) -> bool:
-        """True if positions, control points, attitudes or velocities were given."""
-        return self.has_positions or self.has_attitudes or self.velocities is not None
-
-    @property
-    def has_positions(self) -> bool:
-        """True if positions or control points were given."""
-        return self.gps is not None or self.gcp is not None
-
-    @property
-    def has_attitudes(self) -> bool:
-        """True if directions of gravity or orientations were given."""
-        return self.gravity is not None or self.orientations is not None
+    def arguments(self) -> dict[str, Any]:
+        """Return the changed options as arguments of readers, with parsed texts."""
+        parsed = {"antenna": "lever_arm", "check_points": "check_point_names"}
+        names = self.changed()
+        return {name: getattr(self, parsed.get(name, name)) for name in names}
 
     @property
     def lever_arm(self) -> list[float]:

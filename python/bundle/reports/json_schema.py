@@ -16,6 +16,7 @@ from collections.abc import Iterable
 from functools import cached_property
 from typing import Any
 
+from bundle.georeference.measurements import ROWS
 from bundle.interface.finding import Finding
 from bundle.interface.option_class import Options
 from bundle.interface.option_classes import option_class
@@ -95,8 +96,8 @@ _REPORTS = {
     "refine": "solving.result.Result graphs.pose_graphs.pose_graph_result.PoseGraphResult "
     "options:SolveOptions+PoseGraphOptions summary iterations:tuple[dict,...] "
     "held_cost:float convergence:dict edits rounds cameras:list worst_images movement:dict|None "
-    "held_out part deleted:dict[str,int] georeference:dict|None gravity:dict|None "
-    "velocities:dict|None certificate structure:dict|None chi2_by_kind:list left_out_edges:list "
+    "held_out part deleted:dict[str,int] "
+    "certificate structure:dict|None chi2_by_kind:list left_out_edges:list "
     "rejected_edges:list camera_edits:dict|None output wall_time environment",
     "report": "output notes wall_time",
     "synth": "options output ground_truth:dict|None contents:dict num_cameras:int num_images:int "
@@ -127,6 +128,8 @@ _OTHERS: dict[tuple[str, str], Schema] = {
 def _entries(command: str) -> dict[str, Schema]:
     """Return the schema of each entry of a command's reports."""
     words = _REPORTS[command].split()
+    if command == "refine":
+        words += dict.fromkeys(f"{row.entry}:dict|None" for row in ROWS)
     names = [word.partition(":") for word in words if "." not in word.partition(":")[0]]
     types: dict[str, str] = {}
     whole: dict[str, str] = {}

@@ -20,9 +20,11 @@ from numpy.typing import NDArray
 
 from bundle._core import __version__
 from bundle.base.records import dataclass
+from bundle.base.words import plural
 from bundle.interface.finding import Finding
 
 if TYPE_CHECKING:
+    from bundle.base.display import Display
     from bundle.figures.marks import Figure
 
 SCHEMA = 1
@@ -115,6 +117,25 @@ class Section:
     is_page_only: bool = False
     title: str = ""
     figures: Sequence[Figure] | Callable[[], Sequence[Figure]] = ()
+
+
+def displayed(displays: Iterable[Display], **more: Any) -> list[Section]:
+    """Return facts and tables of results as sections."""
+    return [
+        Section(
+            title=one.title,
+            facts=one.facts,
+            tables=[Table.of(one.head, one.rows, left=one.left, most=one.most, others=_others)]
+            if one.rows
+            else (),
+            **more,
+        )
+        for one in displays
+    ]
+
+
+def _others(count: int) -> str:
+    return f"{plural(count, 'other image')} as well; --json FILE lists all"
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

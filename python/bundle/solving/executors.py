@@ -78,7 +78,7 @@ def solve_prepared(
 def finished(prepared: Prepared, last: Result, state: State | None = None) -> Result:
     """Convert the last result for the start to one for the problem of the request.
 
-    Its control points and attitudes are tested on first access.
+    Its measurements are tested on first access.
     """
     result = prepared.finished(last, state)
     if not prepared.request.priors or not last.summary.is_solution_usable:
@@ -90,14 +90,11 @@ def finished(prepared: Prepared, last: Result, state: State | None = None) -> Re
 
     at_minimum = prepared.at(last.problem)
     is_minimum = last.summary.termination_type == "CONVERGENCE"
-    if prepared.placed.targets is not None and is_minimum:
-        result = dataclasses.replace(result, _survey=lambda: check_survey(at_minimum, solve_here))
-    priors = prepared.request.priors
-    if prepared.part is None and any(hasattr(prior, "num_residuals") for prior in priors):
-        result = dataclasses.replace(
-            result, _free=lambda: solve_without_attitudes(at_minimum, solve_here)
-        )
-    return result
+    return dataclasses.replace(
+        result,
+        _survey=(lambda: check_survey(at_minimum, solve_here)) if is_minimum else None,
+        _free=lambda: solve_without_attitudes(at_minimum, solve_here),
+    )
 
 
 def _default_executor() -> Executor:

@@ -55,9 +55,9 @@ from bundle.solving.placed_problem import place_at_priors
 if TYPE_CHECKING:
     from typing import Unpack
 
+    from bundle.georeference.measurements import Prior
     from bundle.graphs.factors.factors import Factor
     from bundle.interface.option_keywords import SolveKeywords
-    from bundle.solving.placed_problem import Prior
 
 RANK_TOLERANCE = 1e-9
 """Threshold for zero singular values of columns that had norm 1 before the projection."""

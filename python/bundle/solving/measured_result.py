@@ -36,13 +36,13 @@ from bundle.solving.kept_errors import (
 
 if TYPE_CHECKING:
     from bundle.georeference.alignment_result import ControlPointError
+    from bundle.georeference.measurements import Prior
     from bundle.georeference.point_check import SurveyChecks
     from bundle.georeference.similarity import Similarity
     from bundle.graphs.factors.factors import Factor
     from bundle.model.reprojection import HeldOut
     from bundle.solving.constraints.ends import RuleEnd
     from bundle.solving.constraints.restrictions import ActiveBound
-    from bundle.solving.placed_problem import Prior
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -64,7 +64,7 @@ class MeasuredResult(SolveRecord):
     observation_mask: NDArray[np.bool_] | None = None
     factors: tuple[Factor, ...] = ()
     priors: tuple[Prior, ...] = ()
-    _survey: Callable[[], SurveyChecks] | None = field(default=None, repr=False)
+    _survey: Callable[[], SurveyChecks | None] | None = field(default=None, repr=False)
     _free: Callable[[], Problem | None] | None = field(default=None, repr=False)
 
     @cached_property

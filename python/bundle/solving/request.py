@@ -22,11 +22,11 @@ from bundle.model.problem import Problem
 if TYPE_CHECKING:
     from typing import TypeAlias
 
+    from bundle.georeference.measurements import Prior
     from bundle.graphs.factors.factors import Factor
     from bundle.solving.constraints.applied import Applied
     from bundle.solving.constraints.rule_list import Constraints
     from bundle.solving.constraints.rules import Rule
-    from bundle.solving.placed_problem import Prior
 
     Rules: TypeAlias = Constraints | Iterable[str | Rule] | Applied
 

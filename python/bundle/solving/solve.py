@@ -19,13 +19,13 @@ from bundle.io.recognition import is_pose_graph_file
 from bundle.model.pose_graph_arrays import PoseGraph
 
 if TYPE_CHECKING:
+    from bundle.georeference.measurements import Prior
     from bundle.graphs.factors.factors import Factor
     from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
     from bundle.interface.option_keywords import PoseGraphKeywords, SolveKeywords
     from bundle.solving.constraints.applied import Applied
     from bundle.solving.constraints.rule_list import Constraints
     from bundle.solving.constraints.rules import Rule
-    from bundle.solving.placed_problem import Prior
     from bundle.solving.result import Result
 
 

@@ -62,13 +62,15 @@ KNOWN = 1e-100
 """Information above which a coordinate counts as measured."""
 
 
-def check_survey(prepared: Prepared, solve: Callable[[Prepared], Problem]) -> SurveyChecks:
-    """Test the control points of a solve, and an offset of its positions.
+def check_survey(prepared: Prepared, solve: Callable[[Prepared], Problem]) -> SurveyChecks | None:
+    """Test the control points of a solve, and an offset of its positions; None without points.
 
     Args:
         prepared: the solve, with its minimum as the start.
         solve: function that returns the minimum of a prepared solve.
     """
+    if prepared.placed.targets is None:
+        return None
     if prepared.start.num_images > MOST_IMAGES:
         return SurveyChecks(None, {})
     return _Adjusted(prepared, solve).checks()
@@ -77,7 +79,7 @@ def check_survey(prepared: Prepared, solve: Callable[[Prepared], Problem]) -> Su
 def solve_without_attitudes(
     prepared: Prepared, solve: Callable[[Prepared], Problem]
 ) -> Problem | None:
-    """Return the model as all but its measured attitudes determine it; None if that fails.
+    """Return the model as all but its measured attitudes determine it; None without or if it fails.
 
     Sigmas of attitudes that are too small bend a model to them: their residuals are then small,
     and hide their errors.
@@ -86,7 +88,7 @@ def solve_without_attitudes(
         prepared: the solve, with its minimum as the start.
         solve: function that returns the minimum of a prepared solve.
     """
-    if prepared.start.num_images > MOST_IMAGES:
+    if prepared.part is not None or prepared.start.num_images > MOST_IMAGES:
         return None
     count = len(prepared.request.factors)
     offset = prepared.placed.offset
@@ -97,6 +99,8 @@ def solve_without_attitudes(
         or one.kind not in ATTITUDES
         or (offset is not None and one.keys == (offset.key,))
     )
+    if len(others) == len(prepared.factors):
+        return None
     options = prepared.options.replace(max_num_iterations=MOST_STEPS, check_solution=False)
     try:
         free = solve(replace(prepared.at(prepared.start, options), factors=others))

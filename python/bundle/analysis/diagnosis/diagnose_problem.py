@@ -50,11 +50,11 @@ from bundle.solving.request import SolveRequest
 from bundle.solving.result import Result
 
 if TYPE_CHECKING:
+    from bundle.georeference.measurements import Prior
     from bundle.graphs.factors.factors import Factor
     from bundle.solving.constraints.applied import Applied
     from bundle.solving.constraints.rule_list import Constraints
     from bundle.solving.constraints.rules import Rule
-    from bundle.solving.placed_problem import Prior
 
 FEW_OBSERVATIONS = 10
 """Number of observations below which the pose of an image is poorly determined."""

@@ -26,13 +26,13 @@ from bundle.solving.request import SolveRequest
 from bundle.solving.result import Result
 
 if TYPE_CHECKING:
+    from bundle.georeference.measurements import Prior
     from bundle.graphs.factors.factors import Factor
     from bundle.graphs.factors.variables import Key
     from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
     from bundle.interface.option_keywords import PoseGraphKeywords
     from bundle.solving.constraints.rule_list import Constraints
     from bundle.solving.constraints.rules import Rule
-    from bundle.solving.placed_problem import Prior
 
 
 @overload

@@ -66,7 +66,7 @@ from bundle.solving.result import Result
 from bundle.solving.rounds.solve_rounds import solve_rounds
 
 if TYPE_CHECKING:
-    from bundle.solving.placed_problem import Prior
+    from bundle.georeference.measurements import Prior
 
 Array = NDArray[np.float64]
 

@@ -15,21 +15,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.errors import InputError
+from bundle.georeference.measurements import FoundPriors, find_priors
 from bundle.georeference.pose_alignment import align_centers
-from bundle.georeference.prior_alignment import ProblemPriors
-from bundle.georeference.problem_attitudes import ProblemAttitudes
+from bundle.georeference.prior_alignment import survey_points
 from bundle.georeference.similarity import Similarity
 from bundle.georeference.similarity_fit import Correspondences
-from bundle.georeference.target_priors import TargetPriors
 from bundle.inertial.offline.inertial_start import InertialStart, solve_inertial_start
 from bundle.inertial.offline.motion_solve import GRAVITY, ImuBodies
 from bundle.inertial.vio.window_frame import ImuInterval
 from bundle.model.problem import Problem
 from bundle.model.sequence.calibration import ImuNoise
-from bundle.solving.placed_problem import sorted_priors
 
 if TYPE_CHECKING:
-    from bundle.solving.placed_problem import Prior
+    from bundle.georeference.measurements import Prior
 
 Array = NDArray[np.float64]
 
@@ -100,14 +98,11 @@ def to_priors(problem: Problem, priors: Sequence[Prior]) -> Similarity | None:
     """
     if not priors:
         return None
-    positions, attitudes, points, _ = sorted_priors(tuple(priors))
-    known = ProblemPriors.make(problem, positions).correspondences(problem)
-    if points:
-        targets = TargetPriors.make(problem, points)
-        known = Correspondences.joined(targets.correspondences(), known)
-    if len(known):
-        return _to_positions(known)
-    return _to_headings(problem, ProblemAttitudes.make(problem, attitudes)) if attitudes else None
+    groups = find_priors(problem, priors)
+    if points := survey_points(problem, groups):
+        return _to_positions(points)
+    turning = next((one for one in groups if one.moves), None)
+    return None if turning is None else _to_headings(problem, turning)
 
 
 def _to_positions(points: Correspondences) -> Similarity:
@@ -121,7 +116,7 @@ def _to_positions(points: Correspondences) -> Similarity:
     return align_centers(places[has_height], points.target[has_height], "yaw")
 
 
-def _to_headings(problem: Problem, attitudes: ProblemAttitudes) -> Similarity | None:
+def _to_headings(problem: Problem, attitudes: FoundPriors) -> Similarity | None:
     found = attitudes.placement(problem)
     if found is None:
         return None

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from bundle.base.records import dataclass
 from bundle.errors import InputError
-from bundle.georeference.vector_priors import VelocityPrior
+from bundle.georeference.measurements import move_models
 from bundle.interface.options import SolveOptions
 from bundle.judging.validation.candidates import Candidate, is_shared, with_cameras
 from bundle.model.problem import Problem
@@ -38,7 +38,7 @@ from bundle.solving.request import SolveRequest
 from bundle.solving.result import Result
 
 if TYPE_CHECKING:
-    from bundle.solving.placed_problem import Prior
+    from bundle.georeference.measurements import Prior
 
 _MOST_SIDE_BY_SIDE = 1_000_000
 """Number of observations above which solves run one after another, each on all cores."""
@@ -166,7 +166,7 @@ class _Run:
             problem=start,
             options=self._options.replace(loss=candidate.loss, refine=candidate.refine),
             priors=given.priors,
-            align=True if any(not isinstance(one, VelocityPrior) for one in given.priors) else None,
+            align=True if move_models(given.priors) else None,
             constraints=(*given.rules, *ties),
         )
         fit.prepared = prepare(request)

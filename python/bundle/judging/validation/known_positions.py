@@ -24,7 +24,7 @@ from bundle.solving.result import Result
 from bundle.solving.rounds.filtering import filter_observations
 
 if TYPE_CHECKING:
-    from bundle.solving.placed_problem import Prior
+    from bundle.georeference.measurements import Prior
 
 
 class KnownErrors(NamedTuple):

@@ -30,8 +30,8 @@ from bundle.model.problem import Problem
 from bundle.model.reprojection import CLIP
 
 if TYPE_CHECKING:
+    from bundle.georeference.measurements import Prior
     from bundle.solving.constraints.rules import Rule
-    from bundle.solving.placed_problem import Prior
 
 FEWEST_HELD_OUT = 50
 """Smallest number of held-out observations that can be compared."""

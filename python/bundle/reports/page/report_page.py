@@ -73,15 +73,15 @@ from bundle.reports.page.scene_section import (
 )
 from bundle.reports.page.table import findings_list, rendered, rounded
 from bundle.reports.page.verdicts import Judged, summarised, verdict_list, verdicts
-from bundle.reports.sections import Section, fields, plain
+from bundle.reports.sections import Section, displayed, fields, plain
 from bundle.solving.headline import headline
 from bundle.solving.result import Result
 
 if TYPE_CHECKING:
     from bundle.georeference.georeferenced import Georeference
+    from bundle.georeference.measurements import MeasurementErrors, Prior
     from bundle.solving.constraints.rule_list import Constraints
     from bundle.solving.constraints.rules import Rule
-    from bundle.solving.placed_problem import Prior
 
 MOST_EDGES = 1500
 LARGEST, SIZE_OF_POINT = 4.2e6, 20.0
@@ -100,6 +100,7 @@ def write_report(
     priors: Iterable[Prior] = (),
     constraints: Constraints | Iterable[str | Rule] = (),
     findings: Sequence[Finding] | None = None,
+    measured: Sequence[MeasurementErrors] = (),
     name: str = "",
 ) -> tuple[str, ...]:
     """Write one self-contained HTML page about a reconstruction.
@@ -117,6 +118,7 @@ def write_report(
         priors: priors of the solve, which the covariance includes.
         constraints: constraints of the solve, likewise.
         findings: findings about the model; None finds them.
+        measured: errors of the result at measurements, whose tables the page shows.
         name: name of the reconstruction, for the title, and its path in commands.
 
     Returns:
@@ -137,7 +139,7 @@ def write_report(
     if georeference is not None:
         given = georeference if isinstance(georeference, Mapping) else georeference.asdict()
         page.place = placement(problem, given)
-    page.priors = tuple(priors)
+    page.priors, page.measured = tuple(priors), measured
     page.known = page.certainty_of(covariance, constraints)
     page.write(target, images, findings)
     return tuple(page.notes)
@@ -160,6 +162,7 @@ class _Page:
         self.known: Certainty | None = None
         self.no_certainty = ""
         self.priors: tuple[Prior, ...] = ()
+        self.measured: Sequence[MeasurementErrors] = ()
         self.covariance: Covariance | None = None
 
     def write(
@@ -210,6 +213,12 @@ class _Page:
             *self._certainty(found),
             structure_section(description, tracks, graph),
             *([] if self.place is None else placement_sections(self.place)),
+            *(
+                section
+                for errors in self.measured
+                if not errors.is_place
+                for section in displayed(errors.displays)
+            ),
             *([] if result is None else solve_sections(result)),
         ]
         self.data["fields"] = field_data(planes)

@@ -8,10 +8,16 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from bundle.base.words import number, plural
-from bundle.georeference.alignment_result import Alignment, ImageError, metres
+from bundle.georeference.alignment_result import (
+    Alignment,
+    ImageError,
+    metres,
+    plain_metres,
+    point_errors,
+    suspicions,
+)
 from bundle.model.problem import Problem
-from bundle.reports.sections import Report, Section, Table
-from bundle.reports.terminal.control_points import control_points, plain_metres, suspicions
+from bundle.reports.sections import Report, Section, Table, displayed
 from bundle.reports.terminal.inputs import about_input, input_facts, written
 
 MOST_IMAGES = 10
@@ -41,7 +47,7 @@ def alignment(
         rows.append(("residuals", f"{number(aligned.sigma0)} sigmas"))
     details = [
         Section(facts=rows),
-        *control_points(aligned.control_points),
+        *displayed(point_errors(aligned.control_points)),
         *_images("GPS", aligned.positions, aligned.rms("gps"), "m"),
         *_images("image", aligned.shared_images, aligned.rms("shared_images"), "units"),
     ]

@@ -13,7 +13,7 @@ from bundle.interface.summary import Summary, sizes
 from bundle.model.content_digests import content_digests
 from bundle.model.problem import Problem
 from bundle.model.reprojection import ImageError
-from bundle.reports.sections import Column, Report, Section, Table
+from bundle.reports.sections import Column, Report, Section, Table, displayed
 from bundle.reports.terminal.inputs import (
     about_input,
     edit_data,
@@ -40,17 +40,13 @@ from bundle.solving.result import Result
 
 if TYPE_CHECKING:
     from bundle.editing.edit_record import CameraEdits
-    from bundle.georeference.attitudes import AttitudeErrors
-    from bundle.georeference.georeferenced import Georeference
-    from bundle.georeference.velocities import VelocityErrors
+    from bundle.georeference.measurements import MeasurementErrors
     from bundle.graphs.loops.loop_closing import LoopClosing
     from bundle.inertial.offline.inertial_result import InertialAdjustment
     from bundle.interface.finding import Finding
     from bundle.interface.summary import ProcessRecord
     from bundle.solving.measured_result import RestRecord
 
-ATTITUDE_KEYS = {"gravity": "gravity", "orientation": "orientations", "heading": "headings"}
-"""Keys of the JSON report, by the noun of the measurements."""
 MOST_CAMERAS = 5
 """Number of cameras whose changes are shown."""
 
@@ -63,15 +59,13 @@ def refinement(
     output: dict[str, str] | None,
     lost: Sequence[str] = (),
     more_options: Mapping[str, Any] | None = None,
-    georeference: Georeference | None = None,
     edits: CameraEdits | None = None,
     closed: LoopClosing | None = None,
     findings: Sequence[Finding] = (),
     waiting: Waiting | None = None,
-    attitudes: Sequence[AttitudeErrors] = (),
+    measured: Sequence[MeasurementErrors] = (),
     inertial: InertialAdjustment | None = None,
     readout_sigma: dict[int, float] | None = None,
-    velocities: VelocityErrors | None = None,
 ) -> Report:
     """Return the report on one solve.
 
@@ -83,20 +77,17 @@ def refinement(
         output: path and format of the output; None if nothing was written.
         lost: data that the output's format cannot store.
         more_options: options in addition to those of the solve.
-        georeference: georeference of the result, or None.
         edits: changes of cameras before the solve, or None.
         closed: loop closing before the solve, or None.
         findings: findings about the result.
         waiting: waiting for cores during the solve.
-        attitudes: residuals of gravity, orientations and headings.
+        measured: errors at the measurements beside the pixels.
         inertial: adjustment with an IMU, or None.
         readout_sigma: standard deviation of each refined readout, by camera id.
-        velocities: residuals of velocities, or None.
     """
     sigmas = readout_sigma or {}
     summary, changes = solved.summary, camera_changes(solved)
     warnings = (*(edits.warnings if edits else ()), *summary.warnings)
-    places, place_warnings = _places(georeference)
     first, last = ([], []) if inertial is None else inertial.headline
     details = [
         Section(facts=_facts(path, problem, solved, edits)),
@@ -104,8 +95,7 @@ def refinement(
         *([Section(tables=[Table(ROUNDS, solved.rounds)])] if solved.rounds else []),
         Section(tables=[before_and_after(solved)]),
         *_held_out(solved),
-        *_positions(georeference),
-        *_attitudes(attitudes),
+        *(section for errors in measured for section in displayed(errors.displays)),
         *_cameras(changes),
         *_constraints(solved),
         *sensor_sections(sensor_changes(solved)),
@@ -134,10 +124,8 @@ def refinement(
         "cameras": changes,
         **({"sensors": sensor_changes(solved)} if problem.num_frames else {}),
         "worst_images": solved.worst_images,
-        **({} if georeference is None else {"georeference": georeference.asdict()}),
         **({} if inertial is None else {"imu": inertial.asdict()}),
-        **{ATTITUDE_KEYS[errors.noun]: errors.asdict() for errors in attitudes},
-        **({} if velocities is None else {"velocities": velocities.asdict()}),
+        **{key: entry for errors in measured for key, entry in errors.entries.items()},
         **solved_data(solved, sigmas),
         "wall_time": wall,
         "environment": environment_data(waiting),
@@ -150,13 +138,15 @@ def refinement(
             *first,
             *headline(solved),
             *solved_sentences(solved, sigmas),
-            *places,
-            *(errors.sentence for errors in attitudes),
-            *([] if velocities is None else [velocities.sentence]),
+            *(sentence for errors in measured for sentence in errors.sentences),
             *last,
         ],
         findings=findings,
-        warnings=[*warnings, *place_warnings, *(f"lost: {what}" for what in lost)],
+        warnings=[
+            *warnings,
+            *(warning for errors in measured for warning in errors.warnings),
+            *(f"lost: {what}" for what in lost),
+        ],
         sections=[
             Section(facts=[*edit_facts(solved), written(output)]),
             *(dataclasses.replace(section, is_detail=True) for section in details),
@@ -191,22 +181,6 @@ def _loops(closed: LoopClosing) -> list[Section]:
     return [loops_section(closed)]
 
 
-def _positions(georeference: Georeference | None) -> list[Section]:
-    if georeference is None:
-        return []
-    from bundle.reports.terminal.gps import gps_report  # most solves have no positions
-
-    return gps_report(georeference)
-
-
-def _attitudes(attitudes: Sequence[AttitudeErrors]) -> list[Section]:
-    if not attitudes:
-        return []
-    from bundle.reports.terminal.attitude_tables import attitude_sections  # most solves have none
-
-    return attitude_sections(attitudes)
-
-
 def _held_out(solved: Result) -> list[Section]:
     """Return the errors of a fit at the observations that it used, and at those held out."""
     held = solved.held_out
@@ -230,15 +204,6 @@ def _held_out(solved: Result) -> list[Section]:
     if not held.is_converged:
         notes.append("The second fit did not converge: its held-out error may be too small.")
     return [Section(tables=[Table.of(head, rows)], notes=notes)]
-
-
-def _places(georeference: Georeference | None) -> tuple[list[str], list[str]]:
-    """Return the errors of measured positions in a sentence, and warnings about them."""
-    if georeference is None:
-        return [], []
-    from bundle.reports.terminal import gps  # most solves have no positions
-
-    return gps.place_sentences(georeference), gps.place_warnings(georeference)
 
 
 def _constraints(solved: Result) -> list[Section]:

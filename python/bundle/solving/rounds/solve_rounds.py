@@ -25,6 +25,7 @@ from bundle.solving.rounds.run_state import State
 if TYPE_CHECKING:
     from typing import Unpack
 
+    from bundle.georeference.measurements import Prior
     from bundle.graphs.factors.factors import Factor
     from bundle.interface.option_keywords import SolveKeywords
     from bundle.model.problem import Problem
@@ -32,7 +33,6 @@ if TYPE_CHECKING:
     from bundle.solving.constraints.rules import Rule
     from bundle.solving.hold_out import HeldOutFit
     from bundle.solving.measured_result import Round
-    from bundle.solving.placed_problem import Prior
     from bundle.solving.rounds.checkpoint import Checkpoint
     from bundle.solving.rounds.filtering import Filtered
 
