@@ -17,9 +17,8 @@ from bundle.base.words import plural
 from bundle.errors import InputError, brief, shown
 from bundle.georeference.attitude_files import read_gravity, read_orientations
 from bundle.georeference.attitude_priors import AttitudePrior, GravityPrior
-from bundle.georeference.georeferenced import Solved
 from bundle.georeference.image_index import ImageFinder
-from bundle.georeference.measurements import KnownPriors, MeasurementErrors
+from bundle.georeference.measurements import KnownPriors, MeasurementErrors, Solved
 from bundle.georeference.problem_attitudes import (
     MEDIAN,
     TUKEY,

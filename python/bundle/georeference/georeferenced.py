@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -18,10 +18,9 @@ from bundle.georeference.alignment_result import (
     suspicions,
 )
 from bundle.georeference.local_frame import LocalFrame
-from bundle.georeference.measurements import MeasurementErrors
-from bundle.georeference.point_check import OffsetCheck, SurveyChecks
+from bundle.georeference.measurements import MeasurementErrors, Solved
+from bundle.georeference.point_check import OffsetCheck
 from bundle.georeference.similarity import Similarity
-from bundle.model.problem import Problem
 
 SAME_BASELINE = 1e-3
 """Relative change of a rig's baseline below which no note is given."""
@@ -30,30 +29,6 @@ LARGE = 3.0
 MOST_IMAGES = 5
 """Number of listed images with large residuals."""
 NOUNS = {"gps": "position", "control": "control point", "check": "check point"}
-
-
-class Solved(Protocol):
-    """Protocol of a result of :func:`bundle.solve`."""
-
-    @property
-    def problem(self) -> Problem:
-        """Refined problem."""
-
-    @property
-    def similarity(self) -> Similarity | None:
-        """Similarity from the input to the start of the solve."""
-
-    @property
-    def control_points(self) -> tuple[ControlPointError, ...]:
-        """Residuals of control and check points relative to the survey."""
-
-    @property
-    def without_attitudes(self) -> Problem | None:
-        """Model as all but measured attitudes determine it."""
-
-    @property
-    def survey_checks(self) -> SurveyChecks | None:
-        """Tests of control points and of an offset of the positions."""
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable, Iterator, Sequence
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, Protocol
 
 from bundle.base.records import dataclass
 from bundle.errors import InputError, brief
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from bundle.georeference.alignment_result import ControlPointError
     from bundle.georeference.attitude_priors import AttitudePrior
     from bundle.georeference.control_point import GroundControlPoint
-    from bundle.georeference.georeferenced import Georeference, Solved
+    from bundle.georeference.point_check import SurveyChecks
     from bundle.georeference.position_offset import PositionOffset
     from bundle.georeference.similarity import Similarity
     from bundle.georeference.vector_priors import PositionPrior, VelocityPrior
@@ -41,6 +41,30 @@ if TYPE_CHECKING:
     from bundle.model.problem import Problem
 
     Prior: TypeAlias = PositionPrior | GroundControlPoint | AttitudePrior | VelocityPrior
+
+
+class Solved(Protocol):
+    """Protocol of a result of :func:`bundle.solve`."""
+
+    @property
+    def problem(self) -> Problem:
+        """Refined problem."""
+
+    @property
+    def similarity(self) -> Similarity | None:
+        """Similarity from the input to the start of the solve."""
+
+    @property
+    def control_points(self) -> tuple[ControlPointError, ...]:
+        """Residuals of control and check points relative to the survey."""
+
+    @property
+    def without_attitudes(self) -> Problem | None:
+        """Model as all but measured attitudes determine it."""
+
+    @property
+    def survey_checks(self) -> SurveyChecks | None:
+        """Tests of control points and of an offset of the positions."""
 
 
 class MeasurementErrors:
@@ -313,9 +337,9 @@ class Measurements:
         return tuple(errors for errors in found if errors is not None)
 
 
-def place_of(measured: Sequence[MeasurementErrors]) -> Georeference | None:
+def place_of(measured: Sequence[MeasurementErrors]) -> Any:
     """Return the errors that say where on the earth the model is; None without any."""
-    return cast("Georeference | None", next((one for one in measured if one.is_place), None))
+    return next((one for one in measured if one.is_place), None)
 
 
 def find_priors(problem: Problem, priors: Sequence[Any]) -> tuple[FoundPriors, ...]:

@@ -26,7 +26,6 @@ from bundle.georeference.control_point import (
 from bundle.georeference.georeferenced import (
     Georeference,
     PositionError,
-    Solved,
     origin_text,
     rig_notes,
 )
@@ -39,7 +38,7 @@ from bundle.georeference.given_positions import (
 from bundle.georeference.gps_positions import GpsPositions, matched, too_few, unmatched_notes
 from bundle.georeference.image_index import ImageIndex
 from bundle.georeference.local_frame import LocalFrame
-from bundle.georeference.measurements import KnownPriors
+from bundle.georeference.measurements import KnownPriors, Solved
 from bundle.georeference.other_readings import check_readings
 from bundle.georeference.point_check import SurveyChecks
 from bundle.georeference.prior_alignment import ProblemPriors, robust_similarity
