@@ -13,7 +13,10 @@ from bundle import SlidingWindow
 from bundle.inertial.vio.marginal_prior import steady_speed
 from bundle.inertial.vio.odometry import OdometryResult, run_odometry
 from bundle.inertial.vio.trajectory_comparison import states_at
+from bundle.inertial.vio.window_alarms import NO_EXCITATION
 from bundle.inertial.vio.window_frame import WindowFrame
+from bundle.inertial.vio.window_telemetry import _speed_sigma
+from bundle.reports.terminal.vio_reports import _headline
 from bundle.synthetic.synthetic_flight import synthesize_flight
 from tests.inertial.vio.window_scenes import CAMERA, FOCAL, GRAVITY, NOISE, Flight
 
@@ -82,8 +85,8 @@ def test_what_stands_has_no_speed_to_hold() -> None:
     assert steady_speed(given[:1], SIGMA, square_root=False) is None
 
 
-def motorway(sigma: float) -> tuple[OdometryResult, Any]:
-    """Follow a motorway; return the scale of the speed from the verdict on."""
+def motorway(sigma: float) -> tuple[OdometryResult, Any, dict[int, float]]:
+    """Follow a motorway; return the scale of the speed from the verdict on, and at each stamp."""
     flight = synthesize_flight(
         seed=1, duration=50.0, motion="motorway", camera_rate=5.0, num_tracks=30, track_length=15.0
     )
@@ -101,17 +104,40 @@ def motorway(sigma: float) -> tuple[OdometryResult, Any]:
     scale = np.linalg.norm(result.trajectory.states[:, 7:10], axis=1)
     scale /= np.maximum(np.linalg.norm(true[:, 7:10], axis=1), 1e-9)
     late = stamps > next(s for s in quiet if s - stamps[0] > 12 * 10**9)
-    return result, scale[late]
+    return result, scale[late], dict(zip(stamps.tolist(), scale.tolist(), strict=True))
 
 
 def test_a_window_holds_its_scale_where_nothing_excites_it() -> None:
-    free, scale = motorway(0.0)
-    steady, held = motorway(0.05)
+    free, scale, scales = motorway(0.0)
+    steady, held, _ = motorway(0.05)
     assert np.ptp(scale) > 0.02
     assert np.ptp(held) < 0.01
     for result in (free, steady):
         # Later the lever arm to the world's origin, 1 km, turns rounding into an eigenvalue.
         assert {record.nullity for record in result.keyframes[:100]} == {4}
+    # the drift has a sigma, which the headline states
+    known = [
+        (record.timestamp_ns, record.speed_sigma)
+        for record in free.keyframes
+        if record.speed_sigma is not None and NO_EXCITATION in record.alarms
+    ]
+    errors = np.array([(scales[stamp] - 1) / sigma for stamp, sigma in known])
+    assert len(known) > 50
+    assert 0.3 < np.sqrt(np.mean(errors**2)) < 2.5
+    largest = f"{100 * max(sigma for _, sigma in known):.2g} %"
+    (said,) = [line for line in _headline(free, None) if "excitation" in line]
+    assert said == f"Without excitation, the scale has a standard deviation of up to {largest}."
+    assert free.keyframes[-1].gyro_bias_sigma is None  # not requested
+
+
+def test_the_sigma_of_a_speed_is_that_along_it() -> None:
+    covariance, state = np.diag(np.full(15, 9.0)), np.zeros(16)
+    covariance[6:9, 6:9] = np.diag([0.0, 0.25, 7.0])
+    state[7:10] = 0.0, 5.0, 0.0
+    assert _speed_sigma(covariance, state) == pytest.approx(0.1)
+    assert _speed_sigma(None, state) is None
+    state[8] = 0.49
+    assert _speed_sigma(covariance, state) is None
 
 
 def test_a_change_of_speed_goes_into_one_prior(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -107,15 +107,9 @@ def solve_inertial_start(
 ) -> InertialStart:
     """Return the start of n images.
 
-    Args:
-        rotations: (n, 3, 3) world_from_imu.
-        centers: (n, 3) projection centres in units of the model.
-        arms: (n, 3) vectors from the camera to the IMU along the axes of the model, metres.
-        intervals: samples between consecutive images, n - 1.
-        noise: noise of the IMU.
-        gravity: length of gravity, m/s^2.
-        rule: rule of preintegration.
-        rate_bias: bias of the gyroscope; None: by the rotations.
+    ``rotations`` (n, 3, 3) are world_from_imu, ``centers`` (n, 3) projection centres in units of
+    the model, ``arms`` (n, 3) from camera to IMU along its axes, metres; ``gravity`` is
+    a length, m/s^2. Without ``rate_bias`` the rotations give it.
     """
     if rate_bias is None:
         between = np.swapaxes(rotations[:-1], 1, 2) @ rotations[1:]

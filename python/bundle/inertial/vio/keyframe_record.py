@@ -62,6 +62,9 @@ class KeyframeRecord:
         gyro_bias, accel_bias: biases of the newest state, with their sigmas if requested.
         yaw_sigma: standard deviation of the newest yaw, rad; None without covariance or with a free
             yaw.
+        speed_sigma: relative standard deviation of the newest speed, and of the scale while nothing
+            accelerates; None without covariance, which a quiet accelerometer asks for, too, or
+            below 0.5 m/s.
         accumulated_rotation: sum of rotation angles between keyframes since the start, rad.
         marginalized: stamp of the keyframe that left the window, or None, and the method.
         num_absorbed: landmarks that were marginalised into the prior.
@@ -106,6 +109,7 @@ class KeyframeRecord:
     gyro_bias_sigma: tuple[float, float, float] | None
     accel_bias_sigma: tuple[float, float, float] | None
     yaw_sigma: float | None
+    speed_sigma: float | None
     accumulated_rotation: float
     marginalized: dict[str, Any] | None
     num_absorbed: int
@@ -141,13 +145,8 @@ def keyframe_reason(
 ) -> tuple[str, float]:
     """Return the reason for a keyframe ("" if it is not a keyframe), and the median parallax [px].
 
-    Args:
-        last: tracks of the last keyframe.
-        new: tracks of the new frame.
-        focal: pixels per unit of normalised coordinates.
-        translation: distance between both frames, metres.
-        seconds: time between both frames.
-        options: limits.
+    ``focal`` is in pixels per unit of normalised coordinates; ``translation`` and ``seconds`` are
+    between both frames.
     """
     _, a, b = np.intersect1d(last.ids, new.ids, assume_unique=True, return_indices=True)
     parallax = 0.0

@@ -104,15 +104,8 @@ def solve_linear_start(
 ) -> LinearStart:
     """Find the start of k images.
 
-    Args:
-        intervals: IMU samples between consecutive images, k - 1.
-        seen: observations; each point in at least two images.
-        camera_from_imu: (7,).
-        noise: noise of the IMU.
-        sigma: standard deviation of normalised coordinates.
-        gyro_bias: (3,) initial value.
-        gravity: magnitude of gravity [m/s^2].
-        rule: rule of preintegration.
+    ``intervals`` are the k - 1 between them; each point of ``seen`` is in at least two. ``sigma``
+    is in normalised coordinates, ``gyro_bias`` an initial value, ``gravity`` a length [m/s^2].
     """
     system = _System(intervals, seen, camera_from_imu, noise, sigma, gravity, rule)
     bias = system.coplanar_bias(np.array(gyro_bias, dtype=np.float64))

@@ -265,7 +265,7 @@ class SlidingWindow:
                 "time_budget": 10.0 if generous else options.time_budget,
                 "function_tolerance": options.function_tolerance,
                 "spectrum": options.nullity,
-                "covariance": options.covariance,
+                "covariance": options.covariance or self._telemetry.is_quiet,
                 "expected_imu_cost": self._telemetry.wants_expected_cost(),
                 "fix_gauge": self._telemetry.expected_nullity == 4,
             },

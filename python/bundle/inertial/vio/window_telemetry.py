@@ -10,7 +10,7 @@ import numpy as np
 from bundle.inertial.preintegration.motion_excitation import excitation
 from bundle.inertial.vio.keyframe_record import KeyframeRecord
 from bundle.inertial.vio.landmark_table import LandmarkTable
-from bundle.inertial.vio.marginal_prior import MarginalPrior
+from bundle.inertial.vio.marginal_prior import SLOWEST, MarginalPrior
 from bundle.inertial.vio.window_alarms import WindowAlarms
 from bundle.inertial.vio.window_frame import WindowFrame, window_sizes
 from bundle.interface.window_options import WindowOptions
@@ -44,7 +44,7 @@ class WindowTelemetry:
         self._exit: dict[str, Any] | None = None
         self._num_solves = 0
         self._imu_excess: float | None = None
-        self._is_new_excess = False
+        self._is_new_excess = self.is_quiet = False
         noise = window.noise
         walks = noise.gyro_bias_random_walk, noise.accel_bias_random_walk
         self._alarms = WindowAlarms(options, walks)
@@ -78,9 +78,9 @@ class WindowTelemetry:
 
     @property
     def covariance(self) -> Array | None:
-        """Covariance of the newest state after the last solve."""
+        """Covariance of the newest state after the last solve, if it was requested."""
         found: Array | None = self._last.get("covariance")
-        return found
+        return found if self.window.options.covariance else None
 
     def left(self, frame: WindowFrame, how: str, absorbed: int, carried: int) -> None:
         """Record that the oldest keyframe left the window."""
@@ -105,7 +105,8 @@ class WindowTelemetry:
         nullity = _nullity(solved["spectrum"]) if len(solved["spectrum"]) else None
         prior = self._prior()
         costs = solved["costs_after"]
-        sigmas, yaw = self._sigmas(solved["covariance"], newest.state)
+        self.is_quiet = verdict == "unobservable"
+        sigmas, yaw = self._sigmas(self.covariance, newest.state)
         turned = self._rotation_so_far()
         alarms = self._alarms.of(
             newest.stamp,
@@ -145,6 +146,7 @@ class WindowTelemetry:
             gyro_bias_sigma=None if sigmas is None else _triple(sigmas[9:12]),
             accel_bias_sigma=None if sigmas is None else _triple(sigmas[12:15]),
             yaw_sigma=yaw,
+            speed_sigma=_speed_sigma(solved["covariance"], newest.state),
             accumulated_rotation=turned,
             marginalized=self._exit,
             num_absorbed=self.num_absorbed,
@@ -194,8 +196,21 @@ class WindowTelemetry:
             return None, None
         sigmas = np.sqrt(np.maximum(np.diag(covariance), 0.0))
         up = rotation_matrices(state[None, :4])[0][2]  # R^T e_z
-        yaw = float(np.sqrt(max(up @ covariance[:3, :3] @ up, 0.0)))
+        yaw = _deviation(covariance[:3, :3], up)
         return sigmas, yaw if self.expected_nullity in (0, 3) else None
+
+
+def _speed_sigma(covariance: Array | None, state: Array) -> float | None:
+    """Return the standard deviation of the speed relative to the speed; None for a slow state."""
+    velocity = state[7:10]
+    square = float(velocity @ velocity)
+    if covariance is None or not square >= SLOWEST**2:
+        return None
+    return _deviation(covariance[6:9, 6:9], velocity) / square
+
+
+def _deviation(covariance: Array, direction: Array) -> float:
+    return float(np.sqrt(np.maximum(direction @ covariance @ direction, 0.0)))
 
 
 def _nullity(spectrum: Any) -> int:

@@ -15,6 +15,7 @@ from bundle.base.waiting_time import Waiting
 from bundle.base.words import number, plural
 from bundle.errors import shown
 from bundle.inertial.vio.keyframe_record import KeyframeRecord, alarms_by_kind
+from bundle.inertial.vio.window_alarms import NO_EXCITATION
 from bundle.interface.finding import Finding
 from bundle.model.content_digests import content_digests
 from bundle.model.sequence.sequence import Sequence
@@ -122,6 +123,16 @@ def _headline(result: OdometryResult, error: TrajectoryError | None) -> list[str
         f"{end}{images} over {number(motion)} s solved in {number(result.solve_time)} s ({speed}), "
         f"{plural(len(result.keyframes), 'keyframe')}."
     ]
+    uncertain = [
+        record.speed_sigma
+        for record in result.keyframes
+        if NO_EXCITATION in record.alarms and record.speed_sigma is not None
+    ]
+    if uncertain:
+        said.append(
+            f"Without excitation, the scale has a standard deviation of up to "
+            f"{100 * max(uncertain):.2g} %."
+        )
     if error is not None:
         said.append(
             f"Position error {number(error.ate)} m rms (ATE) along {number(error.path_length)} m, "
