@@ -171,7 +171,8 @@ def error_figure(found: Validation) -> Figure:
     marks: list[Mark] = []
     values: list[float] = []
     counts: list[float] = []
-    chosen = [one for one in found.candidates if one.loss == _loss(found) and not one.error]
+    loss = found.candidates[found.recommended].loss
+    chosen = [one for one in found.candidates if one.loss == loss and not one.error]
     for colour, share in enumerate(dict.fromkeys(one.share for one in chosen)):
         rows = sorted((one for one in chosen if one.share == share), key=_size)
         x = np.array([max(_size(one), 1) for one in rows], float)
@@ -191,7 +192,8 @@ def error_figure(found: Validation) -> Figure:
             values += y[np.isfinite(y)].tolist()
         counts += x.tolist()
     names = tuple(_label(one) for one in chosen)
-    marks.append(Dots(_points(chosen), (GREY,) * len(chosen), names=names))
+    at = np.array([(max(_size(one), 1), one.held_out_rmse) for one in chosen], float).reshape(-1, 2)
+    marks.append(Dots(at, (GREY,) * len(chosen), names=names))
     return Figure(
         name="held_out_error",
         title="Error against the number of lens parameters",
@@ -283,15 +285,6 @@ def image_figure(found: Validation) -> Figure:
 def _label(one: ValidatedCandidate) -> str:
     """Return the short name of a candidate."""
     return f"{one.lens}, {one.sharing}"
-
-
-def _points(chosen: Sequence[ValidatedCandidate]) -> Array:
-    rows = [(max(_size(one), 1), one.held_out_rmse) for one in chosen]
-    return np.array(rows, float).reshape(-1, 2)
-
-
-def _loss(found: Validation) -> str:
-    return found.candidates[found.recommended].loss
 
 
 def _size(one: ValidatedCandidate) -> int:

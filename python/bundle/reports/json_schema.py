@@ -12,7 +12,6 @@ import dataclasses
 import importlib
 import inspect
 import re
-from collections.abc import Iterable
 from functools import cached_property
 from typing import Any
 
@@ -226,7 +225,7 @@ def record_schema(kind: type) -> Schema:
 
 def _of_type(text: str) -> Schema:
     """Return the schema of a value by the text of its type."""
-    choices = [_of_plain_type(part.strip()) for part in _split(text, "|")]
+    choices = [_of_plain_type(part.strip()) for part in re.split(r"\s*\|\s*(?![^\[]*\])", text)]
     kinds: list[str] = []
     for choice in choices:
         kind = choice.get("type", [])
@@ -268,11 +267,6 @@ def _of_plain_type(text: str) -> Schema:
     if name in ("tuple", "list", "Sequence", "NDArray"):
         return _LIST
     return _OBJECT  # another record
-
-
-def _split(text: str, separator: str) -> Iterable[str]:
-    """Split a type at a separator outside brackets."""
-    return re.split(rf"\s*{re.escape(separator)}\s*(?![^\[]*\])", text)
 
 
 def _properties_of_options(kind: type[Options]) -> dict[str, Schema]:

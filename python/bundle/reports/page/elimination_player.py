@@ -241,7 +241,9 @@ def image_graph(
     edges = [
         (number[int(a)], number[int(b)]) for a, b in zip(low[inside], high[inside], strict=True)
     ]
-    return [_name(problem, int(image)) for image in chosen], edges
+    names = [PurePosixPath(problem.image_names[k]).name or f"image {problem.image_ids[k]}"
+             for k in chosen]  # fmt: skip
+    return names, edges
 
 
 def spread(
@@ -294,8 +296,3 @@ def best_connected(
         if bound[following] <= 0:
             break
     return np.array(chosen, np.int64)
-
-
-def _name(problem: Problem, image: int) -> str:
-    """Return the last part of an image's name, or its id if the name is empty."""
-    return PurePosixPath(problem.image_names[image]).name or f"image {problem.image_ids[image]}"

@@ -69,7 +69,7 @@ def write_graph_report(
     found = () if facts.diagnosis is None else facts.diagnosis.findings
     problems = tuple(finding for finding in found if finding.is_problem)
     notes = [finding.sentence for finding in found if not finding.is_problem]
-    drawn = _drawn(facts)
+    drawn, is_solved = _drawn(facts), len(facts.costs) > 1
     scene, data = graph_scene(facts, drawn) if facts.dimension == 3 else ("", None)
     sections: list[Section | str] = [
         tag(
@@ -85,7 +85,11 @@ def write_graph_report(
         *certificate_sections(source),
         *_errors(facts),
         *_diagnosis(facts, notes),
-        *_convergence(facts),
+        *(
+            [Section(title="Convergence", figures=[iteration_figure(facts.costs)])]
+            if is_solved
+            else []
+        ),
         *([] if facts.inspection is None else [structure_section(facts.inspection)]),
     ]
     short = "/".join(Path(name).parts[-2:]) or f"A graph of {facts.noun}s"
@@ -222,12 +226,6 @@ def _diagnosis(facts: GraphFacts, notes: Sequence[str]) -> list[Section]:
                              f"{found.digits_square_root} by QR"),
     ]  # fmt: skip
     return [Section(title="Certainty", facts=table, notes=notes)]
-
-
-def _convergence(facts: GraphFacts) -> list[Section]:
-    if len(facts.costs) < 2:
-        return []
-    return [Section(title="Convergence", figures=[iteration_figure(facts.costs)])]
 
 
 def structure_section(found: PoseGraphInspection | FactorGraphInspection) -> Section:

@@ -177,8 +177,8 @@ def _targets(place: Placement) -> Section:
             "left out [m]", "RMSE [px]"]  # fmt: skip
     rows = [
         [target.name, "suspect" if target.suspect else target.role, f"{target.num_images}",
-         *map(_metres, target.residual), _sigma(target.sigma), _metres(_length(target.left_out)),
-         pixels(target.pixels)]
+         *map(_metres, target.residual), "/".join(map(number, target.sigma[::2].tolist())),
+         _metres(_length(target.left_out)), pixels(target.pixels)]
         for target in place.targets
     ]  # fmt: skip
     words = "Left out: length of the error when only the other points place the model."
@@ -201,10 +201,6 @@ def _positions(place: Placement) -> Section:
     table = Table.of(head, rows, left=2, most=ROWS, legend=words)
     title = f"Each of {plural(len(rows), 'measured position')}"
     return Section(title=title, tables=[table], is_detail=True)
-
-
-def _sigma(sigma: NDArray[np.float64]) -> str:
-    return "/".join(number(float(value)) for value in (sigma[0], sigma[2]))
 
 
 def _length(values: NDArray[np.float64]) -> float:

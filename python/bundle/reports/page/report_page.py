@@ -17,7 +17,7 @@ from bundle.base.arrays import check_type
 from bundle.base.paths import as_path, is_path
 from bundle.errors import InputError, shown
 from bundle.figures.certainty import Certainty, certainty, largest_eigenvalues
-from bundle.figures.lens_figures import LensCurve, lens_curves, most_observed_cameras
+from bundle.figures.lens_figures import lens_curves, most_observed_cameras
 from bundle.figures.placement_figures import Placement, placement
 from bundle.figures.projection_uncertainty import projection_uncertainty
 from bundle.figures.residual_field import residual_fields, rows_of_sets
@@ -276,7 +276,11 @@ class _Page:
             return []
         known = {} if self.known is None else self.known.cameras
         curves = lens_curves(self.problem, cameras, known)
-        self.data["lenses"] = [_rounded(curve) for curve in curves]
+        self.data["lenses"] = [
+            {name: rounded(one) if isinstance(one, np.ndarray) else one
+             for name, one in fields(curve).items()}
+            for curve in curves
+        ]  # fmt: skip
         before = [] if self.initial is None else lens_curves(
             self.initial, most_observed_cameras(self.initial, MOST_LENSES)
         )  # fmt: skip
@@ -350,14 +354,6 @@ class _Page:
 def _sentences(words: Sequence[str]) -> str:
     first, *rest = (escape(sentence) for sentence in words)
     return tag("p", tag("strong", first), " ", " ".join(rest), class_="headline")
-
-
-def _rounded(curve: LensCurve) -> dict[str, Any]:
-    """Return a curve for the data of the page, its arrays with six digits."""
-    return {
-        name: rounded(value) if isinstance(value, np.ndarray) else value
-        for name, value in fields(curve).items()
-    }
 
 
 def report_findings(

@@ -182,7 +182,8 @@ def write_check(
     points: list[str] = []
     if isinstance(report, FactorCheck):
         words: Any = factor_report
-        first = [Section(title="Kinds of factors", tables=[_kinds(report)])]
+        rows = factor_report.kind_rows(report)
+        first = [Section(title="Kinds of factors", tables=[Table.of(KINDS, rows, left=2)])]
         chosen = list(dict.fromkeys(found.factor for found in report.findings))[:MOST_FACTORS]
         parts = {key: report.reports[key] for key in chosen or list(report.reports)[:1]}
     elif isinstance(report, GradientReport):
@@ -205,6 +206,7 @@ def write_check(
     write_page(as_path(path), f"Jacobians: {name}", rendered(sections))
 
 
+KINDS = ("factors", "verdict", "largest error", "checked", "wrong", "undecided")
 WORST = (
     Column("column", "parameter"),
     Column("place", "place"),
@@ -213,11 +215,6 @@ WORST = (
     Column("should be", "reference", "{:.6g}".format),
     Column("error", "error", "{:.1e}".format),
 )
-
-
-def _kinds(check: FactorCheck) -> Table:
-    head = ("factors", "verdict", "largest error", "checked", "wrong", "undecided")
-    return Table.of(head, factor_report.kind_rows(check), left=2)
 
 
 def _details(report: GradientReport, name: str) -> list[Section]:

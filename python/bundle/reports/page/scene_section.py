@@ -90,7 +90,8 @@ def scene_section(
         f"{plural(len(view.centers), nouns[1], grouped=True)}"
     )
     if view.step > 1:
-        words += f"; of {num_points:,} {nouns[0]}s, every {_ordinal(view.step)} is drawn"
+        nth = {2: "second", 3: "third"}.get(view.step, f"{view.step}th")
+        words += f"; of {num_points:,} {nouns[0]}s, every {nth} is drawn"
     if view.num_far:
         words += f"; {view.num_far:,} farther away than 50 half widths of the scene are not drawn"
     words += f". {more}" if more else "."
@@ -185,7 +186,3 @@ def packed(values: NDArray[np.float64]) -> str:
 
 def _coded(values: NDArray[Any]) -> str:
     return base64.b64encode(values.tobytes()).decode("ascii")
-
-
-def _ordinal(number: int) -> str:
-    return {2: "second", 3: "third"}.get(number, f"{number}th")

@@ -90,7 +90,16 @@ def stacked_bars(mark: StackedBars) -> str:
         ]
         cells += _row(name, "".join(pieces), f"{totals[name]:.3g}{mark.unit}")
     swatches = [
-        tag("li", _swatch(f"background:{_paint(index, phase)}"), escape(phase))
+        tag(
+            "li",
+            tag(
+                "span",
+                class_="swatch",
+                style=f"background:{_paint(index, phase)}",
+                aria_hidden="true",
+            ),
+            escape(phase),
+        )
         for index, phase in enumerate(phases)
     ]
     return tag("div", *cells, class_="bars") + tag("ul", *swatches, class_="legend")
@@ -99,10 +108,6 @@ def stacked_bars(mark: StackedBars) -> str:
 def _row(name: str, bar: str, words: str) -> list[str]:
     value = tag("div", escape(words), class_="value")
     return [tag("div", escape(name)), tag("div", bar, value, class_="track")]
-
-
-def _swatch(style: str) -> str:
-    return tag("span", class_="swatch", style=style, aria_hidden="true")
 
 
 def _paint(index: int, phase: str) -> str:

@@ -97,16 +97,20 @@ def uncertainties(
         spread = [*zip(("translation", "rotation [rad]"), parts, strict=True)]
         gauge, whole, warnings = _held(cov), "of the graph", [*cov.notes]
         data |= {"held_pose_ids": cov.held_pose_ids, "robust": "weights"}
-    facts = [*input_facts(path, given), ("gauge", gauge), _sigma0(cov), ("scale", _scale(cov))]
+    sigma0 = f"{number(cov.sigma0)} ({plural(cov.dof, 'degree')} of freedom)"
+    facts = [("gauge", gauge), ("sigma0", sigma0), ("scale", _scale(cov))]
     pairs = zip(cov.relative_ids, cov.relative_covariance, strict=True)
     return Report(
         command="covariance",
         input=about_input(path, given),
-        headline=[_sigmas_in_words(spread, whole), _certainty(cov)],
+        headline=[
+            _sigmas_in_words(spread, whole),
+            f"sigma0 {sigma0}; gauge {cov.gauge.replace('_', ' ')}.",
+        ],
         warnings=warnings,
         sections=[
             Section(facts=[("output", shown(target))]),
-            Section(facts=facts, is_detail=True),
+            Section(facts=[*input_facts(path, given), *facts], is_detail=True),
             *_spread(spread),
             *cameras,
         ],
@@ -132,16 +136,6 @@ def _held(cov: GraphCovariance) -> str:
         "none": "by fixed poses",
     }
     return f"{cov.gauge}: {held[cov.gauge]}"
-
-
-def _sigma0(cov: Covariance | GraphCovariance) -> tuple[str, str]:
-    return "sigma0", f"{number(cov.sigma0)} ({plural(cov.dof, 'degree')} of freedom)"
-
-
-def _certainty(cov: Covariance | GraphCovariance) -> str:
-    """Return sigma0 and the gauge in a sentence."""
-    gauge = cov.gauge.replace("_", " ")
-    return f"sigma0 {number(cov.sigma0)} ({plural(cov.dof, 'degree')} of freedom); gauge {gauge}."
 
 
 def _sigmas_in_words(parts: Sequence[tuple[str, NDArray[np.float64]]], unit: str) -> str:
@@ -263,6 +257,7 @@ def diagnosed(
         ("pieces", _pieces(sizes, noun)),
     ]
     problems = [entry for entry in diagnosis.findings if entry.is_problem]
+    notes = [entry.sentence for entry in diagnosis.findings if not entry.is_problem]
     return Report(
         command="diagnose",
         input=about_input(path, given),
@@ -272,7 +267,7 @@ def diagnosed(
             Section(facts=facts, is_detail=True),
             Section(tables=[_condition(*matrix, diagnosis)], is_detail=True),
             *suspicious,
-            *_notes(diagnosis),
+            *([Section(facts=[("notes", "")], notes=notes, is_detail=True)] if notes else []),
         ],
         data={
             "options": dict(options),
@@ -310,11 +305,6 @@ def _headline(diagnosis: Diagnosis | GraphDiagnosis, sizes: Sequence[int], noun:
         f"{verdict[0].upper()}{verdict[1:]}.",
         f"{condition}; {_pieces(sizes, noun)}{'; no problem found' if diagnosis.ok else ''}.",
     ]
-
-
-def _notes(diagnosis: Diagnosis | GraphDiagnosis) -> list[Section]:
-    others = [entry.sentence for entry in diagnosis.findings if not entry.is_problem]
-    return [Section(facts=[("notes", "")], notes=others, is_detail=True)] if others else []
 
 
 def _eigenvalues(diagnosis: Diagnosis | GraphDiagnosis) -> str:

@@ -185,13 +185,11 @@ def _remarks(inspection: Inspection) -> list[str]:
     for method in inspection.methods:
         if method.note and method.is_taken:
             by_note.setdefault(method.note, {})[method.name] = method.linear_solver_type
-    return remarks + [f"{_whose(names)}: {note}." for note, names in by_note.items()]
-
-
-def _whose(names: dict[str, str]) -> str:
-    """Return the methods, or their common linear solver if there are many methods."""
-    solvers = dict.fromkeys(names.values())
-    return ", ".join(solvers if len(names) > 2 and len(solvers) == 1 else names)
+    for note, names in by_note.items():
+        solvers = dict.fromkeys(names.values())
+        whose = solvers if len(names) > 2 and len(solvers) == 1 else names  # a common solver
+        remarks.append(f"{', '.join(whose)}: {note}.")
+    return remarks
 
 
 def _disagreement(inspection: Inspection) -> list[str]:

@@ -14,7 +14,7 @@ from bundle.errors import shown
 from bundle.interface.judging_options import AUC_DEFINITIONS, EvaluateOptions, TriageOptions
 from bundle.judging.evaluation.check_points import CheckPointEvaluation
 from bundle.judging.evaluation.evaluation_result import Evaluation, SharedImage
-from bundle.judging.triage.triage_result import Quantity, Triage
+from bundle.judging.triage.triage_result import Triage
 from bundle.judging.validation.row_test import RowTest
 from bundle.judging.validation.validation_result import ValidatedCandidate, Validation
 from bundle.model.pose_table import ErrorStatistics
@@ -59,7 +59,7 @@ def evaluated(
         title=f"{shown(paths[0])} against {shown(paths[1])}",
         headline=found.headline,
         findings=found.findings,
-        sections=[Section(facts=inputs), *body, *_notes(notes)],
+        sections=[Section(facts=inputs), *body, *([Section(notes=notes)] if notes else [])],
         input={"path": paths[0], **kinds[0]},
         data={
             "reference": {"path": paths[1], **kinds[1]},
@@ -88,10 +88,6 @@ def _described(kind: dict[str, Any], direction: str) -> str:
             break
     has_direction = direction and kind["format"] == "poses"
     return f"{name}, {direction.replace('_', '-')}" if has_direction else name
-
-
-def _notes(notes: Sequence[str]) -> list[Section]:
-    return [Section(notes=notes)] if notes else []
 
 
 def _of_poses(found: Evaluation) -> list[Section]:
@@ -247,7 +243,7 @@ def triaged(paths: tuple[str, str], found: Triage, options: TriageOptions) -> Re
         Column("", lambda one: NAMES[one.name]),
         Column("old", lambda one: _word(one.old)),
         Column("new", lambda one: _word(one.new)),
-        Column("ratio", _ratio),
+        Column("ratio", "ratio", lambda ratio: "" if ratio is None else number(ratio)),
     )
     methods = [
         f"{cause.cause}: {', '.join(named)}."
@@ -276,10 +272,6 @@ def _word(value: float | str | None) -> str:
     if isinstance(value, str):
         return shown(value)
     return f"{value:.0f}" if float(value).is_integer() and abs(value) < 1e9 else number(value)
-
-
-def _ratio(one: Quantity) -> str:
-    return "" if one.ratio is None else number(one.ratio)
 
 
 OF_VALIDATION = (

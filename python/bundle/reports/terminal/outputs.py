@@ -15,7 +15,7 @@ from bundle.interface.scene_options import SceneOptions
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.model.problem import Problem
 from bundle.model.unobserved import unobserved
-from bundle.reports.sections import Column, Report, Section, Table
+from bundle.reports.sections import Report, Section, Table
 from bundle.reports.terminal.inputs import (
     about_input,
     contents_of,
@@ -174,6 +174,7 @@ def merged_report(
 
 EMPTY: Mapping[str, str] = {}
 ERRORS = ("rmse", "median", "p95", "max")
+SPREAD = ("min", "median", "mean", "max")
 
 
 def synthesized(
@@ -205,9 +206,9 @@ def synthesized(
     headline += [f"Measured {kind}: {shown(path)}." for kind, path in measured.items()]
     sizes = {"track_length": tally.track_length(), "observations_per_image": tally.image_size()}
     names = [("track length", "track_length"), ("observations per image", "observations_per_image")]
-    spread = [(label, sizes[name]) for label, name in names]
+    spread = [(label, *(number(sizes[name][key]) for key in SPREAD)) for label, name in names]
     errors = [
-        (label, tally.errors[name])
+        (label, *(pixels(getattr(tally.errors[name], key)) for key in ERRORS))
         for label, name in (("start", "start"), ("ground truth", "ground_truth"))
     ]
     return Report(
@@ -218,8 +219,8 @@ def synthesized(
             Section(
                 is_detail=True,
                 tables=[
-                    Table([Column("", 0), *map(_spread, ("min", "median", "mean", "max"))], spread),
-                    Table([Column("error in pixels", 0), *map(_error, ERRORS)], errors),
+                    Table.of(("", *SPREAD), spread),
+                    Table.of(("error in pixels", *ERRORS), errors),
                 ],
             )
         ],
@@ -233,14 +234,3 @@ def synthesized(
             "reprojection_error": tally.errors,
         },
     )
-
-
-def _spread(key: str) -> Column:
-    def find(row: tuple[str, Mapping[str, float]]) -> float:
-        return row[1][key]
-
-    return Column(key, find, number)
-
-
-def _error(key: str) -> Column:
-    return Column(key, lambda row: getattr(row[1], key), pixels)

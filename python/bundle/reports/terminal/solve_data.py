@@ -244,13 +244,13 @@ def loops_section(closed: LoopClosing) -> Section:
     if closed.factors:
         kept = plural(len(closed.factors), "closure")
         rows.append(("", f"{kept} of images that share few points kept in bundle adjustment"))
+
+    def others(count: int) -> str:
+        return f"{plural(count, 'other closure')} have smaller errors; --json FILE lists all"
+
     order = sorted(closed.closures, key=lambda closure: (closure.used, -closure.chi2_after))
-    table = Table(CLOSURES, order, left=2, most=MOST_CLOSURES, others=_others)
+    table = Table(CLOSURES, order, left=2, most=MOST_CLOSURES, others=others)
     return Section(facts=rows, tables=[table])
-
-
-def _others(count: int) -> str:
-    return f"{plural(count, 'other closure')} have smaller errors; --json FILE lists all"
 
 
 _PHASES = (
