@@ -40,7 +40,7 @@ from bundle.reports.page.graph_facts import (
     facts_of_factor_graph,
     facts_of_pose_graph,
 )
-from bundle.reports.page.page import tag, write_page
+from bundle.reports.page.page import lead, write_page
 from bundle.reports.page.scene_section import packed, scene_data, scene_script, scene_section
 from bundle.reports.page.table import findings_list, rendered
 from bundle.reports.sections import Section, Table
@@ -72,13 +72,7 @@ def write_graph_report(
     drawn, is_solved = _drawn(facts), len(facts.costs) > 1
     scene, data = graph_scene(facts, drawn) if facts.dimension == 3 else ("", None)
     sections: list[Section | str] = [
-        tag(
-            "p",
-            tag("strong", escape(facts.headline[0])),
-            " ",
-            escape(" ".join(facts.headline[1:])),
-            class_="headline",
-        ),
+        lead(facts.headline),
         findings_list(problems),
         Section(title="Trajectory", figures=plan_figures(drawn)),
         scene,
@@ -166,8 +160,8 @@ def _errors(facts: GraphFacts) -> list[Section]:
             f"{row['count']:,}",
             *([number(row["chi2_before"])] if is_solved else []),
             number(row["chi2"]),
-            _known(row["expected"]),
-            _known(row["ratio"]),
+            number(row["expected"]),
+            number(row["ratio"]),
         ]
         for row in error_kinds(facts)
     ]
@@ -183,7 +177,7 @@ def _errors(facts: GraphFacts) -> list[Section]:
             str(facts.kinds[k]),
             *([number(facts.chi2_before[k])] if is_solved else []),
             number(facts.chi2[k]),
-            _known(float("nan") if test is None else float(test[k])),
+            number(float("nan") if test is None else float(test[k])),
         ]
         for k in np.argsort(-np.nan_to_num(facts.chi2), kind="stable")[:MOST_EDGES].tolist()
     ]
@@ -210,10 +204,6 @@ def _errors(facts: GraphFacts) -> list[Section]:
     ]
 
 
-def _known(value: float) -> str:
-    return number(value) if np.isfinite(value) else "-"
-
-
 def _diagnosis(facts: GraphFacts, notes: Sequence[str]) -> list[Section]:
     found = facts.diagnosis
     if found is None:
@@ -221,7 +211,7 @@ def _diagnosis(facts: GraphFacts, notes: Sequence[str]) -> list[Section]:
     table = [
         ("rank", found.verdict),
         ("connected components", str(len(found.components))),
-        ("condition number, scaled", _known(found.condition_number)),
+        ("condition number, scaled", number(found.condition_number)),
         ("digits of a step", f"{found.digits_normal_equations} by normal equations, "
                              f"{found.digits_square_root} by QR"),
     ]  # fmt: skip

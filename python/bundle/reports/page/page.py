@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from html import escape
 from importlib import resources
 from pathlib import Path
@@ -40,6 +40,12 @@ def heading(title: str, name: str = "") -> str:
     """Return the heading of a section; the table of contents of the page links to it."""
     anchor = name or re.sub(r"\W+", "-", title.lower()).strip("-")
     return tag("h2", escape(title), id=anchor)
+
+
+def lead(sentences: Sequence[str]) -> str:
+    """Return the verdict of a page; its first sentence is bold."""
+    first, *rest = map(escape, sentences)
+    return tag("p", tag("strong", first), " ", " ".join(rest), class_="headline")
 
 
 def as_json(data: Any) -> str:

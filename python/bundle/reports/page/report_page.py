@@ -55,7 +55,7 @@ from bundle.reports.page.model_sections import (
     solve_sections,
     structure_section,
 )
-from bundle.reports.page.page import tag, write_page
+from bundle.reports.page.page import lead, tag, write_page
 from bundle.reports.page.residual_section import (
     MOST_CLICKED,
     Photographs,
@@ -230,7 +230,7 @@ class _Page:
         if self.place is not None:
             self.data["placement"] = plain(self.place)
         first = [
-            *([] if result is None else [_sentences(headline(result))]),
+            *([] if result is None else [lead(headline(result))]),
             tag("p", escape(contents_of(problem)), class_="quiet"),
             "" if counts else tag("p", escape(self.notes[-1]), class_="warn"),
             tag(
@@ -349,11 +349,6 @@ class _Page:
         if projections:
             self.data["projection"] = projection_data(projections)
         return certainty_sections(self.problem, known, cameras, projections)
-
-
-def _sentences(words: Sequence[str]) -> str:
-    first, *rest = (escape(sentence) for sentence in words)
-    return tag("p", tag("strong", first), " ", " ".join(rest), class_="headline")
 
 
 def report_findings(
