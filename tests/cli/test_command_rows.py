@@ -100,6 +100,11 @@ ROW = Command(
 )
 
 
+def test_a_row_has_only_the_fields_of_its_class():
+    with pytest.raises(TypeError, match=r"Way: expected its fields, found \['cal', 'sawn'\]"):
+        Way(call=saw, sawn=1, cal=2)
+
+
 @pytest.fixture(autouse=True)
 def _table(monkeypatch):
     monkeypatch.setitem(COMMANDS, "saw", ROW)

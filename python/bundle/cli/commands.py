@@ -12,15 +12,22 @@ import importlib
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from bundle.base.records import dataclass
 from bundle.io.recognition import Kind, recognize
 
 Name = str | Callable[..., Any]
 """A function, or its name "module:function" within the package."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Way:
+class Row:
+    """Record whose fields and defaults are those of its class; a dataclass starts more slowly."""
+
+    def __init__(self, **given: Any) -> None:
+        if unknown := given.keys() - type(self).__annotations__.keys():
+            raise TypeError(f"{type(self).__name__}: expected its fields, found {sorted(unknown)}")
+        vars(self).update(given)
+
+
+class Way(Row):
     """Steps of a command on one kind of INPUT.
 
     A way with ``call`` calls the API: ``call(input, options, **keywords)``. A command with ``run``
@@ -73,8 +80,7 @@ def _detected(arguments: argparse.Namespace) -> str:
     return Kind.POSE_GRAPH if Kind.POSE_GRAPH in kinds else Kind.RECONSTRUCTION
 
 
-@dataclass(frozen=True, kw_only=True)
-class Command:
+class Command(Row):
     """Row of the table.
 
     Attributes:
@@ -91,7 +97,7 @@ class Command:
     usage: str = ""
     arguments: Callable[[Any], tuple[Any, ...]]
     ways: Mapping[str, Way]
-    kind: Callable[[argparse.Namespace], str] = _detected
+    kind: Callable[[argparse.Namespace], str] = staticmethod(_detected)
     is_for_each: bool = False
 
     def way(self, kind: str) -> Way:

@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from bundle.cli.commands import COMMANDS, Command, Way, resolve
 from bundle.cli.declarations import read_options
 from bundle.cli.inertial_flags import RECORDED
-from bundle.cli.next_run import repeated_flags
 from bundle.cli.option_flags import (
     flags_of,
     naming_flags,
@@ -225,6 +224,7 @@ class Run:
 
     def judge(self, **known: Any) -> None:
         """Search for findings about INPUT."""
+        from bundle.cli.next_run import repeated_flags  # few commands judge
         from bundle.judging.findings.find import find
 
         self.progress.stage("judging")
