@@ -21,8 +21,8 @@ from bundle.base.paths import get_include as get_include
 from bundle.checking.gradient_report import GradientReport as GradientReport
 from bundle.editing.camera_sharing import share_cameras as share_cameras
 from bundle.editing.camera_sharing import split_cameras as split_cameras
+from bundle.editing.merge_models import Merge as Merge
 from bundle.editing.merge_models import merge as merge
-from bundle.editing.merge_result import Merge as Merge
 from bundle.editing.model_change import CameraModelChange as CameraModelChange
 from bundle.editing.model_change import ChangedModels as ChangedModels
 from bundle.editing.model_change import change_camera_model as change_camera_model

@@ -20,7 +20,7 @@ from bundle.cli.run import refuse_others
 from bundle.errors import InputError
 from bundle.interface.option_classes import option_class
 from bundle.io.recognition import Kind
-from bundle.model.image_selection import MOST_IDS
+from bundle.model.problem_keys import MOST_IDS
 from tests.cli.test_bad_input import assert_refused, snapshot
 from tests.graphs.pose_graphs import graphs
 from tests.scenes import make_problem, scene

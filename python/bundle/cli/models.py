@@ -135,7 +135,7 @@ def convert_pose_graph(run: Run) -> Report:
 
 def refine_pose_graph(run: Run) -> Report:
     """Refine the pose graph INPUT into OUTPUT."""
-    from bundle.base.waiting_time import Waiting, waiting_since
+    from bundle.base.own_process import Waiting, waiting_since
     from bundle.cli.many_processes import note_alone
     from bundle.graphs.pose_graphs.solve_pose_graph import solve_pose_graph
     from bundle.interface.pose_graph_options import PoseGraphOptions

@@ -18,7 +18,7 @@ from bundle.errors import InputError
 from bundle.interface.option_class import Options
 from bundle.interface.option_classes import option_class
 from bundle.interface.option_fields import join
-from bundle.model.image_selection import MOST_IDS, find_images, id_range
+from bundle.model.problem_keys import MOST_IDS, find_images, id_range
 
 if TYPE_CHECKING:
     from bundle.interface.options import SolveOptions

@@ -8,7 +8,7 @@ from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING
 
-from bundle.base.waiting_time import Waiting, waiting_since
+from bundle.base.own_process import Waiting, waiting_since
 from bundle.cli.carried_georeference import (
     carry_georeference,
     write_georeference,

@@ -110,8 +110,8 @@ def given_sequence(run: Run, path: str) -> GivenSequence:
 
 def run_vio(run: Run) -> Report:
     """Run the odometry over SEQUENCE."""
+    from bundle.base.own_process import Waiting, waiting_since
     from bundle.base.paths import as_path
-    from bundle.base.waiting_time import Waiting, waiting_since
     from bundle.inertial.tracking.sequence_axes import explanations
     from bundle.inertial.vio.odometry import run_odometry
     from bundle.inertial.vio.trajectory_comparison import compare_trajectories, covered_by

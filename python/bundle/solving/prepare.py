@@ -241,7 +241,7 @@ def _resolve_rules(
 
 
 def _local_part(problem: Problem, part: PartRequest, placed: PlacedProblem) -> LocalPart:
-    from bundle.model.image_selection import find_images
+    from bundle.model.problem_keys import find_images
     from bundle.solving.rounds.local_part import LocalPart  # imported with only_images only
 
     if placed.control_point_ids:

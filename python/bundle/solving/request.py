@@ -16,8 +16,8 @@ from bundle.interface.judging_options import HoldOutOptions
 from bundle.interface.option_fields import choice, number
 from bundle.interface.options import SolveOptions
 from bundle.interface.round_options import CHECKPOINT_INTERVAL, RESTS, RoundOptions
-from bundle.model.image_selection import ImageSelection
 from bundle.model.problem import Problem
+from bundle.model.problem_keys import ImageSelection
 
 if TYPE_CHECKING:
     from typing import TypeAlias

@@ -26,7 +26,7 @@ from bundle.io.atomic import atomic_write as atomic
 from bundle.model.problem import Problem
 from bundle.model.reprojection import ReprojectionError, counted_errors, reprojection_errors
 from bundle.synthetic.blocks import SceneInBlocks
-from bundle.synthetic.start import Start, median_distance
+from bundle.synthetic.scene import Start, median_distance
 
 # Number of low bits of a nonnegative float32 that are dropped. The other bits preserve the order of
 # numbers and resolve 2^-12 of their size.

@@ -22,7 +22,7 @@ from bundle.model.rigid_motions import (
     rotation_matrices,
 )
 from bundle.synthetic.blocks import SceneInBlocks
-from bundle.synthetic.start import Start, median_distance
+from bundle.synthetic.scene import Start, median_distance
 from bundle.synthetic.video_scene import film
 
 

@@ -23,8 +23,14 @@ from bundle.model.rigid_motions import dot, quaternion_from_matrix, quaternion_r
 from bundle.model.rolling_shutter import RollingShutter
 from bundle.model.shutter_motion import read_positions, twists_between
 from bundle.synthetic.observations import check_images, components, measure
-from bundle.synthetic.scene import Images, Intrinsics, Pairs, draw_intrinsics
-from bundle.synthetic.start import Start, median_distance
+from bundle.synthetic.scene import (
+    Images,
+    Intrinsics,
+    Pairs,
+    Start,
+    draw_intrinsics,
+    median_distance,
+)
 
 Array = NDArray[np.float64]
 

@@ -161,7 +161,7 @@ def test_factors_of_what_is_not_in_the_part_are_kept():
     ],
 )
 def test_images_are_named_by_ids_and_patterns(selection, expected):
-    from bundle.model.image_selection import find_images
+    from bundle.model.problem_keys import find_images
 
     assert find_images("x", make_problem(num_images=10, num_points=3), selection) == expected
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bundle.base.words import contents, format_name, format_size, number, pixels, plural
-from bundle.editing.merge_result import Merge
+from bundle.editing.merge_models import Merge
 from bundle.errors import shown
 from bundle.interface.finding import Finding
 from bundle.interface.scene_options import SceneOptions

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from bundle.analysis.diagnosis.chi2_kinds import kinds_data
-from bundle.base.waiting_time import Waiting
+from bundle.base.own_process import Waiting
 from bundle.base.words import number, plural
 from bundle.errors import InputError
 from bundle.graphs.pose_graphs.edge_weights import (

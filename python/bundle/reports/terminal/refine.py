@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from bundle.base.waiting_time import Waiting
+from bundle.base.own_process import Waiting
 from bundle.base.words import change, format_size, pixels, plural
 from bundle.errors import shown
 from bundle.interface.summary import Summary, sizes

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+from bundle.base.own_process import Waiting
 from bundle.base.records import dataclass
-from bundle.base.waiting_time import Waiting
 from bundle.base.words import change, format_size, number, plural, seconds
 from bundle.errors import shown
 from bundle.interface.environment import Environment

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bundle.base.waiting_time import Waiting
+from bundle.base.own_process import Waiting
 from bundle.base.words import number, plural
 from bundle.errors import shown
 from bundle.inertial.vio.keyframe_record import KeyframeRecord, alarms_by_kind

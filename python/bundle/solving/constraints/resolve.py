@@ -12,9 +12,8 @@ from bundle.base.arrays import at
 from bundle.errors import InputError, brief
 from bundle.interface.options import SolveOptions
 from bundle.model.cameras import camera_models, param_kinds
-from bundle.model.image_selection import named_images
 from bundle.model.problem import Problem
-from bundle.model.problem_keys import parameter_names
+from bundle.model.problem_keys import named_images, parameter_names
 from bundle.solving.constraints.applied import (
     HELD_POSITION,
     HELD_ROTATION,

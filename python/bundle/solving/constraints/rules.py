@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 
 from bundle.base.records import dataclass
 from bundle.errors import InputError, brief
-from bundle.model.image_selection import MOST_IDS, id_range
+from bundle.model.problem_keys import MOST_IDS, id_range
 
 TARGETS = ("camera", "image", "point")
 """Kinds of variables that rules can name."""

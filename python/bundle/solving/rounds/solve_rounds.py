@@ -14,8 +14,7 @@ from bundle.interface.options import SolveOptions
 from bundle.interface.round_options import CHECKPOINT_INTERVAL, RoundOptions
 from bundle.interface.solve_record import Progress
 from bundle.io.files import Source, as_problem
-from bundle.model.image_selection import ImageSelection
-from bundle.model.problem_keys import touched_ids
+from bundle.model.problem_keys import ImageSelection, touched_ids
 from bundle.solving.executors import finished, solve_prepared
 from bundle.solving.prepare import Prepared, prepare
 from bundle.solving.request import Bounds, PartRequest, RunPlan, SolveRequest
