@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import bundle._core as _core
+from bundle.base.arrays import check_type, refuse_row
 from bundle.base.records import dataclass
 from bundle.base.words import plural
 from bundle.checking.jacobian_deviation import Array
@@ -42,8 +43,7 @@ class Layout:
         """Return the layout of blocks."""
         count = len(start)
         for what, given in (("manifolds", manifolds), ("names", names)):
-            if given is not None and not isinstance(given, list | tuple):
-                raise InputError(f"{what}: expected a list, one per block, found {brief(given)}")
+            check_type(what, given, list | tuple | None, "a list, one per block")
         manifolds = [None] * count if manifolds is None else list(manifolds)
         names = [f"block {b}" for b in range(count)] if names is None else list(names)
         for what, given in (("manifolds", manifolds), ("names", names)):
@@ -164,9 +164,10 @@ class Manifold:
             raise InputError(
                 f"manifolds: expected the constant entries, found {brief(pair[1])}"
             ) from None
-        for entry in entries:
-            if not 0 <= entry < size:
-                raise InputError(f"manifolds: expected entries from 0 to {size - 1}, found {entry}")
+        refuse_row(
+            [not 0 <= entry < size for entry in entries],
+            lambda k: f"manifolds: expected entries from 0 to {size - 1}, found {entries[k]}",
+        )
         if name == "angle_axis" and size != 3:
             raise InputError(f"manifolds: angle_axis expects a block of 3 numbers, found {size}")
         core = (_core_name(name), list(entries))

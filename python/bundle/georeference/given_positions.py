@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from bundle.base.arrays import check_type
+from bundle.base.arrays import check_distinct, check_type
 from bundle.base.paths import as_path, is_path
 from bundle.errors import InputError, brief, nearest
 from bundle.georeference.control_point import GroundControlPoint, parse_sigma
@@ -102,12 +102,9 @@ def given_control_points(gcps: Any, problem: Problem) -> tuple[GroundControlPoin
         points = tuple(gcps)
     except TypeError:
         raise InputError(f"gcps: expected a path or control points, found {brief(gcps)}") from None
-    names = set()
     for point in points:
         check_type("gcps", point, GroundControlPoint, "GroundControlPoints")
-        if point.name in names:
-            raise InputError(f"gcps: expected unique names, found {point.name} twice")
-        names.add(point.name)
+    check_distinct("gcps: expected unique names", (point.name for point in points))
     if not points:
         raise InputError("gcps: expected at least one control point, found 0")
     return points

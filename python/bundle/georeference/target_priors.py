@@ -18,6 +18,7 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.arrays import check_distinct
 from bundle.base.records import dataclass
 from bundle.errors import InputError
 from bundle.georeference.alignment_result import ControlPointError
@@ -64,7 +65,7 @@ class TargetPriors(FoundPriors):
                 repeat, or no control point is measured in two images.
         """
         given = tuple(points)
-        names: set[str] = set()
+        check_distinct("priors: expected each control point once", (point.name for point in given))
         for point in given:
             if point.reference_system is not None:
                 raise InputError(
@@ -72,11 +73,6 @@ class TargetPriors(FoundPriors):
                     "those of bundle.georeference.gcp_priors, found coordinates in "
                     f"{point.reference_system}"
                 )
-            if point.name in names:
-                raise InputError(
-                    f"priors: expected each control point once, found {point.name} twice"
-                )
-            names.add(point.name)
         control = [point for point in given if point.role == "control"]
         index = ImageIndex(problem, "priors: ")
         found = triangulate(problem, control, index, pixel_sigma=GCP_PIXEL_SIGMA)

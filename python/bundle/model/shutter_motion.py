@@ -26,7 +26,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bundle.errors import InputError
+from bundle.base.arrays import refuse_row
 from bundle.model.cameras import camera_models, project
 from bundle.model.problem import Problem
 from bundle.model.rigid_motions import dot, inverse_poses, log_of_poses, multiply_poses
@@ -171,9 +171,10 @@ def check_same_shutter(problem: Problem, cameras: NDArray[np.int64]) -> None:
         for direction, readout in zip(shutter.direction, shutter.readout.tolist(), strict=True)
     ]
     first = int(cameras[0])
-    for camera in cameras[1:].tolist():
-        if words[camera] != words[first]:
-            raise InputError(
-                f"camera {problem.camera_ids[camera]}: expected the shutter of camera "
-                f"{problem.camera_ids[first]} ({words[first]}) to share it, found {words[camera]}"
-            )
+    refuse_row(
+        [words[camera] != words[first] for camera in cameras.tolist()],
+        lambda k: (
+            f"camera {problem.camera_ids[cameras[k]]}: expected the shutter of camera "
+            f"{problem.camera_ids[first]} ({words[first]}) to share it, found {words[cameras[k]]}"
+        ),
+    )

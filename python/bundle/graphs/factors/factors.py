@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bundle.base.arrays import FrozenArrays, as_array, as_flag, freeze
+from bundle.base.arrays import FrozenArrays, as_array, as_flag, check_distinct, freeze
 from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
 from bundle.base.words import plural
@@ -209,8 +209,7 @@ class _RelativeFactor(MeasuredFactor):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.a == self.b:
-            raise InputError(f"{self.name}: expected two different variables, found the same twice")
+        check_distinct(f"{self.name}: expected two different variables", (self.a, self.b))
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bundle.base.arrays import check_type, freeze
+from bundle.base.arrays import check_distinct, check_type, freeze
 from bundle.base.records import dataclass
-from bundle.errors import InputError
 from bundle.graphs.factors.factors import Factor
 from bundle.graphs.factors.variables import Key
 from bundle.inertial.preintegration.preintegration import Preintegration, as_vector
@@ -28,8 +27,7 @@ class _MotionFactor(Factor):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if len(set(self.keys)) < len(self.keys):
-            raise InputError(f"{self.name}: expected different variables, found the same twice")
+        check_distinct(f"{self.name}: expected different variables", self.keys)
         check_type(f"{self.name}: motion", self.motion, Preintegration)
         self._set("motion", copy.copy(self.motion))
         self._set("gravity", freeze(as_vector(f"{self.name}: gravity", self.gravity).copy()))
@@ -176,8 +174,7 @@ class BiasWalkFactor(Factor):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.bias_i == self.bias_j:
-            raise InputError(f"{self.name}: expected two different variables, found the same twice")
+        check_distinct(f"{self.name}: expected two different variables", self.keys)
         check_type(f"{self.name}: noise", self.noise, ImuNoise)
         self._set("duration", number(f"{self.name}: duration", self.duration, above=0))
         for walk in ("gyro_bias_random_walk", "accel_bias_random_walk"):

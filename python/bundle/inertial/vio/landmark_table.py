@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from bundle.base.arrays import refuse_row
 from bundle.errors import InputError
 
 Array = np.ndarray[Any, Any]
@@ -41,11 +42,10 @@ class FrameTracks(NamedTuple):
                 f"{where}: expected ids (n,), xy and velocity (n, 2), found {ids.shape}, "
                 f"{xy.shape}, {velocity.shape}"
             )
-        if not np.all(ids[1:] > ids[:-1]):
-            row = int(np.argmin(ids[1:] > ids[:-1])) + 1
-            raise InputError(
-                f"{where}: expected ascending ids, found {ids[row]} after {ids[row - 1]}"
-            )
+        refuse_row(
+            ids[1:] <= ids[:-1],
+            lambda k: f"{where}: expected ascending ids, found {ids[k + 1]} after {ids[k]}",
+        )
         if not (np.isfinite(xy).all() and np.isfinite(velocity).all()):
             raise InputError(f"{where}: expected finite coordinates")
 

@@ -17,6 +17,7 @@ from typing import Any, Unpack
 import numpy as np
 
 import bundle._core as _core
+from bundle.base.arrays import refuse_row
 from bundle.errors import InputError
 from bundle.inertial.preintegration.preintegration import as_vector
 from bundle.inertial.vio.keyframe_record import KeyframeRecord, keyframe_reason
@@ -136,10 +137,10 @@ class SlidingWindow:
         rows = np.asarray(states, float)
         if rows.ndim != 2 or rows.shape[1] != 16 or len(rows) < 2:
             raise InputError(f"states: expected at least two rows of 16, found {rows.shape}")
-        norms = np.linalg.norm(rows[:, :4], axis=1)
-        if not np.all(norms > 0):
-            row = int(np.argmin(norms > 0))
-            raise InputError(f"states[{row}]: expected a quaternion x y z w, found norm 0")
+        refuse_row(
+            ~(np.linalg.norm(rows[:, :4], axis=1) > 0),
+            lambda row: f"states[{row}]: expected a quaternion x y z w, found norm 0",
+        )
         if not (len(rows) == len(stamps) == len(tracks) == len(intervals) + 1):
             raise InputError("start: expected one stamp, state and set of tracks per image")
         for k, seen in enumerate(tracks):

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import bundle._core as _core
-from bundle.base.arrays import refuse_row
+from bundle.base.arrays import check_distinct, refuse_row
 from bundle.base.words import plural
 from bundle.errors import InputError, brief, shown
 from bundle.io import bal
@@ -127,9 +127,7 @@ def image_names(path: Path, count: int) -> tuple[str, ...]:
             f"{shown(path)}: expected {plural(count, 'image')}, one a line, as in the Bundler "
             f"file, found {len(names)}"
         )
-    if len(set(names)) < count:
-        twice = next(name for name in names if names.count(name) > 1)
-        raise InputError(f"{shown(path)}: expected each name once, found {brief(twice)} twice")
+    check_distinct(f"{shown(path)}: expected each name once", names)
     return names
 
 

@@ -34,6 +34,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import bundle._core as _core
+from bundle.base.arrays import check_distinct
 from bundle.base.words import plural
 from bundle.errors import InputError, brief, shown
 from bundle.io import bal
@@ -134,9 +135,7 @@ def _head(
         num_points = head.count("the number of points", 2**31 - 1)
     finally:
         head.close()
-    if len(set(names)) < len(names):
-        twice = next(name for name in names if names.count(name) > 1)
-        raise InputError(f"{shown(path)}: expected each image once, found {brief(twice)} twice")
+    check_distinct(f"{shown(path)}: expected each image once", names)
     cameras = np.array(rows, float).reshape(-1, count)
     if has_matrices:
         cameras = _with_quaternions(path, cameras)

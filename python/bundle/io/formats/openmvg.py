@@ -20,9 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 import bundle._core as _core
+from bundle.base.arrays import check_distinct
 from bundle.base.records import dataclass
 from bundle.base.words import plural
-from bundle.errors import InputError, brief, shown
+from bundle.errors import InputError, shown
 from bundle.io.formats.file_values import Node, parsed
 from bundle.io.formats.imported_model import (
     Imported,
@@ -120,11 +121,7 @@ def _imported(
         key: view for key, view in views.items() if view.pose in poses and view.intrinsic in cameras
     }
     names = [view.name for view in posed.values()]
-    if len(set(names)) < len(names):
-        twice = next(name for name in names if names.count(name) > 1)
-        raise InputError(
-            f"{node.place}: views: expected each file once, found {brief(twice)} twice"
-        )
+    check_distinct(f"{node.place}: views: expected each file once", names)
     count = len(structure["ids"])
     if not all_differ(structure["ids"]):
         raise InputError(f"{node.place}: structure: expected each key once, found a key twice")
