@@ -54,7 +54,7 @@ def test_a_database_that_does_not_fit(folder) -> None:
     with pytest.raises(bundle.InputError, match=r"a width and a height above 0 .* found 800 x 0"):
         bundle.load(folder / "bundle.out", image_size=folder / "flat.db")
     (folder / "list.txt").unlink()
-    with pytest.raises(bundle.InputError, match=r"expected images with names"):
+    with pytest.raises(bundle.InputError, match=r"expected image names, to find"):
         bundle.load(folder / "bundle.out", image_size=folder / "database.db")
     (folder / "damaged.db").write_bytes((folder / "database.db").read_bytes()[:3000])
     with pytest.raises(bundle.InputError, match=r"damaged.db: expected COLMAP's database"):
