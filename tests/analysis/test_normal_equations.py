@@ -130,8 +130,8 @@ def test_notes_begin_at_their_thresholds():
 @pytest.mark.parametrize(
     ("changes", "pairs", "scale", "message"),
     [
-        ({"open": [1]}, [], "unit", "found pose toy 1 with a direction open"),
-        ({"undetermined": 0}, [], "unit", "found pose toy 0 with a direction open"),
+        ({"open": [1]}, [], "unit", "found pose toy 1 with an undetermined direction"),
+        ({"undetermined": 0}, [], "unit", "found pose toy 0 with an undetermined direction"),
         ({"num_gauge": 1}, [(0, 1)], "unit", "found toy 0 and toy 1"),
         ({"inflation": np.inf}, [], "unit", "variances that are only rounding errors"),
         ({"dof": 0}, [], "sigma0", "estimate sigma0 from, found 0"),
