@@ -74,7 +74,7 @@ void PointPasses::ForBlocksOf(int image, const Visit& visit) const {
   }
 }
 
-/// N by the columns of the records, and the images that move along completely.
+/// N, by columns of the records, and the images of which it moves all columns.
 void PointPasses::FillMoves(const GaugeSums& gauge, std::vector<double>* images,
                             std::vector<uint8_t>* moves_along) const {
   const SchurSetup& setup = schur_.setup();

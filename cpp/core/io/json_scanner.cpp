@@ -60,7 +60,7 @@ class ByteStream {
   int64_t lines_ = 1;  ///< number of the line at the start of the buffer
 };
 
-/// RapidJSON's handler: passes events on, and knows the position.
+/// RapidJSON's handler: forwards events and counts the position.
 class Handler final : public JsonPosition {
  public:
   Handler(const InputFile& file, const ByteStream& stream) : file_(file), stream_(stream) {}

@@ -6,8 +6,8 @@
 /// with the rows of the last column. That adds explicit zeros to the earlier columns, which are
 /// stored and multiplied.
 ///
-/// Products of wide panels are fast, so that some zeros pay off. Their number is limited as in
-/// CHOLMOD (Chen, Davis, Hager, Rajamanickam: Algorithm 887, 2008), but lower, to save memory. A
+/// Products of wide panels are fast, so storing some zeros saves time. Their number is limited as
+/// in CHOLMOD (Chen, Davis, Hager, Rajamanickam: Algorithm 887, 2008), but lower, to save memory. A
 /// panel includes the column before it if its share of zeros is then less than 20 % up to 48
 /// columns, 5 % up to 192 and 1 % beyond. It may be 70 % where visiting another panel takes longer
 /// than the arithmetic on zeros: up to 9 columns, and, while L stays in the cache, up to 2000

@@ -12,7 +12,7 @@
 /// technique: Chamberlain, Powell, Lemarechal, Pedersen, Mathematical Programming Study 16, 1982;
 /// Nocedal, Wright: Numerical Optimization, 2nd ed., section 15.6).
 ///
-/// Steps of a trial that are not below the cost before it count as rejected.
+/// Steps of a trial count as rejected if their cost is not below that before the trial.
 
 #include <cstddef>
 #include <limits>

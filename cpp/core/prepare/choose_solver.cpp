@@ -5,7 +5,7 @@
 /// For Ceres, the choice depends on the shape of the problem. With the points eliminated, the
 /// reduced camera system S has n columns, and a share d of its block pairs is nonzero. Its dense
 /// factorisation takes n^3 / 3 multiply-adds at the full rate of the machine. The sparse one skips
-/// the zeros of S but has fill-in and runs at a lower rate, so that it pays only if S is large and
+/// the zeros of S but has fill-in and runs at a lower rate, so it is faster only if S is large and
 /// sparse. If even the sparse factor becomes too large, conjugate gradients need only products with
 /// S.
 ///

@@ -4,10 +4,10 @@
 ///
 /// Newton decrements (minimize/sigma_rule.h) are nearly without damping. But a point whose depth is
 /// less certain than the depth itself slides to infinity and back at no cost, and its linear model
-/// says nothing about that. With angular noise a, its depth column has the squared norm 1 / (a
-/// depth)^2, so that the damping a^2 is a prior that it stays within its own depth. a is 1e-3 to
-/// 1e-4; the damping is a tenth of that, squared, because many points with uncertain depths
-/// together can still determine what the cameras share.
+/// does not show this. With angular noise a, its depth column has the squared norm 1 / (a depth)^2,
+/// so that the damping a^2 is a prior that it stays within its own depth. a is 1e-3 to 1e-4; the
+/// damping is a tenth of that, squared, because many points with uncertain depths together can
+/// still determine what the cameras share.
 ///
 /// Conjugate gradients amplify rounding errors. For them, sums are made on a grid
 /// (schur/assembly/sum_grid.h). All other sums over points are double-doubles

@@ -43,7 +43,7 @@ constexpr std::chrono::milliseconds kBetweenLooks(2);
                    std::generic_category().message(error) + "\"");
 }
 
-/// Pages of files in the memory of this process, in bytes; 0 where the system does not tell.
+/// Pages of files in the memory of this process, in bytes; 0 if the system does not report it.
 int64_t MappedBytesInMemory() {
   const int file = open("/proc/self/statm", O_RDONLY | O_CLOEXEC);
   if (file < 0) return 0;

@@ -6,7 +6,7 @@
 /// residuals it gives a wrong digit, although the minimum is one step away. A graph is considered
 /// linear if
 ///
-///   its first step lowered the cost by what the model had promised, to rounding (not asked where
+///   its first step lowered the cost as the model predicted, to rounding (not required where
 ///   there are bounds, which cut steps), and
 ///   its Jacobian is the same, to rounding, before and after the step q of min ||J q + r||.
 ///

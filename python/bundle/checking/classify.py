@@ -179,7 +179,7 @@ def rounds_to_single(values: Callable[[list[Array]], Array], blocks: list[Array]
 
 
 def _singles(values: Array) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return masks of numbers of single precision, and of those where chance is excluded.
+    """Return masks of numbers of single precision, and of those that are not so by chance.
 
     Numbers such as 0, 1 and 0.5 are exact in any precision.
     """

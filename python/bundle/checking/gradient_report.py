@@ -209,7 +209,7 @@ def explanation(report: GradientReport) -> list[Block | str]:
 
 
 def subject(report: GradientReport) -> list[Block | str]:
-    """Return the function that was checked, and at how many points."""
+    """Return the name of the checked function and the number of points."""
     skipped = f", {report.num_skipped} skipped" if report.num_skipped else ""
     count = plural(report.num_checked, report.noun)
     return [facts([("checked", f"{report.subject}, {count}{skipped}")])]

@@ -135,8 +135,8 @@ def acquitted(line: Line, analytic: Array, deviation: Array, scale: Array) -> ND
         line: residuals along the parameter.
         analytic: (R,) column of the Jacobian.
         deviation: (R,) its absolute deviation from the reference.
-        scale: (R,) divisors of relative errors, which may be far too small if the reference is that
-            of another scale.
+        scale: (R,) divisors of relative errors, which may be far too small if the reference has
+            another scale.
     """
     close = np.minimum(CLOSE * np.maximum(scale, np.abs(analytic)), SHARE * deviation)
     # At smaller steps rounding alone decides: a residual that does not change has slope 0.

@@ -46,7 +46,7 @@ def describe_error(error: BaseException, written: Sequence[Path] = ()) -> str | 
 
 
 def is_interruption(error: BaseException) -> bool:
-    """Tell whether Ctrl-C caused an error; an import may turn it into an ImportError."""
+    """Return True if Ctrl-C caused an error; an import may replace it by an ImportError."""
     if isinstance(error, ImportError):
         cause = error.__cause__ or error.__context__
         return cause is not None and is_interruption(cause)

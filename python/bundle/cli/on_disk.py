@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 _FLAG = "--out-of-core"
 _SERVED = OF_PLAIN - {"checkpoints"}
 _FLAGS = {"page": "--html"}
-"""Flags of fields that no option class has and that are not named as they are."""
+"""Flags that differ from the names of their fields, for fields outside option classes."""
 
 
 def on_disk(asked: Refinement) -> AbstractContextManager[None]:

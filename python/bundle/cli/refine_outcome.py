@@ -34,9 +34,9 @@ def judge(
 ) -> tuple[Finding, ...]:
     """Return the findings about the result, those of an IMU first.
 
-    A result that is not usable has only these and those about the start, one in slices has none. If
-    all pixels of the input have the same shift, the solve has bent the model, and this is the only
-    finding.
+    An unusable result has only these and the findings about the start; a result in slices has none.
+    If all pixels of the input have the same shift, the solve has bent the model, and this is the
+    only finding.
     """
     command = NextCommand(asked.source, asked.target, asked.given)
     about_imu = tuple(

@@ -65,7 +65,7 @@ def join(
     meetings: Meetings,
     agree: NDArray[np.bool_],
 ) -> tuple[ModelRecords, Joined]:
-    """Return the records of A with those of B, and what became of B's.
+    """Return the records of A with those of B, and the new place of each record of B.
 
     Args:
         a: records of model A.
@@ -136,8 +136,8 @@ def _with_keypoints(
 ) -> tuple[ModelRecords, _Indices]:
     """Return A with B's images and keypoints, and the row there of each keypoint of B.
 
-    Keypoints that a shared image has in B only follow those of A. The row of a keypoint that stays
-    in B is -1.
+    Keypoints that a shared image has in B only follow those of A. A keypoint that is not moved to A
+    has the row -1.
     """
     missing = np.flatnonzero(shared.row_a < 0)
     image = images.shared[shared.image[missing], 0]  # ascending within an image

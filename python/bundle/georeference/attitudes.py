@@ -157,7 +157,8 @@ class AttitudeErrors:
         kept = group.of_tied(problem)
         judged = problem if free is None else _turned_to(problem, free, kept)
         found = kept.agreement(judged)
-        # Residuals about the mean that most agree on: a wrong one that pulls does not hide.
+        # Residuals about the mean of the majority: a wrong measurement cannot hide by its
+        # influence.
         ratio = float(np.median(found.lengths)) / MEDIAN[size]
         agrees = _agreeing(group, judged, found)
         error = _radius(size, found, kept.sigmas)
@@ -204,7 +205,7 @@ def _agreeing(group: AttitudesOfKind, problem: Problem, found: Agreement) -> NDA
 
 
 def _turned_to(problem: Problem, free: Problem, group: AttitudesOfKind) -> Problem:
-    """Return the free model in the world of the other, by the mean turn of its good images.
+    """Return the free model in the world of the other, by the mean rotation of its good images.
 
     The turn is that of the sum of R_i^T R'_i over the images that do not contradict the others.
     """

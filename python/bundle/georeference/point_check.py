@@ -87,7 +87,7 @@ class OffsetCheck:
 
     @property
     def bends_focal_length(self) -> bool:
-        """True if the focal length without the offset is far from that with it."""
+        """True if the focal lengths with and without the offset differ significantly."""
         without, with_it, sigma = self.focal_lengths
         return abs(without - with_it) > max(sigma, 1e-3 * abs(with_it)) and sigma > 0
 

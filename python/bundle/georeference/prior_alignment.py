@@ -333,11 +333,11 @@ def _listed(priors: Any) -> tuple[PositionPrior, ...]:
 
 
 def level_similarity(points: Correspondences, upright: Array) -> Similarity:
-    """Return the similarity whose rotation is a turn about z after `upright`.
+    """Return the similarity whose rotation is a rotation about z after `upright`.
 
     Args:
         points: points of the model and their surveyed positions.
-        upright: (3, 3) turn of the model to z up.
+        upright: (3, 3) rotation of the model to z up.
 
     Raises:
         InputError: no height is known, or the positions do not determine scale and heading.

@@ -5,10 +5,10 @@ cameras: by the orientations, then upright by gravity, then about the vertical b
 step is the robust mean derived below and changes only what its measurements determine:
 
     orientation:  phi = Log(Z^T R Q^T),
-    gravity:      phi = the shortest turn of Q R^T m, the measured down in the world, to -z,
+    gravity:      phi = the shortest rotation of Q R^T m, the measured down in the world, to -z,
     heading:      phi = (heading of Q R^T a - measured heading) about z.
 
-R is the rotation of cam_from_world and Q the turn of the world.
+R is the rotation of cam_from_world and Q the rotation of the world.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ class AttitudesOfKind:
 
         Args:
             problem: problem with the poses.
-            turn: (3, 3) turn of its world; None: no turn.
+            turn: (3, 3) rotation of its world; None: no rotation.
         """
         rotations = rotation_matrices(problem.cam_from_world[self.rows, :4])
         if turn is not None:
@@ -90,15 +90,15 @@ class AttitudesOfKind:
         return np.asarray(np.linalg.norm(self.turns(problem) / self.sigmas, axis=1))
 
     def angles(self, problem: Problem, turn: Array | None = None) -> Array:
-        """Return (n,) angles of the residuals in degrees, after a turn of the world."""
+        """Return (n,) angles of the residuals in degrees, after a rotation of the world."""
         return np.asarray(np.degrees(np.linalg.norm(self.turns(problem, turn), axis=1)))
 
     def agreement(self, problem: Problem, base: Array | None = None) -> Agreement:
-        """Return the turn of the world on which the priors agree.
+        """Return the rotation of the world on which the priors agree.
 
         Args:
             problem: problem with the poses.
-            base: (3, 3) turn of its world before that turn; None: no turn.
+            base: (3, 3) rotation of its world before that turn; None: no rotation.
         """
         before = np.eye(3) if base is None else base
 
@@ -213,7 +213,7 @@ class ProblemAttitudes(FoundPriors):
         return [prior.factor(image_id) for prior, image_id in pairs]
 
     def placement(self, problem: Problem) -> Similarity | None:
-        """Return the turn of the world about the middle of the cameras; None without effect."""
+        """Return the rotation of the world about the middle of the cameras; None without effect."""
         turn = np.eye(3)
         for group in self.groups:
             if group.kind is not HeadingPrior or self.group(OrientationPrior) is None:
@@ -243,7 +243,7 @@ class ProblemAttitudes(FoundPriors):
 
 
 def _to_down(vectors: Array) -> Array:
-    """Return the (n, 3) shortest turns of unit vectors to (0, 0, -1)."""
+    """Return the (n, 3) shortest rotations of unit vectors to (0, 0, -1)."""
     x, y, z = vectors.T
     sine = np.hypot(x, y)
     angle = np.arctan2(sine, -z)
@@ -255,10 +255,10 @@ def _to_down(vectors: Array) -> Array:
     return turns
 
 
-# Robust turn of the world that a set of attitude measurements agrees on.
+# Robust mean rotation of the world from a set of attitude measurements.
 #
-# Let Q be a turn of the world, and phi_i(Q) the further turn that measurement i asks for, along the
-# axes of the turned world: Log of the rotation for an orientation, the shortest turn of the
+# Let Q be a turn of the world, and phi_i(Q) the further rotation that fits measurement i, along the
+# axes of the rotated world: Log of the rotation for an orientation, the shortest rotation of the
 # measured direction to down for gravity, and a turn about the vertical for a heading. With sigma_i
 # its standard deviation, of each axis or of all, the lengths a_i = |phi_i / sigma_i| are compared:
 #
@@ -285,8 +285,8 @@ class Agreement:
     """Turn that the measurements agree on.
 
     Attributes:
-        rotation: (3, 3) turn Q of the world.
-        lengths: (n,) remaining turn of each measurement in standard deviations.
+        rotation: (3, 3) rotation Q of the world.
+        lengths: (n,) remaining rotation of each measurement in standard deviations.
         weights: (n,) Tukey's weights between 0 and 1; 0: the measurement disagrees.
     """
 
@@ -301,13 +301,13 @@ def agree(
     sigmas: Array,
     size: int,
 ) -> Agreement:
-    """Return the turn that most measurements agree on.
+    """Return the rotation that most measurements agree on.
 
     Args:
-        turns: function that returns the (n, 3) turns phi_i that remain after a turn Q (3, 3).
-        own: function that returns the turn Q (3, 3) with phi_i = 0 for measurement i.
+        turns: function that returns the (n, 3) turns phi_i that remain after a rotation Q (3, 3).
+        own: function that returns the rotation Q (3, 3) with phi_i = 0 for measurement i.
         sigmas: (n, 1) or (n, 3) standard deviations in radians, of each axis of the turned world.
-        size: number of coordinates of a turn: 1, 2 or 3.
+        size: number of coordinates of a rotation: 1, 2 or 3.
     """
     rotation = _best_start(turns, own, sigmas)
     for _ in range(MOST_STEPS):

@@ -170,8 +170,8 @@ def _sentence(
 #
 # The file ``factors-VERSION.json`` in the cache folder has one entry per structure: a checksum of
 # who is coupled with whom, the size of the matrix and the solver. An entry holds flops, nnz(L) and
-# the ordering, no path and no measurement. The checksum and nnz(Lambda) are equal only for the same
-# matrix: more flops than recorded are due to the ordering, not to the size.
+# the ordering, but neither paths nor measurements. The checksum and nnz(Lambda) are equal only for
+# the same matrix: more flops than recorded are due to the ordering, not to the size.
 #
 # Only solves of some tenths of a second read and write the file. It keeps the last MOST_ENTRIES
 # structures. Its first line is the checksum of the second: a file that was edited counts as empty,

@@ -71,7 +71,7 @@ class RollingShutter(FrozenArrays, Displayed):
             without neighbours; None (the default) if none are known.
         frame_rate: frames per second, NaN (the default) if unknown. Velocities need it.
         row_time: "fixed-point" (the default): a point's row is where the image sees it; "observed":
-            where it was measured, which lets the noise of rows draw twists to wrong values.
+            that of the measurement, which biases twists by the noise of rows.
         axis: (num_cameras,) index in "global", "rows", "columns" of each camera's direction.
 
     Raises:

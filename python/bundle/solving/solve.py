@@ -115,8 +115,8 @@ def solve(
 
     Priors of attitudes (:class:`bundle.GravityPrior`, :class:`bundle.OrientationPrior`,
     :class:`bundle.HeadingPrior`) refer to a world of east, north, up. Without positions, the
-    problem is first turned to them about the middle of its cameras, robustly; its position and
-    scale stay.
+    problem is first rotated robustly to fit them, about the middle of its cameras; its position and
+    scale do not change.
 
     Priors of velocities (:class:`bundle.VelocityPrior`) constrain the twists of images with rolling
     shutters. They refer to the same world, but move nothing: without positions, the problem must

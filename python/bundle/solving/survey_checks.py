@@ -129,7 +129,7 @@ class _Certainty:
 
 
 class _Adjusted:
-    """A solve at its minimum, whose wrong control points are removed one by one."""
+    """A solve at its minimum, from which wrong control points are removed one by one."""
 
     def __init__(self, prepared: Prepared, solve: Callable[[Prepared], Problem]) -> None:
         placed, self.solve = prepared.placed, solve

@@ -137,7 +137,7 @@ def _cause(
 
 
 def _energy(found: ShutterSpectrum, limit: float) -> Floats:
-    """Return how much of a direction of each image's unknowns eigenvalues below a limit contain."""
+    """Return the share of a direction of each image's unknowns in eigenvalues below a limit."""
     below = found.directions[:, found.eigenvalues < limit]
     energy: Floats = (below**2).reshape(len(found.images), -1).sum(axis=1)
     return energy

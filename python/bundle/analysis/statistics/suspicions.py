@@ -282,7 +282,7 @@ def _suspicion(
 
 
 def _evidence(count: int, of: str, ids: NDArray[np.int64]) -> dict[str, Any]:
-    """Return the number of occurrences, what ids mean, and the first ids."""
+    """Return the number of occurrences, the noun of the ids, and the first ids."""
     return {"count": count, "of": of, "ids": ids[:NAMED].tolist()}
 
 

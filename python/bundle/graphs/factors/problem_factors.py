@@ -35,7 +35,7 @@ from bundle.model.problem import Problem
 from bundle.model.problem_keys import ProblemKeys, parameter_names
 
 _WITHOUT_SCALE = ("twist_tie", "direction", "rotation", "heading")
-"""Kinds of factors that a change of the scale does not change, or that lower their cost by it."""
+"""Kinds of factors whose cost does not rise if the scale changes."""
 
 ADVICE = "bundle.check_factors(problem, factors)"
 

@@ -79,7 +79,7 @@ def certify(
 
     The test is about the chordal cost, with one weight for the rotation and one for the translation
     of an edge. The result also has a lower bound of chi2 with the full information, for any error.
-    If the test fails, the Riemannian staircase looks for lower poses.
+    If the test fails, the Riemannian staircase searches for poses of lower cost.
 
     Args:
         graph: pose graph at its poses, the path of its file, or the result of a solve without a
@@ -296,7 +296,7 @@ Solve = Callable[[PoseGraph, PoseGraphOptions], PoseGraphResult]
 def certified(
     graph: PoseGraph, options: PoseGraphOptions, solve: Solve, progress: Progress | None = None
 ) -> PoseGraphResult:
-    """Solve, certify the solution, and solve again from lower poses that the certificate has.
+    """Solve, certify the solution, and solve again from the better poses of the certificate.
 
     These are the staircase's poses if their F is lower, or the critical point of F if this was far
     from the solution. The certificate of the result is that of the first solution. A result without
@@ -347,10 +347,10 @@ def _lower_poses(certificate: Certificate) -> tuple[PoseGraph | None, str, str]:
         return (
             stairs.problem,
             STAIRCASE,
-            f"A convex relaxation, of rank {stairs.rank}, gave lower poses.",
+            f"A convex relaxation, of rank {stairs.rank}, gave poses of lower cost.",
         )
     if certificate.cost * (1 + NEAR_COST) < certificate.initial_cost:
-        how = "The minimum of the chordal cost next to it gave lower poses."
+        how = "The minimum of the chordal cost next to it gave poses of lower cost."
         return certificate.problem, CHORDAL_MINIMUM, how
     return None, "", ""
 

@@ -200,7 +200,7 @@ def _frame_times(problem: Problem, times: NDArray[np.int64]) -> NDArray[np.int64
         )
     if not (problem.image_sensor < 0).any():
         raise InputError(
-            "imu: expected images of the rig's reference sensor, whose axes camera_from_imu has, "
+            "imu: expected images of the rig's reference sensor, to which camera_from_imu refers, "
             "found 0"
         )
     first = np.zeros(problem.num_frames, np.int64)

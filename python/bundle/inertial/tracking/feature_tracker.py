@@ -183,7 +183,7 @@ class FeatureTracker:
             return fits
         fits[b] = inliers.ravel() > 0
         if self._count - number == BACK:
-            # Of both rotations, the other is off by half a turn about the baseline.
+            # The second solution differs by half a turn about the baseline.
             *pair, direction = cv2.decomposeEssentialMat(essential)
             found = refined_rotation(
                 one[fits[b]],

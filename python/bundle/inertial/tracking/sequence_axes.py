@@ -54,7 +54,7 @@ def axes_findings(sequence: Sequence, path: str) -> tuple[Finding, ...]:
 
 
 def explanations(sequence: Sequence, path: str) -> tuple[Finding, ...]:
-    """Return what may explain a failed odometry or its alarms; it takes a second or two."""
+    """Return possible causes of a failed odometry or its alarms; takes a second or two."""
     if not _measures(sequence):
         return ()
     images = SequenceImages(sequence)

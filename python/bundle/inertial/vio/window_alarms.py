@@ -44,7 +44,7 @@ def walks_down(ratios: list[float]) -> bool:
 
 
 def yaw_falls(sigmas: list[float], turned: list[float]) -> tuple[float, float] | None:
-    """Return a sigma of yaw and the smaller one to which it fell while the platform turned."""
+    """Return two sigmas of yaw, before and after it fell while the platform turned."""
     if len(sigmas) < 2 * YAW_MEDIAN:
         return None
     windows = np.lib.stride_tricks.sliding_window_view(np.array(sigmas), YAW_MEDIAN)

@@ -228,7 +228,7 @@ def _directions(
 def _of_models(
     a: Problem, b: Problem, pairs: Association, compared: Compared, sigmas: str
 ) -> tuple[dict[str, Any], list[str]]:
-    """Return what only two models have: lenses, points and movement; and remarks."""
+    """Return the results for two models only: lenses, points and movement; and remarks."""
     rows = pairs.rows_a, pairs.rows_b
     points = shared_points(a, b, *rows)
     movement, notes = _movement(a, b, pairs, sigmas)

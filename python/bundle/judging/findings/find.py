@@ -196,7 +196,7 @@ def _findings(measured: Measured) -> Iterator[Finding | None]:
     yield focal_drift(measured, groups, is_jointed=joint is not None)
     shared = shared_lens(measured, groups, is_jointed=joint is not None)
     if shared is not None and drift is not None:
-        # Lenses of their own hide the drift: shared, they pull the images from the positions.
+        # A lens per image hides the drift; a shared lens pulls the images from the positions.
         shared = dataclasses.replace(
             shared, sentence=f"{shared.sentence} First decide about the drift.", command=""
         )

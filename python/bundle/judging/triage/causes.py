@@ -1,11 +1,11 @@
 """Causes of a difference of two solves, each with the numbers that show it.
 
-The order is that of the proof. Warnings name a wrong Jacobian. At equal nnz(Lambda), more flops are
-the ordering; at an equal number of variables, a larger nnz(Lambda) without more measurements is a
-prior that couples all its variables. Options and data that differ explain every other change. With
-the same options and data, another gradient of the same residuals at the same start, or more steps
-at a smaller radius, are those of a wrong Jacobian, and a change without them is convergence. The
-machine explains a time that no other cause explains.
+Causes are tested in this order. Warnings name a wrong Jacobian. At equal nnz(Lambda), more flops
+are the ordering; at an equal number of variables, a larger nnz(Lambda) without more measurements is
+a prior that couples all its variables. Options and data that differ explain every other change.
+With the same options and data, another gradient of the same residuals at the same start, or more
+steps at a smaller radius, prove a wrong Jacobian; a change without them is convergence. The machine
+explains a time that no other cause explains.
 """
 
 from __future__ import annotations

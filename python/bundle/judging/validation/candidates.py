@@ -130,7 +130,7 @@ def default_candidates(
     losses: Sequence[str] = ("cauchy",),
     refines: Sequence[tuple[str, ...]] = (SolveOptions().refine,),
 ) -> list[Candidate]:
-    """Return the candidates for an input; what is given replaces the defaults.
+    """Return the candidates for an input; given arguments replace the defaults.
 
     By default these are the lenses of the input's kind from the smallest to the largest: all of
     them shared, three per image and two with a focal length per image; and the input's own.

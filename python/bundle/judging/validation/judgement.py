@@ -68,7 +68,7 @@ def judged(
     flags: str,
     begun: float,
 ) -> Validation:
-    """Return the validation of fits, at least one of which exists."""
+    """Return the validation of at least one fit."""
     problem = fitting.problem
     rows = np.flatnonzero(fitting.folds >= 0)
     residuals = np.stack(

@@ -53,7 +53,7 @@ def prediction_covariances(
     for fold in range(int(folds.max(initial=-1)) + 1):
         held = np.flatnonzero(folds == fold)
         left = of_point - _sums(products[held], point[held], count)
-        # A point that its fitted observations do not determine has a huge covariance, not none.
+        # A point that its fitted observations do not determine gets a huge covariance.
         scale = np.trace(left, axis1=1, axis2=2)
         left[:, [0, 1, 2], [0, 1, 2]] += np.where(scale > 0, 1e-12 * scale, 1.0)[:, None]
         inverse = np.linalg.inv(left)[point[held]]

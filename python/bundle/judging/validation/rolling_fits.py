@@ -120,7 +120,7 @@ def motion_test(
 def are_clearly_worse(
     plain: _Floats, image: NDArray[np.int64], rule: DecisionRule
 ) -> NDArray[np.bool_]:
-    """Return which shared lenses lack what all images need, by errors (m, n) without a shutter."""
+    """Return a mask of the shared lenses that lack a term, by errors (m, n) without a shutter."""
     found = _decision(plain, image, rule)
     freedom = len(np.unique(image)) - 1
     above = np.zeros(len(plain), bool)

@@ -104,7 +104,7 @@ class _Step(NamedTuple):
 
 
 class _Kind(NamedTuple):
-    """Factors with the same code: seconds of a step and residuals of each."""
+    """Factors with the same code: seconds per step and number of residuals of a factor."""
 
     factors: Sequence[Factor]
     seconds: float

@@ -116,7 +116,7 @@ def _row(name: str, values: NDArray[np.float64]) -> list[str]:
 WORDS = (
     "Standard deviation of the pixel of a point that is fixed to the camera, in the worst "
     "direction, from the noise of the measurements (mrcal's projection uncertainty). Errors of the "
-    "lens model come on top, and where nothing was observed the model extrapolates."
+    "lens model add to it, and without observations the model extrapolates."
 )
 
 

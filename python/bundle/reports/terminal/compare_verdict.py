@@ -111,7 +111,7 @@ def _solutions(comparison: Comparison) -> Iterator[str]:
 
 
 def findings(comparison: Comparison) -> list[Finding]:
-    """Return what makes the measurements invalid or the recommendation doubtful."""
+    """Return findings that make the measurements invalid or the recommendation doubtful."""
     found = []
     at_minimum = [k for k in range(len(comparison.problems)) if comparison.is_at_minimum(k)]
     if at_minimum:

@@ -141,7 +141,7 @@ def _cost(method: MethodInspection | None) -> tuple[str, str]:
 
 
 def _out_of_core(inspection: Inspection) -> list[str]:
-    """Return what the method with the least memory needs with its large arrays on a disk."""
+    """Return the needs of the method with the least memory if its large arrays are on a disk."""
     fused = [method for method in inspection.methods if method.backend == "FUSED"]
     if not fused:
         return []

@@ -77,7 +77,7 @@ def reported(
     wall_time: float,
     findings: Sequence[Finding] = (),
 ) -> Report:
-    """Return the report of `bundle report` about the page that it wrote, and what that lacks."""
+    """Return the report of `bundle report` about the page that it wrote, and its missing parts."""
     size = f" ({format_size(Path(page).stat().st_size)})" if Path(page).is_file() else ""
     return Report(
         command="report",

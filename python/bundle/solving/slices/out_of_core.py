@@ -1,7 +1,7 @@
 """Refinement of a model whose observations and points are on disk.
 
 The core allocates their arrays in files of the scratch folder (``cpp/core/scratch``), and one
-process has the only slice. The solve is that of a model in memory, with the same bits.
+process has the only slice. The result equals that of a model in memory, bit for bit.
 """
 
 from __future__ import annotations
