@@ -220,7 +220,7 @@ def graph_covariance(
     if gauge == "none" and equations.for_gauge:
         raise InputError(
             "gauge: none expects a fixed pose in each component, found "
-            f"{plural(equations.num_floating, 'component')} without; first holds a pose in each"
+            f"{plural(equations.num_floating, 'component')} without; gauge first holds one in each"
         )
     is_plain = weighted.options.loss == "trivial"
     found, factor, facts = selected_covariance(equations, rows, gauge, scale, is_plain)

@@ -52,15 +52,15 @@ class GeoreferenceOptions(Options):
     gps_sigma: str = option(
         GPS_SIGMA,
         "--gps-sigma",
-        "standard deviation of positions that have no own accuracy, horizontal and vertical, in "
-        "metres",
+        "standard deviation of positions, horizontal and vertical, in metres, where the source "
+        "gives none",
         metavar="H[/V]",
         needs=("gps",),
     )
     gps_offset: str = option(
         "none",
         "--gps-offset",
-        "estimate an offset that all positions have from the control points: up, for heights of "
+        "estimate a common offset of all positions from the control points: up, for heights of "
         "two systems (ellipsoid and sea level), or along all axes",
         choices=GPS_OFFSETS,
         needs=("gps",),
@@ -69,8 +69,8 @@ class GeoreferenceOptions(Options):
     gps_sigma_scale: str = option(
         "1",
         "--gps-sigma-scale",
-        "factor on the standard deviations of positions, horizontal and vertical, also on those "
-        "that positions have of their own",
+        "factor on all standard deviations of positions, horizontal and vertical, including those "
+        "of the source",
         metavar="H[/V]",
         needs=("gps",),
     )
@@ -143,7 +143,7 @@ class GeoreferenceOptions(Options):
     gravity_sigma: float = option(
         GRAVITY_SIGMA,
         "--gravity-sigma",
-        "standard deviation of directions that have no own one, in degrees",
+        "standard deviation of directions in degrees, where the file gives none",
         metavar="DEGREES",
         needs=("gravity",),
         above=0,
@@ -151,7 +151,7 @@ class GeoreferenceOptions(Options):
     gravity_sigma_scale: float = option(
         1.0,
         "--gravity-sigma-scale",
-        "factor on the standard deviations of directions, also on those of their own",
+        "factor on all standard deviations of directions, including those of the file",
         metavar="X",
         needs=("gravity",),
         above=0,
@@ -167,14 +167,15 @@ class GeoreferenceOptions(Options):
     orientation_sigma: str = option(
         ORIENTATION_SIGMA,
         "--orientation-sigma",
-        "standard deviation of orientations that have no own one, heading and tilt, in degrees",
+        "standard deviation of orientations, heading and tilt, in degrees, where the source gives "
+        "none",
         metavar="H[/T]",
         needs=("orientations",),
     )
     orientation_sigma_scale: float = option(
         1.0,
         "--orientation-sigma-scale",
-        "factor on the standard deviations of orientations, also on those of their own",
+        "factor on all standard deviations of orientations, including those of the source",
         metavar="X",
         needs=("orientations",),
         above=0,
@@ -191,8 +192,8 @@ class GeoreferenceOptions(Options):
     velocity_sigma: str = option(
         VELOCITY_SIGMA,
         "--velocity-sigma",
-        "standard deviation of velocities that have no own one, horizontal and vertical, in metres "
-        "per second",
+        "standard deviation of velocities, horizontal and vertical, in metres per second, where "
+        "the source gives none",
         metavar="H[/V]",
         needs=("velocities",),
     )
