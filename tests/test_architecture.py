@@ -5,10 +5,12 @@ import re
 from pathlib import Path
 
 import pytest
+from tools import capability_files
 
 import bundle
 
 ROOT = Path(__file__).parents[1]
+CONTRIBUTING = (ROOT / "CONTRIBUTING.md").read_text()
 CPP, PACKAGE = ROOT / "cpp", ROOT / "python" / "bundle"
 CORE = "geometry parallel scratch sums dense symbolic cameras inertial factors graph problem io"
 CORE += (
@@ -67,7 +69,7 @@ BUDGETS = {
     room: (int(lines.replace(",", "")), int(files))
     for room, lines, files in re.findall(
         r"^\| \[(\w+)\]\(python/.*\| ([\d,]+) \| (\d+) \|$",
-        (ROOT / "CONTRIBUTING.md").read_text(),
+        CONTRIBUTING,
         re.MULTILINE,
     )
 }
@@ -86,3 +88,12 @@ def test_rooms_stay_within_their_budgets(room: str) -> None:
     most_lines, most_files = BUDGETS[room]
     assert 0.95 * most_lines <= lines <= most_lines
     assert 0.9 * most_files <= len(files) <= most_files
+
+
+@pytest.mark.parametrize("capability", capability_files.CAPABILITIES)
+def test_a_capability_touches_no_more_files_than_its_row_says(capability: str) -> None:
+    """`python tools/capability_files.py` writes the rows."""
+    row = re.search(rf"^\| {re.escape(capability)} \| (\d+) \|", CONTRIBUTING, re.MULTILINE)
+    assert row is not None
+    files = capability_files.files_of(*capability_files.CAPABILITIES[capability])
+    assert 0 < len(files) <= int(row[1])
