@@ -1,5 +1,6 @@
 """Commands start quickly because they import what they need and no more."""
 
+import os
 import subprocess
 import sys
 from importlib.util import find_spec
@@ -39,9 +40,14 @@ sys.stderr.write(" ".join(sys.modules))
 
 
 def imported(*words: str) -> set[str]:
-    """Return the modules in memory after a command."""
+    """Return the modules in memory after a command, in a terminal of unknown width."""
+    environment = {name: value for name, value in os.environ.items() if name != "COLUMNS"}
     done = subprocess.run(
-        [sys.executable, "-c", RUN, *words], capture_output=True, text=True, check=True
+        [sys.executable, "-c", RUN, *words],
+        capture_output=True,
+        text=True,
+        check=True,
+        env=environment,
     )
     return set(done.stderr.split())
 
