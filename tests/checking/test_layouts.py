@@ -150,7 +150,7 @@ def test_weights_on_one_side_alone_are_named(of_residual):
         assert "square root of the information" in report.findings[0].sentence
     (finding,) = weighed(10 * np.eye(4), of_residual).findings
     assert finding.kind == "factor"
-    assert ("the residual alone" if of_residual else "the Jacobians alone") in finding.sentence
+    assert ("only the residual" if of_residual else "only the Jacobians") in finding.sentence
     # A matrix that changes from point to point is another mistake.
 
     def changing(blocks):

@@ -387,7 +387,7 @@ def test_sigmas_of_the_problem_stay():
     ("change", "expected"),
     [
         ({"reference_system": "EPSG:4326"}, ["t0", "gcp_priors", "EPSG:4326"]),
-        ({"name": "t1"}, ["t1 twice"]),
+        ({"name": "t1"}, ["found 't1' twice"]),
     ],
 )
 def test_control_points_that_do_not_fit(change, expected):

@@ -33,6 +33,6 @@ def test_settings_are_those_of_tqdm():
 
 
 def test_without_tqdm_one_line_says_so(monkeypatch):
-    monkeypatch.setitem(sys.modules, "tqdm.auto", None)
+    monkeypatch.setitem(sys.modules, "tqdm", None)
     with pytest.raises(bundle.InputError, match=r"expected the package tqdm.*pip install tqdm"):
         bundle.ProgressBar()

@@ -14,7 +14,7 @@ from bundle.georeference.similarity import Similarity, moved
 from bundle.model.content_digests import content_digests
 from bundle.model.estimates import VARIABLES, Variable, estimates
 from bundle.model.problem_keys import ProblemKeys, kinds
-from bundle.planning.comparison import hand_over
+from bundle.planning.comparison.process import restore_solution, store_solution
 from bundle.solving.executors import ThisProcess
 from bundle.solving.hold_out import with_values
 from bundle.solving.ranks.partition import divide, part_of
@@ -113,8 +113,8 @@ def test_digests_and_processes_see_it(problem, tmp_path):
     assert input_digest.digest(other) != input_digest.digest(problem)
     one, two = content_digests(problem), content_digests(other)
     assert {name for name in one if one[name] != two[name]} == {"start"}
-    hand_over.store_solution(other, tmp_path / "0.npz")
-    restored = hand_over.restore_solution(problem, tmp_path / "0.npz")
+    store_solution(other, tmp_path / "0.npz")
+    restored = restore_solution(problem, tmp_path / "0.npz")
     np.testing.assert_array_equal(restored.gain, other.gain)
 
 

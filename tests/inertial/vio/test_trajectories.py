@@ -213,5 +213,5 @@ def test_a_truth_in_another_unit_is_named(power: int) -> None:
     seconds = np.linspace(-2, 4, 40)
     stamps = np.rint((start + 1e9 * seconds) * 10.0**power) + np.arange(40)
     truth = Trajectory(stamps.astype(np.int64), given.states)
-    with pytest.raises(bundle.InputError, match=re.escape(f"{10.0**-power:g} times")):
+    with pytest.raises(bundle.InputError, match=re.escape(f"Multiplied by {10.0**-power:g},")):
         compare_trajectories(estimate, truth)

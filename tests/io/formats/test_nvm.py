@@ -147,7 +147,7 @@ def test_rounded_coordinates_are_named(tmp_path, offset, count, step):
     assert len(found) == (step is not None)
     if step is not None:
         assert f"multiples of {step}," in found[0]
-        assert "m.nvm: " in found[0] and "not the lenses" in found[0]
+        assert "m.nvm: " in found[0] and "poses and points wrong" in found[0]
 
 
 def moved(problem, offset, scale):

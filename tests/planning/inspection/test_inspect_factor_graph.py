@@ -80,7 +80,7 @@ def test_any_other_graph_is_counted_like_a_dense_factorisation():
     natural, dense = found.costs[0], found.costs[-1]
     assert natural.nnz_factor == (np.abs(factor) > 1e-14).sum()
     assert dense.nnz_factor == 12 * 13 // 2 and dense.memory_in_bytes == 8 * 144
-    assert found.auto_ordering == "dense" and "dense" in found.recommendation
+    assert found.auto_ordering == "dense" and "Dense" in found.recommendation
     assert "6 variables, 4 factors" in str(found)
 
 

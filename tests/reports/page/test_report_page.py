@@ -295,7 +295,7 @@ def test_bad_arguments_write_nothing(solved, tmp_path):
 
 
 def test_reports_of_commands_do_not_hide_the_function(solved, tmp_path):
-    import bundle.cli.report
+    import bundle.cli.models
 
     bundle.report(solved, tmp_path / "report.html")
     assert (tmp_path / "report.html").stat().st_size > 10_000
