@@ -154,7 +154,7 @@ class Run:
 
     def check_knowledge(self, refined: Iterable[str] = (), *, page: bool = False) -> None:
         """Read the flags of positions, control points and rules, as far as the command has them."""
-        if "gps" in self.arguments:
+        if "gps" in self.arguments and self._kind == Kind.RECONSTRUCTION:
             from bundle.cli.georeference_flags import georeference_given  # few commands need it
 
             self.georeference = georeference_given(self.arguments, tuple(refined), page=page)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,17 +11,17 @@ from numpy.typing import NDArray
 from bundle.analysis.diagnosis.diagnosis_result import Diagnosis, GraphDiagnosis
 from bundle.analysis.uncertainty.covariance_result import Covariance, GraphCovariance
 from bundle.base.words import number, plural
-from bundle.checking import gradient_report
-from bundle.checking.gradient_report import GradientReport
 from bundle.errors import shown
-from bundle.graphs.factors import factor_report
-from bundle.graphs.factors.factor_report import FactorCheck
 from bundle.interface.finding import Finding, one_list
 from bundle.model.cameras import camera_models
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.model.problem import Problem
 from bundle.reports.sections import Column, Report, Section, Table, fields
 from bundle.reports.terminal.inputs import about_input, input_facts
+
+if TYPE_CHECKING:
+    from bundle.checking.gradient_report import GradientReport
+    from bundle.graphs.factors.factor_report import FactorCheck
 
 OF_FACTORS = ("ok", "verdict", "num_factors", "num_checked", "findings", "groups", "worst")
 """Properties of a check of factors for programs."""
@@ -35,9 +35,13 @@ def checked(
     wall_time: float,
 ) -> Report:
     """Return the report on the Jacobians of a problem or a pose graph; None: of Python objects."""
-    words: Any = factor_report if isinstance(found, FactorCheck) else gradient_report
+    from bundle.checking import gradient_report  # other reports need none of these
+    from bundle.graphs.factors import factor_report
+
+    words: Any = gradient_report
     subject = []
-    if isinstance(found, FactorCheck):
+    if isinstance(found, factor_report.FactorCheck):
+        words = factor_report
         data = {name: getattr(found, name) for name in OF_FACTORS}
     else:
         subject = gradient_report.subject(found)
