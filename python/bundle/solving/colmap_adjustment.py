@@ -216,10 +216,9 @@ class AdjustedPart:
         moves = ~self.constant_images & ("poses" in options.refine)
         sensor = np.full(problem.num_images, -1)
         if options.refine_sensor_from_rig and problem.num_frames:
-            pairs = zip(problem.sensor_rig_ids, problem.sensor_camera_ids, strict=True)
-            free = np.array([pair not in set(options.fixed_sensors) for pair in pairs], bool)
             framed = problem.image_sensor >= 0
-            sensor[framed] = np.where(free, np.arange(len(free)), -1)[problem.image_sensor[framed]]
+            free = np.where(_listed_sensors(problem, options), -1, np.arange(problem.num_sensors))
+            sensor[framed] = free[problem.image_sensor[framed]]
         frames = self.frames[self.named & (moves | (sensor >= 0))]
         poses = len(np.unique(frames)) + len(np.unique(sensor[self.named & (sensor >= 0)]))
         params = sum(len(camera_models()[name]) for name in problem.camera_models)
@@ -408,15 +407,20 @@ def _frame_poses(problem: Problem) -> NDArray[np.float64]:
     )
 
 
-def _fixed_sensors(problem: Problem, options: SolveOptions) -> NDArray[np.bool_]:
+def _listed_sensors(problem: Problem, options: SolveOptions) -> NDArray[np.bool_]:
+    """Return a mask of the sensors in ``options.fixed_sensors``."""
     pairs = zip(problem.sensor_rig_ids.tolist(), problem.sensor_camera_ids.tolist(), strict=True)
     fixed = set(options.fixed_sensors)
+    return np.array([pair in fixed for pair in pairs], bool)
+
+
+def _fixed_sensors(problem: Problem, options: SolveOptions) -> NDArray[np.bool_]:
     # COLMAP also fixes the sensors of a rig without observations of its reference sensor.
     seen = np.zeros(problem.num_images, bool)
     seen[problem.observation_image] = True
     reference = seen & (problem.image_frame >= 0) & (problem.image_sensor < 0)
-    rigs = set(problem.frame_rig_ids[problem.image_frame[reference]].tolist())
-    return np.array([pair in fixed or pair[0] not in rigs for pair in pairs], bool)
+    rigs = problem.frame_rig_ids[problem.image_frame[reference]]
+    return _listed_sensors(problem, options) | ~np.isin(problem.sensor_rig_ids, rigs)
 
 
 def _scaled(
