@@ -8,6 +8,8 @@ from pycolmap import BundleAdjustmentGauge as Gauge
 from scipy.spatial.transform import Rotation
 
 import bundle
+from bundle.model.pycolmap import adjustment_objects
+from bundle.solving.colmap_adjustment import adjusted_part
 from tests.scenes import make_problem
 from tests.solving.colmap_adjustment.option_space import (
     CHANGES,
@@ -291,8 +293,9 @@ def test_tracks_that_do_not_match_the_keypoints_read_are_named():
 
     model = rigs(0)
     last = sorted(model.reg_image_ids())[-1]
-    model.point3D(wide[0]).track.add_element(last, 10**6)  # no such keypoint
-    refused(model, f"point {wide[0]}: expected keypoints .* keypoint {10**6} of image {last}")
+    beyond = model.image(last).num_points2D()
+    model.point3D(wide[0]).track.add_element(last, beyond)  # no such keypoint
+    refused(model, f"point {wide[0]}: expected keypoints .* keypoint {beyond} of image {last}")
 
     model = rigs(0)
     model.deregister_frame(model.image(last).frame_id)
@@ -309,6 +312,76 @@ def test_tracks_that_do_not_match_the_keypoints_read_are_named():
     image.points2D[index].point3D_id = 10**9
     where = f"image {image.image_id}, keypoint {index}"
     refused(model, f"{where}: expected a point of the reconstruction, found point {10**9}")
+
+
+def test_a_point_with_more_keypoints_than_its_track_has_elements_is_named():
+    model = rigs(0)
+    images = sorted(model.reg_image_ids())
+    config = pycolmap.BundleAdjustmentConfig()
+    for image_id in images[:-1]:
+        config.add_image(image_id)
+    tracks = {key: point.track.elements for key, point in sorted(model.points3D.items())}
+    inside = [key for key, track in tracks.items() if images[-1] not in {e.image_id for e in track}]
+    image = model.image(images[0])
+    index = next(k for k, p in enumerate(image.points2D) if p.point3D_id != inside[0])
+    image.points2D[index].point3D_id = inside[0]
+    count = len(tracks[inside[0]])
+    with pytest.raises(bundle.InputError, match=f"point {inside[0]}: .* found {count} elements"):
+        bundle.bundle_adjustment(model, None, config)
+
+
+def test_exchanged_keypoints_are_named_if_the_whole_model_is_adjusted():
+    model = rigs(0)
+    first, second = sorted(model.points3D)[:2]
+    places = [model.point3D(key).track.elements[0] for key in (first, second)]
+    for place, key in zip(places, (second, first), strict=True):
+        model.image(place.image_id).points2D[place.point2D_idx].point3D_id = key
+    with pytest.raises(bundle.InputError, match=f"point {first}: expected keypoints that refer"):
+        bundle.bundle_adjustment(model)
+
+
+def read(reconstruction, config, min_track_length=0):
+    content = adjustment_objects.config_of(reconstruction, config)
+    return content, adjustment_objects.adjusted_fields(reconstruction, content, min_track_length)
+
+
+def test_observations_of_a_part_ascend_whichever_images_the_configuration_names():
+    reconstruction = rigs(0)
+    config = pycolmap.BundleAdjustmentConfig()
+    for image_id in sorted(reconstruction.reg_image_ids())[-3:]:
+        config.add_image(image_id)
+    for point_id in sorted(reconstruction.points3D):
+        config.add_variable_point(point_id)
+    fields = read(reconstruction, config)[1].fields
+    columns = [fields[f"observation_{name}"] for name in ("keypoint", "image", "point")]
+    assert len(fields["image_ids"]) > 3
+    assert (np.lexsort(columns) == np.arange(len(columns[0]))).all()
+
+
+def test_images_whose_points_are_all_left_out_take_no_part():
+    reconstruction = images_alone(0)
+    config = pycolmap.BundleAdjustmentConfig()
+    images = sorted(reconstruction.reg_image_ids())
+    for image_id in images:
+        config.add_image(image_id)
+    seen = [p.point3D_id for p in reconstruction.image(images[0]).get_observation_points2D()]
+    for point_id in seen:
+        track = reconstruction.point3D(point_id).track.elements
+        for image_id, index in [(e.image_id, e.point2D_idx) for e in track][2:]:
+            reconstruction.delete_observation(image_id, index)
+    assert images[0] not in read(reconstruction, config, min_track_length=3)[1].fields["image_ids"]
+
+
+@pytest.mark.parametrize(("more", "threads"), [(0, 2), (1, 1)])
+def test_few_residuals_are_solved_by_one_thread(more, threads):
+    reconstruction = rigs(0)
+    config, part = read(reconstruction, None)
+    options = pycolmap.BundleAdjustmentOptions()
+    options.ceres.solver_options.num_threads = 2
+    count = 2 * len(part.fields["observation_image"])
+    options.ceres.min_num_residuals_for_cpu_multi_threading = count + more
+    made = adjusted_part(part, adjustment_objects.options_of(options), config)
+    assert made.options.num_threads == threads
 
 
 def test_a_point_that_is_deleted_during_the_solve_is_named():
