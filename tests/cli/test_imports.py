@@ -75,3 +75,25 @@ def test_refining_a_model_needs_no_pycolmap(
     assert "bundle.reports.terminal.refine" in found
     assert not found & NOT_FOR_REFINE
     assert (tmp_path / "out").is_dir()
+
+
+DROP_IN = """
+import sys
+import pycolmap
+model = pycolmap.Reconstruction(sys.argv[1])
+before = set(sys.modules)
+import bundle
+bundle.bundle_adjustment(model, pycolmap.BundleAdjustmentOptions(print_summary=False))
+print(*sorted(set(sys.modules) - before))
+"""
+
+
+def test_a_first_adjustment_in_pycolmaps_place_imports_no_readers(tmp_path: Path) -> None:
+    bundle.save(make_problem(), tmp_path / "in", "colmap")
+    done = subprocess.run(
+        [sys.executable, "-c", DROP_IN, tmp_path / "in"], capture_output=True, text=True, check=True
+    )
+    found = set(done.stdout.split())
+    assert "bundle.solving.executors" in found
+    assert not found & {"numpy.ma", "tempfile", "bundle.solving.constraints.rules"}
+    assert not [name for name in found if name.startswith(("bundle.io.", "bundle.graphs."))]

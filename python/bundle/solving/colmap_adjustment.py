@@ -19,7 +19,9 @@ from bundle.model.cameras import camera_models
 from bundle.model.problem import Problem
 from bundle.model.rigid_motions import inverse_poses, multiply_poses, rotation_matrices
 from bundle.solving.constraints.applied import HELD_POSITION, HELD_ROTATION, Applied
-from bundle.solving.solve import solve
+from bundle.solving.executors import finished, solve_prepared
+from bundle.solving.prepare import prepare
+from bundle.solving.request import SolveRequest
 
 if TYPE_CHECKING:
     from bundle.interface.colmap_options import ColmapAdjustment
@@ -116,12 +118,14 @@ def bundle_adjustment(
 
 def _refined(part: AdjustedPart, limits: _Limits) -> tuple[Problem, Summary]:
     gauge = TwoCameras(part)
-    result = solve(
-        part.problem,
-        part.options,
+    # Not by solve, which imports all readers of files.
+    request = SolveRequest(
+        problem=part.problem,
+        options=part.options,
         constraints=part.constant_parts(gauge.held),
-        progress=limits if limits.needed else None,
     )
+    prepared = prepare(request)
+    result = finished(prepared, solve_prepared(prepared, limits if limits.needed else None))
     return gauge.rescaled(result.problem), result.summary
 
 
@@ -220,7 +224,9 @@ class AdjustedPart:
             free = np.where(_listed_sensors(problem, options), -1, np.arange(problem.num_sensors))
             sensor[framed] = free[problem.image_sensor[framed]]
         frames = self.frames[self.named & (moves | (sensor >= 0))]
-        poses = len(np.unique(frames)) + len(np.unique(sensor[self.named & (sensor >= 0)]))
+        # Sets: np.unique imports numpy.ma.
+        sensors = set(sensor[self.named & (sensor >= 0)].tolist())
+        poses = len(set(frames.tolist())) + len(sensors)
         params = sum(len(camera_models()[name]) for name in problem.camera_models)
         return {
             "num_residual_blocks": problem.num_observations,

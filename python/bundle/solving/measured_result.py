@@ -23,7 +23,6 @@ from bundle.model.reprojection import (
     worst_of_errors,
 )
 from bundle.model.rigid_motions import rotation_matrices
-from bundle.solving.gauge_freedom import GaugeFreedom, gauge_freedom
 from bundle.solving.kept_errors import (
     Deleted,
     Edit,
@@ -43,6 +42,7 @@ if TYPE_CHECKING:
     from bundle.model.reprojection import HeldOut
     from bundle.solving.constraints.ends import RuleEnd
     from bundle.solving.constraints.restrictions import ActiveBound
+    from bundle.solving.gauge_freedom import GaugeFreedom
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -148,6 +148,8 @@ class MeasuredResult(SolveRecord):
     @cached_property
     def gauge_freedom(self) -> GaugeFreedom:
         """Degrees of freedom that observations, factors and priors leave free at the input."""
+        from bundle.solving.gauge_freedom import gauge_freedom  # imports the readers of files
+
         return gauge_freedom(
             self.initial_problem, self.options, factors=self.factors, priors=self.priors
         )

@@ -229,10 +229,11 @@ def _resolve_rules(
     if isinstance(rules, tuple | list) and not rules:
         return problem, options, None
     from bundle.solving.constraints.applied import Applied  # not imported without rules
-    from bundle.solving.constraints.resolve import apply
 
     if isinstance(rules, Applied):  # resolved by the caller
         return problem, options, rules
+    from bundle.solving.constraints.resolve import apply
+
     start, applied = apply(rules, problem, options, part)
     if applied is not None and applied.fixed_point_ids:
         held = (*options.fixed_point_ids, *applied.fixed_point_ids)
@@ -297,7 +298,7 @@ def _without_tracks(problem: Problem, options: SolveOptions) -> str:
 
 
 def _rule_ends(applied: Applied | None, before: Problem, after: Problem) -> tuple[RuleEnd, ...]:
-    if applied is None:
+    if applied is None or not applied.rules:
         return ()
     from bundle.solving.constraints.ends import rule_ends
 

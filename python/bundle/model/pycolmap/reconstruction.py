@@ -7,7 +7,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from itertools import compress
 from operator import attrgetter
 from pathlib import Path
@@ -420,6 +419,8 @@ def to_pycolmap(problem: ProblemArrays) -> pycolmap.Reconstruction:
     """
     source = vars(problem)["source"]
     records = model_records(problem, source)
+    import tempfile  # slow to import
+
     with tempfile.TemporaryDirectory(prefix="bundle-") as folder:
         _core.write_colmap_records(folder, True, records)
         files = {path.name: path.read_bytes() for path in Path(folder).iterdir()}

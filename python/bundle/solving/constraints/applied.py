@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING
 
 from bundle.base.records import dataclass
 from bundle.model.problem import Problem
-from bundle.solving.constraints.rules import Rule
 
 if TYPE_CHECKING:
     from bundle.graphs.factors.factors import Factor
+    from bundle.solving.constraints.rules import Rule
 
 HELD_ROTATION, HELD_POSITION = 1, 2
 """Bits of the constant parts of a pose, as in ``problem_view.h``."""
