@@ -78,6 +78,9 @@ def test_check_points(tmp_path):
     flight = block(8, pixel_noise=0.3, survey_noise=0.02)
     found = bundle.evaluate(flight.problem, list(flight.gcps))
     assert found.kind == "left_out" and 0 < found.position.rmse < 1
+    points = bundle.align(flight.problem, gcps=list(flight.gcps)).control_points
+    assert found.errors.tolist() == [list(point.leave_one_out) for point in points]
+    assert not np.allclose(found.errors, [point.residual for point in points])
     marked = [
         bundle.GroundControlPoint(
             name=g.name,

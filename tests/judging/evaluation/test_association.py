@@ -74,6 +74,14 @@ def test_names_that_are_stamps():
         associate(named("x", "y", "z"), timed(STAMPS))
 
 
+def test_whole_numbers_are_nanoseconds_from_ten_to_the_fourteenth():
+    stamps = 10**14 + 10**6 * np.arange(3)
+    found = associate(named(*map(str, stamps)), timed(stamps))
+    assert found.rows_b.tolist() == [0, 1, 2]
+    with pytest.raises(bundle.InputError, match="time stamps"):
+        associate(named(*map(str, stamps - 1)), timed(stamps))
+
+
 def test_stamps_in_another_unit_are_named():
     seconds = timed(np.arange(6) * 10**9 + 5 * 10**9)
     wrong = timed(np.arange(6) + 5)

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 import bundle
-from bundle.judging.evaluation.movement_in_sigmas import movement_in_sigmas
+from bundle.georeference.similarity import Similarity, moved
+from bundle.judging.evaluation.movement_in_sigmas import _check_scale, movement_in_sigmas
 from tests.rig_scenes import rig_problem
 
 DEFAULT = ("poses", "points", "focal", "extra")
@@ -65,3 +66,17 @@ def test_sensors_on_rigs_that_were_refined_are_recognised(seed):
     held, sentence = compared(start, truth, refine=DEFAULT)
     assert held.median > 3 and held.assumed == "principal point and sensors on rigs"
     assert "more than the uncertainty of A explains, if its solve held principal" in sentence
+
+
+@pytest.mark.parametrize(
+    ("factor", "is_one"), [(1.19, True), (1 / 1.19, True), (1.21, False), (1 / 1.21, False)]
+)
+def test_models_on_rigs_have_one_scale(factor, is_one):
+    a = rig_problem(num_points=5)
+    b = moved(a, Similarity(factor, np.eye(3), np.ones(3)))
+    rows = np.arange(a.num_images)
+    if is_one:
+        _check_scale(a, b, rows, rows)
+    else:
+        with pytest.raises(bundle.InputError, match="lengths of A and B differ"):
+            _check_scale(a, b, rows, rows)

@@ -108,6 +108,14 @@ def test_rotations_only_of_180_degrees():
     assert pair_errors(turned, truth).rotation_accuracy["30"] == pytest.approx(10 / 15)
 
 
+def test_both_quaternions_of_a_rotation_have_the_same_errors():
+    truth = example.path(9)
+    estimate = example.noisy(truth).poses.copy()
+    found = pair_errors(estimate, truth.poses)
+    estimate[1::2, :4] *= -1
+    assert pair_errors(estimate, truth.poses) == found
+
+
 def test_the_order_of_rows_and_the_world_have_no_influence():
     truth = example.path(15)
     estimate = example.noisy(truth, 0.05, 3)

@@ -117,6 +117,15 @@ def test_axes_of_another_sensor():
     assert finding.evidence["rmse_without"] < 2
 
 
+@pytest.mark.parametrize(("share", "found"), [(0.19, ["axes"]), (0.21, [])])
+def test_one_rotation_that_leaves_a_fifth_of_the_error_is_named(share, found):
+    # About one axis by 30 + b and 30 - b degrees: b is left of sqrt(30^2 + b^2).
+    left = 30 * share / np.sqrt(1 - share**2)
+    angles = np.radians(30 + left * (-1.0) ** np.arange(30))
+    axis = Rotation.from_rotvec(angles[:, None] * [0, 1, 0])
+    assert kinds(bundle.evaluate(with_poses(TRUTH, turns=turns(TRUTH) * axis), TRUTH)) == found
+
+
 @pytest.mark.parametrize("count", [3, 4, 5, 8])
 def test_cameras_that_turn_with_the_alignment_have_no_other_axes(count):
     part = PoseTable(TRUTH.poses[:count], TRUTH.names[:count])
