@@ -183,3 +183,21 @@ def test_the_bound_of_one_or_two_directions(sigmas, apart, expected):
 def test_losses_have_the_names_of_the_solver():
     prior = GravityPrior(1, (0, 1, 0), 1.0, loss="Soft-L1")
     assert prior.loss == "soft_l1" and prior.factor(1).loss == "soft_l1"
+
+
+def test_sigmas_are_from_a_millionth_of_a_millionth_to_its_inverse():
+    for sigma in (1e-12, 1e12):
+        assert GravityPrior(1, (0, 1, 0), sigma).sigma_degrees == sigma
+        assert HeadingPrior(1, 0.0, sigma).sigma_degrees == sigma
+    for sigma in (0.9e-12, 1.1e12):
+        with pytest.raises(InputError, match="sigma_degrees"):
+            OrientationPrior(1, (0, 0, 0, 1), (1.0, sigma))
+
+
+def test_headings_have_no_whole_turns_and_directions_length_one():
+    assert HeadingPrior(1, 725.0, 1.0).heading_degrees == 5.0
+    assert HeadingPrior(1, -725.0, 1.0).heading_degrees == -5.0
+    for size in (1e-200, 1e200):
+        np.testing.assert_allclose(
+            GravityPrior(1, (0, 3 * size, 4 * size), 1.0).direction, (0, 0.6, 0.8), rtol=1e-15
+        )
