@@ -5,8 +5,10 @@ import pickle
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 import bundle
+from bundle.model.shutter_motion import moved, read_positions
 
 TWIST = np.arange(24.0).reshape(4, 6) / 100
 
@@ -149,3 +151,30 @@ def test_ties_need_times_in_order_and_readouts(changes, words):
         return
     with pytest.raises(bundle.InputError, match=words):
         problem.rolling_shutter.check_tied(problem)
+
+
+@pytest.mark.parametrize("direction", [0, 1])
+def test_rows_beyond_two_heights_from_the_centre_are_not_read(direction):
+    problem = problem_of()
+    size, centre = np.array([640.0, 480]), np.array([320.0, 240])
+    points = np.ones((4, 3))
+    points[:, direction] = np.array([-2.01, -1.99, 1.99, 2.01]) * size[direction] / 500
+    image = np.zeros(4, np.int32)
+    along = np.full(4, direction)
+    xy, times = read_positions(problem, image, points, np.zeros((4, 6)), along)
+    np.testing.assert_allclose(times, [np.nan, -1.99, 1.99, np.nan], rtol=1e-12)
+    np.testing.assert_allclose(xy[1:3], centre + 500 * points[1:3, :2], rtol=1e-12)
+    assert np.isnan(xy[[0, 3]]).all()
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.0999, 0.1001, 3.1, 7.0])
+def test_points_move_by_the_exponential_of_a_twist(angle):
+    """The series of (h - sin h) / h^3 ends at h = 0.1."""
+    twist, point = np.array([2.0, -1, 2, 5, 6, 7]) / 3, np.array([0.3, -0.4, 2])
+    twist[:3] *= 2 * angle  # at the time 1/2
+    x, y, z = twist[:3]
+    matrix = np.array([[0, -z, y, 0], [z, 0, -x, 0], [-y, x, 0, 0], [0.0] * 4])
+    matrix[:3, 3] = twist[3:]
+    expected = (expm(0.5 * matrix) @ np.append(point, 1))[:3]
+    found = moved(twist[None], np.array([0.5]), point[None])[0]
+    np.testing.assert_allclose(found, expected, rtol=1e-14, atol=1e-14)

@@ -239,8 +239,7 @@ def selected(
         place[images] = np.arange(len(images), dtype=np.int32)
         pairs = place[before[images]]
         own = np.arange(len(images), dtype=np.int32)[:, None]
-        had = before[images].min(axis=1, initial=0) >= 0
-        pairs = np.where((pairs < 0) & had.reshape(-1, 1), own, pairs)
+        pairs = np.where(pairs < 0, own, pairs)
         pairs[pairs[:, 0] == pairs[:, 1]] = -1
         neighbours = freeze(pairs)
     frames = None if shutter.frames is None else freeze(shutter.frames[images])

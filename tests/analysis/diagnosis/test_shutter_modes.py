@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy.linalg import expm
+from scipy.spatial.transform import Rotation
 
 import bundle
 from bundle.analysis.diagnosis import shutter_modes as module
@@ -114,6 +115,15 @@ def test_diagnose_reports_the_mode_with_its_images():
     assert len(named) == 1 and named[0].is_problem
     held = bundle.diagnose(planted, refine=("points",))
     assert not any("readout" in entry.kind for entry in held.findings)
+
+
+@pytest.mark.parametrize(("off", "is_parallel"), [(14.9, True), (15.1, False)])
+def test_readouts_are_parallel_within_fifteen_degrees_of_a_line(off, is_parallel):
+    problem = film(options("orbit", num_images=2, num_points=20)).ground_truth
+    poses = problem.cam_from_world.copy()
+    poses[:, :4] = Rotation.from_euler("z", [[off], [180 - off]], degrees=True).as_quat()
+    turned = problem.replace(cam_from_world=poses)
+    assert module._is_parallel(turned, np.arange(2)) == is_parallel
 
 
 def test_global_shutters_and_single_images_have_no_modes():
