@@ -6,7 +6,6 @@ import pytest
 import bundle
 from bundle.analysis.factor_equations import FactorEquations
 from bundle.analysis.normal_equations import (
-    LOST,
     POSES,
     PoseEquations,
     SelectedInverse,
@@ -122,8 +121,10 @@ def test_a_toy_has_its_covariance():
 
 
 def test_notes_begin_at_their_thresholds():
-    assert notes(inflation=LOST) == () != notes(inflation=1.01 * LOST)
+    assert notes(inflation=0.99e10) == () != notes(inflation=1.01e10)
     assert notes(decrease=2.0e-4) == () != notes(decrease=2.1e-4)  # 1e-4 of the cost 2
+    assert "about 6 digits" in notes(inflation=1.1e10)[0]  # 16 - 10
+    assert "by about 2 %" in notes(decrease=0.04)[0]  # of the cost 2
     assert notes(num_floating=1) == () != notes(num_floating=2)
 
 
