@@ -60,6 +60,13 @@ def test_predictions_of_noisy_points_have_this_covariance():
     assert np.abs(held.mean(axis=0) - 2).max() < 0.7  # of each observation
 
 
+def test_squares_are_those_of_the_inverse_covariance():
+    residuals = np.array([[3.0, 1.0], [3.0, -1.0], [0.5, 2.0]])
+    covariances = np.array([[[2.0, 0.9], [0.9, 1.5]]] * 2 + [[[1.0, -0.8], [-0.8, 4.0]]])
+    expected = [r @ np.linalg.solve(s, r) for r, s in zip(residuals, covariances, strict=True)]
+    np.testing.assert_allclose(squared_errors(residuals, covariances), expected, rtol=1e-13)
+
+
 def test_sigma_is_that_of_the_best_candidate_and_missing_errors_stay():
     rng = np.random.default_rng(0)
     covariances = np.tile(np.array([[2.0, 0.3], [0.3, 1.5]]), (4000, 1, 1))

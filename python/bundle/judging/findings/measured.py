@@ -174,7 +174,7 @@ class Measured:
 
         A longer focal length enlarges an image as a nearer camera does, but by the same factor at
         all depths. Their difference displaces an observation at the distance rho from the principal
-        point by rho (d - mean d) / d, with the depths d.
+        point by about rho (d - mean d) / mean d, with the depths d.
         """
         problem = self.problem
         rows = np.flatnonzero(self.counted)
