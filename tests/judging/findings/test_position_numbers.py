@@ -62,6 +62,18 @@ def test_single_positions_beyond_five_sigmas(sigmas, is_found):
     assert is_tense(found) == is_found
 
 
+@pytest.mark.parametrize(("num", "are_named"), [(8, True), (9, False)])
+def test_a_third_of_the_positions_may_be_wrong(num, are_named):
+    problem = model()
+    away = antennas(problem)
+    away[:, 0] += 0.001
+    away[:num, 1] += 1.0
+    finding = measured_positions(measured(problem, away))
+    assert (finding is not None) == are_named
+    if are_named:
+        assert finding.evidence["image_ids"] == problem.image_ids[:num].tolist()
+
+
 def test_a_start_far_from_its_positions_gets_their_distance_as_sigma():
     problem = model()
     away = antennas(problem)
@@ -105,6 +117,11 @@ def test_a_drift_has_its_sign_and_its_size(growth, flat):
     assert finding is not None and finding.kind == "scale_drift"
     assert finding.evidence["change"] == pytest.approx(growth - 1, abs=0.02)
     assert f"{100 * (growth - 1):+.0f}"[:2] in finding.sentence
+    errors = []
+    for part in (order[: COUNT // 2], order[COUNT // 2 :]):
+        away = (places[part] - places[part].mean(axis=0))[:, : 2 if flat else 3]
+        errors.append(0.01 * np.sqrt(COUNT / 2) / np.linalg.norm(away, axis=1).sum())
+    assert finding.evidence["standard_error"] == pytest.approx(np.hypot(*errors))
     straight = scale_drift(measured(problem, antennas(problem), sigma=0.01), problem)
     assert straight is None
 
