@@ -296,6 +296,7 @@ def test_a_second_solve_must_end_lower(gain, is_usable, is_interrupted, takes_se
     np.testing.assert_array_equal(solves[1].poses, found.certificate.staircase.problem.poses)
     assert (found.summary.init == "staircase") == takes_second
     assert found.certificate.verdict == "not-certified"
+    assert found.certificate.staircase.verdict == "certified"
     assert found.initial_problem is (graph if takes_second else real.initial_problem)
     # chi2 "before" stays that of the given poses
     np.testing.assert_array_equal(found.chi2_before, real.chi2_before + 1)
@@ -366,7 +367,17 @@ def test_a_bound_of_chi2_without_certificate_is_below_the_optimum():
         found = bundle.certify(local, max_rank=max_rank)
         assert found.verdict == "not-certified" and not found.is_isotropic
         assert found.chi2_lower_bound <= optimum.summary.chi2_final
+        if max_rank == 0:  # the bound of F is negative, that of a sum of squares is not
+            assert found.lower_bound < found.chi2_lower_bound == 0
     assert found.chi2_lower_bound > 0.5 * optimum.summary.chi2_final
+
+
+def test_rounding_makes_no_gap_negative():
+    found = bundle.certify(pair(1.0, 1.0))
+    for bound, gap in ((2.0 - 0.25, 0.25), (2.0 + 1e-15, 0.0)):
+        other = dataclasses.replace(found, chi2=2.0, chi2_lower_bound=bound)
+        assert other.chi2_gap == gap
+        assert dataclasses.replace(found, cost=2.0, lower_bound=bound).gap == gap
 
 
 def test_no_second_solve_without_lower_poses():
@@ -385,4 +396,8 @@ def test_no_second_solve_without_lower_poses():
     assert stairs.cost >= (1 - 1e-6) * found.certificate.cost
     assert 0 < stairs.lower_bound < stairs.cost
     assert stairs.gap == pytest.approx(stairs.cost - stairs.lower_bound, rel=1e-12)
+    assert stairs.verdict == "not-certified"
+    # The relaxation is solved: its cost is the best bound, above those at poses.
+    assert stairs.lower_bound == pytest.approx(stairs.relaxed_cost, rel=1e-6)
+    assert stairs.lower_bound > 2 * found.certificate.lower_bound
     assert len(solves) == 1 and found.summary.init == real.summary.init

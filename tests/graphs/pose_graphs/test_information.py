@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import bundle
+from bundle.graphs.pose_graphs.edge_weights import densest_set
 from tests.graphs.pose_graphs import graphs
 
 ASYMMETRIC = [[1, 0.5, 0], [0.4, 1, 0], [0, 0, 1]]
@@ -95,3 +96,19 @@ def test_a_file_of_edges_alone_is_read_whatever_its_information_says(tmp_path, j
     ):
         bundle.solve(found)
     assert bundle.solve(found, information="isotropic").summary.is_solution_usable
+
+
+@pytest.mark.parametrize(
+    ("edges", "size"),
+    [
+        ([], 0),
+        ([[0, 1]], 2),
+        ([[0, 1], [1, 0], [0, 1]], 2),  # repeated and reversed
+        ([[0, 1], [1, 2]], 2),
+        ([[0, 1], [1, 2], [2, 0], [2, 7]], 3),
+        ([[0, k] for k in range(1, 9)], 2),  # a star
+        ([[a, b] for a in range(5) for b in range(a)], 5),
+    ],
+)
+def test_d_vertices_with_d_minus_one_neighbours(edges, size):
+    assert densest_set(np.array(edges, np.int32).reshape(-1, 2)) == size
