@@ -1,8 +1,8 @@
 """``dataclass`` of the standard library, but frozen classes are defined twice as fast.
 
 The standard decorator compiles up to six methods of a frozen class: 21 of the 150 ms of a small
-refinement. Here only the constructor is compiled; all frozen classes share the other methods, which
-read the fields from the object. Signatures, results, messages and errors are the same, but for
+refinement. Here only the constructor is compiled, on its first use; all frozen classes share the
+other methods, which read the fields from the object. Signatures, results, messages and errors are the same, but for
 InitVar, which is refused. Classes with other options, such as slots, are left to the standard
 library.
 """
@@ -50,7 +50,7 @@ def _define(kind: type, options: dict[str, bool]) -> type:
         for name in names if is_asked else ():
             if vars(kind).get(name) is None:  # beside an __eq__, Python sets __hash__ to None
                 shared = vars(_Shared).get(name)
-                setattr(kind, name, shared if shared is not None else _constructor(kind))
+                setattr(kind, name, shared if shared is not None else _Constructor(kind))
     return kind
 
 
@@ -97,6 +97,17 @@ class _Made:
 
     def __repr__(self) -> str:
         return "<factory>"
+
+
+class _Constructor:
+    """``__init__`` of a class until its first use."""
+
+    def __init__(self, kind: Any) -> None:
+        self._kind = kind
+
+    def __get__(self, record: Any, kind: Any = None) -> Any:
+        self._kind.__init__ = function = _constructor(self._kind)
+        return function.__get__(record, kind)
 
 
 def _constructor(kind: Any) -> Any:

@@ -19,8 +19,6 @@ The alarm counts flops, not seconds, and is therefore the same on every machine.
 from __future__ import annotations
 
 import contextlib
-import json
-import zlib
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -209,6 +207,8 @@ def recall(structure: str, now: PastFactor) -> PastFactor | None:
     past = entries.pop(structure, None)
     entries[structure] = now if past is None or now.flops < past.flops else past
     kept = list(entries.items())[-MOST_ENTRIES:]
+    import json  # long solves only
+
     with contextlib.suppress(OSError):
         text = json.dumps({key: [one.flops, one.nonzeros, one.ordering] for key, one in kept})
         write_cached(path, f"{_checksum(text)}\n{text}\n")
@@ -218,13 +218,15 @@ def recall(structure: str, now: PastFactor) -> PastFactor | None:
 def _read(path: Path) -> dict[str, PastFactor]:
     """Return the entries in order of their last use; empty if the file is missing or damaged."""
     try:
-        checksum, text = path.read_text(encoding="ascii").splitlines()
+        written, text = path.read_text(encoding="ascii").splitlines()
     except (OSError, ValueError):  # not two lines of ASCII
         return {}
-    if checksum != _checksum(text):
+    if written != _checksum(text):
         return {}
+    import json
+
     return {key: PastFactor(*values) for key, values in json.loads(text).items()}
 
 
 def _checksum(text: str) -> str:
-    return f"{zlib.crc32(text.encode()):08x}"
+    return checksum([np.frombuffer(text.encode(), np.uint8)])
