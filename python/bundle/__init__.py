@@ -119,7 +119,7 @@ _WITHOUT_LIBRARIES = ("_core", "base.paths", "errors")
 """Modules of names that are used without NumPy."""
 
 _MODULES = {
-    "constraints": "solving.constraints.rule_list",
+    "constraints": "solving.constraints",
     "figures": "figures",
     "georeference": "georeference",
     "html": "reports.page",

@@ -154,8 +154,8 @@ from bundle.planning.inspection.problem_inspection import inspect as inspect
 from bundle.reports import page as html
 from bundle.reports.page import report as report
 from bundle.reports.saved_report import save_report as save_report
+from bundle.solving import constraints as constraints
 from bundle.solving.colmap_adjustment import bundle_adjustment as bundle_adjustment
-from bundle.solving.constraints import rule_list as constraints
 from bundle.solving.constraints.rule_list import Constraints as Constraints
 from bundle.solving.gauge_freedom import GaugeFreedom as GaugeFreedom
 from bundle.solving.gauge_freedom import gauge_freedom as gauge_freedom

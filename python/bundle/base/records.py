@@ -2,9 +2,9 @@
 
 The standard decorator compiles up to six methods of a frozen class: 21 of the 150 ms of a small
 refinement. Here only the constructor is compiled, on its first use; all frozen classes share the
-other methods, which read the fields from the object. Signatures, results, messages and errors are the same, but for
-InitVar, which is refused. Classes with other options, such as slots, are left to the standard
-library.
+other methods, which read the fields from the object. Signatures, results, messages and errors are
+the same, but for InitVar, which is refused. Classes with other options, such as slots, are left to
+the standard library.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Lists of rules, made from texts and objects or read from a file; ``bundle.constraints``."""
+"""Lists of rules, made from texts and objects or read from a file."""
 
 from __future__ import annotations
 
@@ -14,18 +14,6 @@ from bundle.base.paths import numbered_lines
 from bundle.base.records import dataclass
 from bundle.errors import InputError, brief, shown
 from bundle.solving.constraints.rules import Bounds, Fixed, Prior, Ratio, Rule, Share, Target
-
-__all__ = [
-    "Bounds",
-    "Constraints",
-    "Fixed",
-    "Prior",
-    "Ratio",
-    "Rule",
-    "Share",
-    "Target",
-    "rules_of",
-]
 
 
 @dataclass(frozen=True, init=False, repr=False)
