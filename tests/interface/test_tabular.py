@@ -47,15 +47,13 @@ def results(tmp_path_factory) -> dict[str, object]:
         "Result": result,
         "PoseGraph": graph,
         "PoseGraphResult": solved,
-        "GraphCovariance": bundle.covariance(graph, relative=[(0, 2)]),
         "Inspection": bundle.inspect(problem),
         "Comparison": bundle.compare(problem, solvers=["dense_schur"], repeat=1),
         "Description": bundle.describe(problem),
         "Diagnosis": bundle.diagnose(problem),
-        "GraphDiagnosis": bundle.diagnose(graph),
         "Evaluation": bundle.evaluate(result.problem, problem),
         "Validation": bundle.validate(problem, num_folds=2, camera_models=["SIMPLE_RADIAL"]),
-        "PoseGraphInspection": bundle.inspect(graph),
+        "FactorGraphInspection": bundle.inspect(graph),
         "GradientReport": bundle.check_jacobians(problem),
     }
 
@@ -88,10 +86,14 @@ def test_values(results) -> None:
     np.testing.assert_array_equal(poses[["x", "y", "angle"]], results["PoseGraph"].poses)
     edges = results["PoseGraph"].to_dataframe("edges")
     assert edges[["pose_id_a", "pose_id_b"]].to_numpy().tolist() == [[0, 1], [1, 2], [2, 0]]
-    sigmas = results["GraphCovariance"].to_dataframe("poses")
-    expected = np.sqrt(np.diag(results["GraphCovariance"].pose(2)))
+    covariance = bundle.covariance(results["PoseGraph"], relative=[(0, 2)])
+    sigmas = covariance.to_dataframe()
+    assert [*sigmas] == ["pose_id", "sigma_x", "sigma_y", "sigma_angle"]
+    expected = np.sqrt(np.diag(covariance.pose(2)))
     np.testing.assert_allclose(sigmas.iloc[2, 1:].to_numpy(float), expected)
-    relative = results["GraphCovariance"].to_dataframe("relative")
+    relative = covariance.to_dataframe("relative")
+    with pytest.raises(bundle.InputError, match=r"^block: expected one of poses, relative"):
+        covariance.to_dataframe("points")
     assert relative.iloc[0, :2].tolist() == [0, 2]
 
 

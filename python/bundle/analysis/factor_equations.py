@@ -35,9 +35,9 @@ from bundle.analysis.diagnosis.diagnose_graph import (
     tests_of,
 )
 from bundle.analysis.diagnosis.diagnosis_result import (
-    GraphComponent,
-    GraphDiagnosis,
-    GraphWeakMode,
+    Component,
+    Diagnosis,
+    WeakMode,
 )
 from bundle.analysis.normal_equations import (
     GRAPH_GAUGES,
@@ -205,7 +205,7 @@ def _of_pose_graph(
         covariances={key: freeze(found.pose_covariance[place[key]]) for key in keys},
         relative_covariances=dict(zip(pairs, found.relative_covariance, strict=True)),
         cross_covariances=dict(zip(pairs, found.cross_covariance, strict=True)),
-        num_gauge_freedoms=poses.graph.tangent_size * len(found.held_pose_ids),
+        num_gauge_freedoms=poses.graph.tangent_size * len(found.held_pose_ids or ()),
         **{name: getattr(found, name) for name in ("sigma0", "dof", "gauge", "scale", "notes")},
     )
 
@@ -255,7 +255,7 @@ def _relative_covariance(
     return np.asarray(of_b - moved - moved.T + adjoint @ of_a @ adjoint.T)
 
 
-def diagnose_factor_graph(graph: FactorGraph, num_threads: int = 0) -> GraphDiagnosis:
+def diagnose_factor_graph(graph: FactorGraph, num_threads: int = 0) -> Diagnosis:
     """Diagnose a factor graph by its Jacobian; see :func:`bundle.diagnose`."""
     equations = FactorEquations(graph, num_threads)
     space = equations.space
@@ -283,7 +283,7 @@ def diagnose_factor_graph(graph: FactorGraph, num_threads: int = 0) -> GraphDiag
     )
 
 
-def with_keys(found: GraphDiagnosis, poses: AsPoseGraph) -> GraphDiagnosis:
+def with_keys(found: Diagnosis, poses: AsPoseGraph) -> Diagnosis:
     """Return the diagnosis of a pose graph with the keys of its factor graph in place of ids."""
     key_of = dict(zip(poses.graph.ids.tolist(), poses.keys, strict=True))
 
@@ -308,7 +308,7 @@ def _held_keys(graph: FactorGraph, space: NullSpace, held: NDArray[np.bool_]) ->
     return tuple(key for key, flag in zip(graph.keys, for_gauge, strict=True) if flag)
 
 
-def _components(graph: FactorGraph, space: NullSpace) -> tuple[GraphComponent, ...]:
+def _components(graph: FactorGraph, space: NullSpace) -> tuple[Component, ...]:
     """Return the components of free variables, the largest first."""
     keys = graph.keys
     is_free = ~np.logical_and.reduceat(space.constant, space.begin[:-1])
@@ -326,15 +326,15 @@ def _components(graph: FactorGraph, space: NullSpace) -> tuple[GraphComponent, .
         if key in free:
             members.setdefault(label[key], []).append(key)
     parts = [
-        GraphComponent(pose_ids=tuple(part), num_edges=counts[of], num_fixed=len(fixed.get(of, ())))
+        Component(pose_ids=tuple(part), num_edges=counts[of], num_fixed=len(fixed.get(of, ())))
         for of, part in members.items()
     ]
     return tuple(sorted(parts, key=lambda part: -len(part.pose_ids)))
 
 
 def _component_modes(
-    graph: FactorGraph, components: tuple[GraphComponent, ...], space: NullSpace
-) -> list[GraphWeakMode]:
+    graph: FactorGraph, components: tuple[Component, ...], space: NullSpace
+) -> list[WeakMode]:
     """Return the components but the largest; those that float by themselves are a problem."""
     label = dict(zip(graph.keys, space.labels.tolist(), strict=True))
     modes = []
@@ -342,7 +342,7 @@ def _component_modes(
         free = space.nullities.get(label[part.pose_ids[0]], 0)
         state = f"it has {plural(free, 'null direction')}" if free else "its own factors hold it"
         modes.append(
-            GraphWeakMode(
+            WeakMode(
                 kind="component",
                 sentence=f"{_named(part.pose_ids)} ({plural(part.num_edges, 'factor')}): no factor "
                 f"joins this component with the largest, of "
@@ -354,13 +354,13 @@ def _component_modes(
     return modes
 
 
-def _open_modes(graph: FactorGraph, space: NullSpace) -> list[GraphWeakMode]:
+def _open_modes(graph: FactorGraph, space: NullSpace) -> list[WeakMode]:
     """Return the directions that no factor determines, apart from the gauge."""
     modes = []
     for direction in space.others.T[:MOST_MODES]:
         keys = _moving(graph, space, direction)
         modes.append(
-            GraphWeakMode(
+            WeakMode(
                 kind="open_direction",
                 sentence=f"{_named(keys)}: no factor determines {_motion(graph, space, direction)}"
                 ". Add a factor with information there, or hold it constant.",
@@ -373,7 +373,7 @@ def _open_modes(graph: FactorGraph, space: NullSpace) -> list[GraphWeakMode]:
 
 def _weak_modes(
     graph: FactorGraph, space: NullSpace, spectrum: dict[str, Any] | None
-) -> list[GraphWeakMode]:
+) -> list[WeakMode]:
     """Return the modes below the last gap of the eigenvalues."""
     if spectrum is None:
         return []
@@ -385,7 +385,7 @@ def _weak_modes(
         keys = _moving(graph, space, direction)
         inflation = number(float(1 / np.sqrt(max(values[k], 1e-300))))
         modes.append(
-            GraphWeakMode(
+            WeakMode(
                 kind="weak_direction",
                 sentence=f"{_named(keys)}: the factors determine "
                 f"{_motion(graph, space, direction)} weakly: the sigma is {inflation} times that "

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import bundle._core as _core
-from bundle.analysis.uncertainty.covariance_result import GraphCovariance, rows_of
+from bundle.analysis.uncertainty.covariance_result import Covariance, rows_of
 from bundle.base.arrays import freeze
 from bundle.base.words import not_converged, number, plural
 from bundle.errors import InputError, brief
@@ -202,7 +202,7 @@ def graph_covariance(
     gauge: str = "first",
     scale: str = "unit",
     **changes: Any,
-) -> GraphCovariance:
+) -> Covariance:
     """Compute the covariances of the poses of a graph; see :func:`bundle.covariance`."""
     gauge, scale = one_of("gauge", gauge, GRAPH_GAUGES), one_of("scale", scale, SCALES)
     weighted = weighted_graph(graph, options, changes, "covariance")
@@ -224,7 +224,7 @@ def graph_covariance(
         )
     is_plain = weighted.options.loss == "trivial"
     found, factor, facts = selected_covariance(equations, rows, gauge, scale, is_plain)
-    return GraphCovariance(
+    return Covariance(
         pose_ids=used.ids,
         pose_covariance=freeze(factor * found.blocks),
         relative_ids=freeze(np.array(pairs, np.int64).reshape(-1, 2)),

@@ -12,6 +12,7 @@ where they read them. :func:`check_arrays` and :func:`as_declared` apply the dec
 
 from __future__ import annotations
 
+import dataclasses
 import sys
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -48,6 +49,11 @@ def filled(shape: tuple[int, ...], value: float, dtype: type) -> NDArray[Any]:
     return freeze(np.full(shape, value, dtype))
 
 
+def no_rows(dtype: type, *shape: int) -> Any:
+    """Return a field of a dataclass that is an empty array if an input has no such rows."""
+    return dataclasses.field(default_factory=lambda: filled(shape or (0,), 0, dtype))
+
+
 def refrozen(state: Mapping[str, Any]) -> dict[str, Any]:
     """Return attributes with immutable arrays; arrays from pickles and deep copies are writable."""
 
@@ -60,9 +66,15 @@ def refrozen(state: Mapping[str, Any]) -> dict[str, Any]:
 
 
 class FrozenArrays:
-    """Base of classes whose arrays are immutable again after pickling and deep copies."""
+    """Base of classes whose arrays are immutable again after pickling and deep copies.
+
+    Fields that the class of an older pickle did not have get the values of their factories.
+    """
 
     def __setstate__(self, state: dict[str, Any]) -> None:
+        for name, one in getattr(self, "__dataclass_fields__", {}).items():
+            if name not in state and one.default_factory is not dataclasses.MISSING:
+                self.__dict__[name] = one.default_factory()
         self.__dict__.update(refrozen(state))
 
 

@@ -73,12 +73,11 @@ _REPORTS = {
     "timeout_in_seconds:float memory_cap_in_bytes:float structure:dict|None timeout wall_time "
     "environment",
     "convert": "output lost:tuple[str,...] tracking",
-    "covariance": "analysis.uncertainty.covariance_result.Covariance "
-    "analysis.uncertainty.covariance_result.GraphCovariance options gauge scale robust sigma0 dof "
-    "cameras:list relative:list points_without_parallax:list held_pose_ids output notes wall_time",
-    "diagnose": "analysis.diagnosis.diagnosis_result.Diagnosis.* "
-    "analysis.diagnosis.diagnosis_result.GraphDiagnosis.* options ok rank_gap digits:dict "
-    "weak_modes wall_time",
+    "covariance": "analysis.uncertainty.covariance_result.Covariance options gauge scale robust "
+    "sigma0 dof cameras:list relative:list points_without_parallax:list held_pose_ids output notes "
+    "wall_time",
+    "diagnose": "analysis.diagnosis.diagnosis_result.Diagnosis.* options ok rank_gap digits:dict "
+    "wall_time",
     "evaluate": "judging.evaluation.evaluation_result.Evaluation reference:dict "
     "options:EvaluateOptions verdict num_shared images notes num_pairs:int "
     "num_pairs_at_one_place:int unit alignment auc_definition auc_description:str "
@@ -89,8 +88,8 @@ _REPORTS = {
     "chi2:dict tracking degrees_of_freedom:int bad_information:list num_bad_information:int "
     "num_components:int reprojection_error:dict",
     "inspect": "planning.inspection.inspection_result.Inspection.* "
-    "planning.inspection.elimination_costs.PoseGraphInspection.* options "
-    "recommended_command:str nonzeros:str wall_time",
+    "planning.inspection.elimination_costs.FactorGraphInspection.* num_poses num_free_poses "
+    "options recommended_command:str nonzeros:str wall_time",
     "merge": "other:dict merge:dict output",
     "refine": "solving.result.Result graphs.pose_graphs.pose_graph_result.PoseGraphResult "
     "options:SolveOptions+PoseGraphOptions summary iterations:tuple[dict,...] "

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 import bundle._core as _core
 from bundle.analysis.diagnosis.diagnosis_result import (
-    GraphComponent,
-    GraphDiagnosis,
-    GraphWeakMode,
+    Component,
+    Diagnosis,
     SuspiciousEdge,
+    WeakMode,
 )
 from bundle.analysis.normal_equations import NormalEquations, PoseEquations, TermTests, Words
 from bundle.base.arrays import freeze
@@ -46,7 +46,7 @@ Floats = NDArray[np.float64]
 
 def diagnose_graph(
     source: Any, options: PoseGraphOptions | None = None, **changes: Any
-) -> GraphDiagnosis:
+) -> Diagnosis:
     """Diagnose a pose graph; see :func:`bundle.diagnose`."""
     weighted = weighted_graph(source, options, changes, "diagnose")
     equations = PoseEquations(weighted)
@@ -106,7 +106,7 @@ def graph_diagnosis(
     *,
     notes: Iterable[Finding] = (),
     last: Iterable[Finding] = (),
-) -> GraphDiagnosis:
+) -> Diagnosis:
     """Return the diagnosis of a graph of either kind.
 
     Modes without a dimension are notes, those of pose graphs never. ``chi2``: (m,) of the
@@ -142,7 +142,7 @@ def graph_diagnosis(
         *_about_noise(scale),
         *last,
     ]
-    return GraphDiagnosis(
+    return Diagnosis(
         **fields,
         expected_nullity=equations.num_gauge,
         condition_number=condition,
@@ -156,13 +156,13 @@ def graph_diagnosis(
     )
 
 
-def _components(graph: PoseGraph) -> tuple[GraphComponent, ...]:
+def _components(graph: PoseGraph) -> tuple[Component, ...]:
     label = np.asarray(_core.pose_components(graph.num_poses, graph.edges))
     order = np.argsort(label, kind="stable")
     names, starts = np.unique(label[order], return_index=True)
     edges = np.bincount(label[graph.edges[:, 0]], minlength=graph.num_poses)
     parts = [
-        GraphComponent(
+        Component(
             pose_ids=tuple(sorted(graph.ids[poses].tolist())),
             num_edges=int(edges[name]),
             num_fixed=int(graph.fixed[poses].sum()),
@@ -305,9 +305,7 @@ def note(kind: str, sentence: str) -> Finding:
     return Finding(kind=kind, is_problem=False, sentence=sentence)
 
 
-def _component_modes(
-    graph: PoseGraph, components: tuple[GraphComponent, ...]
-) -> list[GraphWeakMode]:
+def _component_modes(graph: PoseGraph, components: tuple[Component, ...]) -> list[WeakMode]:
     """Return a mode for each component but the largest, with advice on connecting it."""
     order = np.argsort(graph.ids, kind="stable")
     ids = graph.ids[order]
@@ -320,7 +318,7 @@ def _component_modes(
         members = order[inside]
         free = "it is held by its fixed poses" if part.num_fixed else "it floats by itself"
         modes.append(
-            GraphWeakMode(
+            WeakMode(
                 kind="component",
                 sentence=f"{_named(graph, members)} ({plural(part.num_edges, 'edge')}): no "
                 f"edge joins this component to the largest one "
@@ -333,7 +331,7 @@ def _component_modes(
     return modes
 
 
-def joint_modes(graph: PoseGraph, joints: Joints) -> list[GraphWeakMode]:
+def joint_modes(graph: PoseGraph, joints: Joints) -> list[WeakMode]:
     """Return modes of clusters that edges connect with little or no information."""
     opened = [_open(graph, joint) for joint in joints.opened]
     weak = [_weak(graph, joint) for joint in joints.weak]
@@ -343,11 +341,11 @@ def joint_modes(graph: PoseGraph, joints: Joints) -> list[GraphWeakMode]:
     return opened[:MOST_MODES] + weak[:MOST_MODES]
 
 
-def _open(graph: PoseGraph, joint: Joint) -> GraphWeakMode:
+def _open(graph: PoseGraph, joint: Joint) -> WeakMode:
     count = joint.num_open
     edges = _edges(graph, joint.edges)
     what = _coordinates(graph, joint, joint.vectors[:, :count])
-    return GraphWeakMode(
+    return WeakMode(
         kind="open_joint",
         sentence=f"{_named(graph, joint.poses)} relative to the others: {edges} "
         f"{'has' if len(joint.edges) == 1 else 'have'} no information on {what}: "
@@ -359,13 +357,13 @@ def _open(graph: PoseGraph, joint: Joint) -> GraphWeakMode:
     )
 
 
-def _weak(graph: PoseGraph, joint: Joint) -> GraphWeakMode:
+def _weak(graph: PoseGraph, joint: Joint) -> WeakMode:
     first = joint.num_open
     count = joint.num_weak
     lowest = float(joint.eigenvalues[first])
     what = _coordinates(graph, joint, joint.vectors[:, first : first + count])
     depend = "depends" if len(joint.poses) == 1 else "depend"
-    return GraphWeakMode(
+    return WeakMode(
         kind="weak_joint",
         sentence=f"{_named(graph, joint.poses)} {depend} on {_edges(graph, joint.edges)} alone: "
         f"the sigma of {what} is up to {number(1 / np.sqrt(lowest))} times that of a typical edge. "
@@ -377,14 +375,14 @@ def _weak(graph: PoseGraph, joint: Joint) -> GraphWeakMode:
     )
 
 
-def _together(graph: PoseGraph, joints: Joints, count: int) -> GraphWeakMode:
+def _together(graph: PoseGraph, joints: Joints, count: int) -> WeakMode:
     moved = np.flatnonzero(
         joints.directions.reshape(graph.num_poses, -1).any(axis=1)
         if joints.directions.size
         else np.zeros(graph.num_poses, bool)
     )
     ids = sorted_ids(graph.ids, moved)
-    return GraphWeakMode(
+    return WeakMode(
         kind="open_together",
         sentence=f"{_named(graph, moved)} relative to the others: several edges with singular "
         f"information together leave {plural(count, 'more direction')} undetermined. Add an edge "

@@ -24,7 +24,6 @@ from bundle.analysis.diagnosis.diagnosis_result import (
     CollapsedCluster,
     Component,
     Diagnosis,
-    GraphDiagnosis,
 )
 from bundle.analysis.diagnosis.findings import EquationCounts, Unknowns, findings, scale_drift
 from bundle.analysis.diagnosis.modes import component_modes, null_modes, rotation_modes, weak_modes
@@ -65,16 +64,12 @@ def diagnose(
     problem: PoseGraph | PoseGraphResult,
     options: PoseGraphOptions | None = None,
     **changes: Unpack[PoseGraphKeywords],
-) -> GraphDiagnosis: ...
-
-
-@overload
-def diagnose(problem: FactorGraph, *, num_threads: int = 0) -> Diagnosis | GraphDiagnosis: ...
+) -> Diagnosis: ...
 
 
 @overload
 def diagnose(
-    problem: Source | Result,
+    problem: Source | Result | FactorGraph,
     options: SolveOptions | None = None,
     *,
     factors: Iterable[Factor] = (),
@@ -97,7 +92,7 @@ def diagnose(
     bounds: Mapping[tuple[str, int], tuple[ArrayLike, ArrayLike]] | None = None,
     constraints: Constraints | Iterable[str | Rule] | Applied = (),
     **changes: Any,
-) -> Diagnosis | GraphDiagnosis:
+) -> Diagnosis:
     """Find the determined and undetermined parameters of a problem at its current values.
 
     The points are eliminated; points without parallax are removed exactly. The resulting reduced
@@ -107,15 +102,15 @@ def diagnose(
     The diagnosis uses the linearisation at these values, so a problem far from its solution may
     look better or worse than at the solution.
 
-    For a pose graph, the result of its solve, or a g2o file, the result is a
-    :class:`GraphDiagnosis`. It has the rank from the information of the edges, weak joints by pose
-    and edge, condition numbers, and edges that the others contradict. ``options`` are then
+    For a pose graph, the result of its solve, or a g2o file, the diagnosis has the rank from the
+    information of the edges, weak joints by pose and edge, condition numbers, and edges that the
+    others contradict. ``options`` are then
     :class:`bundle.PoseGraphOptions`, of which error, information and loss count. The result of a
     solve is diagnosed with its own options and the final weights of the solve.
 
     A :class:`FactorGraph` of relative poses or of reprojections is diagnosed as the pose graph or
-    the problem that it states. For any other factor graph the result is a :class:`GraphDiagnosis`,
-    with keys in place of ids and factors in place of edges.
+    the problem that it states. Any other factor graph has keys in place of ids and factors in place
+    of edges.
 
     Args:
         problem: a problem, the result of a solve, a path or a pycolmap.Reconstruction; not
@@ -232,9 +227,7 @@ def diagnose(
     return Diagnosis(**parts, findings=said)
 
 
-def _diagnose_factor_graph(
-    graph: FactorGraph, changes: dict[str, Any], **given: Any
-) -> Diagnosis | GraphDiagnosis:
+def _diagnose_factor_graph(graph: FactorGraph, changes: dict[str, Any], **given: Any) -> Diagnosis:
     """Diagnose the pose graph or problem that a factor graph states, otherwise the graph itself."""
     threads = SolveOptions.of(None, changes, "diagnose").num_threads
     refuse_for_graphs(

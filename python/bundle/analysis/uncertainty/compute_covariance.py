@@ -154,7 +154,7 @@ class Recipe:
             "camera": some("intrinsics", problem.camera_ids, out["cameras"]),
             "point": some("points", problem.point_ids, points),
         }
-        shutters = {
+        shutters: dict[str, Any] = {
             f"{name}_covariance": out[f"{name}s"]
             if factor == 1
             else freeze(out[f"{name}s"] * factor)

@@ -12,7 +12,6 @@ from bundle.analysis.uncertainty.compute_covariance import Recipe, check_same_fa
 from bundle.analysis.uncertainty.covariance_result import (
     Covariance,
     FactorGraphCovariance,
-    GraphCovariance,
 )
 from bundle.errors import InputError
 from bundle.graphs.factors.factor_graph import FactorGraph
@@ -44,7 +43,7 @@ def covariance(
     gauge: str | None = None,
     scale: str = "unit",
     **changes: Unpack[PoseGraphKeywords],
-) -> GraphCovariance: ...
+) -> Covariance: ...
 
 
 @overload
@@ -92,7 +91,7 @@ def covariance(
     bounds: Mapping[tuple[str, int], tuple[ArrayLike, ArrayLike]] | None = None,
     constraints: Constraints | Iterable[str | Rule] = (),
     **changes: Any,
-) -> Covariance | GraphCovariance | FactorGraphCovariance:
+) -> Covariance | FactorGraphCovariance:
     """Compute the marginal covariances of poses, points and intrinsics.
 
     For residuals of known sigma, the information matrix is H = J^T J over all free parameters.
@@ -114,9 +113,9 @@ def covariance(
     Points without parallax are left out along their undetermined direction, exactly and without
     damping. ``null_point_ids`` lists them. They take no part in the inner constraints.
 
-    For a pose graph, the result of its solve, or a g2o file, the result is a
-    :class:`GraphCovariance`. It has the covariance of each pose, as a right perturbation X Exp(d)
-    in the frame of the body, from the information of the edges. ``options`` are then
+    For a pose graph, the result of its solve, or a g2o file, the result has the covariance of each
+    pose, as a right perturbation X Exp(d) in the frame of the body, from the information of the
+    edges. ``options`` are then
     :class:`bundle.PoseGraphOptions`, of which error, information and loss count. A loss reduces the
     weight of edges and makes poses less certain. The result of a solve uses its own options and the
     final weights of the solve. ``gauge`` is "first" (the default: as in a solve, the first pose of

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.base.arrays import FrozenArrays
+from bundle.base.arrays import FrozenArrays, no_rows
 from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
 from bundle.base.words import number, plural
@@ -25,20 +25,15 @@ if TYPE_CHECKING:
 
     from bundle.graphs.factors.variables import Key
 
-_ID_COLUMNS = {"sensor": ("rig_id", "camera_id"), "relative": ("image_id_a", "image_id_b")}
 _AXES = {3: ("x", "y", "z"), 6: ("wx", "wy", "wz", "tx", "ty", "tz")}
+_GRAPH_AXES = {3: ("x", "y", "angle"), 6: ("wx", "wy", "wz", "x", "y", "z")}
 
 _Floats = NDArray[np.float64]
 _Ids = NDArray[np.int64]
 
 
 class _Saved(FrozenArrays, Displayed):
-    """File and display of the covariances of any input."""
-
-    gauge: str
-    scale: str
-    sigma0: float
-    dof: int
+    """File of the covariances of any input."""
 
     def save(self, path: str | Path) -> None:
         """Write all arrays and settings to an .npz file; a failed write leaves no partial file.
@@ -51,28 +46,8 @@ class _Saved(FrozenArrays, Displayed):
 
     def _arrays(self) -> dict[str, Any]:
         names = (field.name for field in dataclasses.fields(self))  # type: ignore[arg-type]
-        return {name: np.asarray(getattr(self, name)) for name in names if name[0] != "_"}
-
-    @staticmethod
-    def _one(kind: str, ids: _Ids, values: _Floats, wanted: int) -> _Floats:
-        found = np.flatnonzero(ids == wanted)
-        if not (_is_id(wanted) and len(found)):
-            known = f"one of {plural(len(ids), kind)}" if len(ids) else f"no {kind} (see of=)"
-            raise InputError(f"{kind}: expected the id of {known}, found {brief(wanted)}")
-        one: _Floats = values[found[0]]
-        return one
-
-    def _counts(self) -> list[str]:
-        raise NotImplementedError
-
-    def _display(self) -> Display:
-        facts = (
-            *(("of", words) for words in self._counts()),
-            ("gauge", self.gauge),
-            ("scale", self.scale),
-            ("sigma0", f"{number(self.sigma0)} ({plural(self.dof, 'degree')} of freedom)"),
-        )
-        return Display(title=type(self).__name__, facts=facts)
+        values = {name: getattr(self, name) for name in names if name[0] != "_"}
+        return {name: np.asarray(one) for name, one in values.items() if one is not None}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -80,13 +55,15 @@ class Covariance(_Saved):
     """Marginal covariances of a solution: of each block, with all others estimated as well.
 
     A pose has (w, t): w [rad] is the left perturbation of cam_from_world, R to Exp(w) R, and t its
-    translation in the unit of the model. Constant poses and points have covariance 0, constant
-    camera parameters NaN. Unobserved parameters have NaN. Blocks that were not requested are
-    missing.
+    translation in the unit of the model. A pose X (world_from_body) of a graph has d in X Exp(d), a
+    right perturbation: in the plane x y angle, in space rotation [rad] and then translation, both
+    in the frame of the body. Constant poses and points have covariance 0, constant camera
+    parameters NaN. Unobserved parameters have NaN. Blocks that were not requested, or that a graph
+    does not have, are missing.
 
     Attributes:
-        pose_ids: (n,) ids of images.
-        pose_covariance: (n, 6, 6) of (w, t).
+        pose_ids: (n,) ids of images, or of the poses of a graph.
+        pose_covariance: (n, d, d) of (w, t), d = 6; of a graph d = 3 or 6.
         point_ids: (n,) ids of points.
         point_covariance: (n, 3, 3); NaN if the depth of a point along its rays is undetermined.
         camera_ids: (n,) ids of cameras.
@@ -96,8 +73,10 @@ class Covariance(_Saved):
         frame_covariance: (n, 6, 6) of rig_from_world, as for poses.
         sensor_ids: (n, 2) ids of rigs and cameras.
         sensor_covariance: (n, 6, 6) of sensor_from_rig, as for poses.
-        relative_ids: (m, 2) ids of images a and b.
-        relative_covariance: (m, 6, 6) of cam_b_from_cam_a, as for poses.
+        relative_ids: (m, 2) ids of images, or poses, a and b.
+        relative_covariance: (m, d, d) of cam_b_from_cam_a, as for poses; of a graph that of X_a^-1
+            X_b, a right perturbation, independent of the gauge.
+        cross_covariance: (m, d, d) of d_a with d_b; of a graph.
         twist_covariance: (n, 6, 6) of the twists of images; 0 for global shutters, empty if all are
             global.
         readout_covariance: variance of each camera's readout; NaN for constant ones; empty if all
@@ -105,40 +84,49 @@ class Covariance(_Saved):
         null_point_ids: ids of points without parallax; they were left out along their undetermined
             direction.
         sigma0: root of the weighted sum of squares of all residuals over their degrees of freedom;
-            1 if the assumed sigmas are right. NaN without degrees of freedom.
+            1 if the assumed sigmas, or the information of the edges, are right. NaN without degrees
+            of freedom.
         dof: number of residuals, including those of priors, minus the number of parameters that
             they determine.
         gauge: gauge of the covariance.
-        scale: "unit": residuals have the assumed sigmas (1 px by default); "sigma0": those of
-            observations are multiplied by sigma0.
+        held_pose_ids: constant poses of a graph without a FIX; None for a reconstruction.
+        scale: "unit": residuals have the assumed sigmas (1 px by default), edges their information;
+            "sigma0": sigmas of observations and edges are multiplied by sigma0.
         robust: "weights" or "sandwich".
         notes: sentences with remarks on the covariance.
     """
 
     pose_ids: _Ids
     pose_covariance: _Floats
-    point_ids: _Ids
-    point_covariance: _Floats
-    camera_ids: _Ids
-    camera_covariance: _Floats
-    frame_ids: _Ids
-    frame_covariance: _Floats
-    sensor_ids: _Ids
-    sensor_covariance: _Floats
+    point_ids: _Ids = no_rows(np.int64)
+    point_covariance: _Floats = no_rows(float, 0, 3, 3)
+    camera_ids: _Ids = no_rows(np.int64)
+    camera_covariance: _Floats = no_rows(float, 0, 0, 0)
+    frame_ids: _Ids = no_rows(np.int64)
+    frame_covariance: _Floats = no_rows(float, 0, 6, 6)
+    sensor_ids: _Ids = no_rows(np.int64, 0, 2)
+    sensor_covariance: _Floats = no_rows(float, 0, 6, 6)
     relative_ids: _Ids
     relative_covariance: _Floats
-    null_point_ids: _Ids
+    cross_covariance: _Floats = no_rows(float, 0, 6, 6)
+    null_point_ids: _Ids = no_rows(np.int64)
     sigma0: float
     dof: int
     gauge: str
+    held_pose_ids: tuple[int, ...] | None = None
     scale: str
-    robust: str
+    robust: str = "weights"
     notes: tuple[str, ...] = ()
-    twist_covariance: _Floats = field(default_factory=lambda: np.zeros((0, 6, 6)))
-    readout_covariance: _Floats = field(default_factory=lambda: np.zeros(0))
+    twist_covariance: _Floats = no_rows(float, 0, 6, 6)
+    readout_covariance: _Floats = no_rows(float)
     _relative: Callable[[list[tuple[int, int]]], Covariance] | None = field(
         default=None, repr=False, compare=False
     )
+
+    @property
+    def is_of_graph(self) -> bool:
+        """True for the poses of a graph, False for a reconstruction."""
+        return self.held_pose_ids is not None
 
     @property
     def readout_sigmas(self) -> dict[int, float]:
@@ -147,12 +135,13 @@ class Covariance(_Saved):
         return {camera: variance**0.5 for camera, variance in variances if variance >= 0}
 
     def pose(self, image_id: int) -> _Floats:
-        """Return the (6, 6) covariance of an image's pose.
+        """Return the (d, d) covariance of an image's pose, or of a pose of a graph.
 
         Raises:
-            InputError: the image does not exist, or poses were not requested.
+            InputError: the image or the pose does not exist, or poses were not requested.
         """
-        return self._one("image", self.pose_ids, self.pose_covariance, image_id)
+        noun = "pose" if self.is_of_graph else "image"
+        return self._one(noun, self.pose_ids, self.pose_covariance, image_id)
 
     def point(self, point_id: int) -> _Floats:
         """Return the (3, 3) covariance of a point.
@@ -171,51 +160,71 @@ class Covariance(_Saved):
         return self._one("camera", self.camera_ids, self.camera_covariance, camera_id)
 
     def relative(self, id_a: int, id_b: int) -> _Floats:
-        """Return the (6, 6) covariance of cam_b_from_cam_a.
+        """Return the (d, d) covariance of cam_b_from_cam_a, or of X_a^-1 X_b of a graph.
 
         It does not depend on the gauge, except for the length of the translation if the scale is
-        undetermined. Pairs that were not requested are computed now, which takes about as long as
-        a step of a solve.
+        undetermined. Pairs of images that were not requested are computed now, which takes about as
+        long as a step of a solve.
 
         Raises:
-            InputError: an image does not exist.
+            InputError: an image does not exist, or the pair of a graph was not requested.
         """
         found = np.flatnonzero((self.relative_ids == (id_a, id_b)).all(axis=1))
         if found.size:
             of_pair: _Floats = self.relative_covariance[found[0]]
             return of_pair
         if self._relative is None:
-            raise InputError(f"relative: expected a pair of {self.relative_ids.tolist()}")
+            raise InputError(
+                f"relative: expected a pair of {self.relative_ids.tolist()}, "
+                f"found {brief((id_a, id_b))}"
+            )
         alone: _Floats = self._relative([(id_a, id_b)]).relative_covariance[0]
         return alone
 
-    def to_dataframe(self, block: str = "points") -> pandas.DataFrame:
+    def to_dataframe(self, block: str | None = None) -> pandas.DataFrame:
         """Return standard deviations as a pandas.DataFrame; pandas is the extra ``tables``.
 
         Args:
             block: "points", "poses", "cameras", "frames", "sensors" or "relative"; one row per
-                block, with its ids and one column per coordinate, named as in the class.
+                block, with its ids and one column per coordinate, named as in the class. None: the
+                poses of a graph, the points of a reconstruction.
 
         Raises:
             InputError: the block is unknown, or pandas is not installed.
         """
         from bundle.interface.tabular import frame_of  # late: most programs use no tables
 
-        names = ("points", "poses", "cameras", "frames", "sensors", "relative")
-        one = choice("block", block, names).removesuffix("s")
+        names: tuple[str, ...] = ("points", "poses", "cameras", "frames", "sensors")
+        noun, axes_of = "image", _AXES
+        if self.is_of_graph:
+            names, noun, axes_of = ("poses",), "pose", _GRAPH_AXES
+        one = choice("block", block or names[0], (*names, "relative")).removesuffix("s")
         ids = np.asarray(getattr(self, f"{one}_ids"))
         covariance = np.asarray(getattr(self, f"{one}_covariance"))
         with np.errstate(invalid="ignore"):
             sigmas = np.sqrt(np.einsum("nii->ni", covariance))
-        columns = _ID_COLUMNS.get(one, (f"{'image' if one == 'pose' else one}_id",))
+        columns = {
+            "pose": (f"{noun}_id",),
+            "relative": (f"{noun}_id_a", f"{noun}_id_b"),
+            "sensor": ("rig_id", "camera_id"),
+        }.get(one, (f"{one}_id",))
         axes = tuple(f"param_{k}" for k in range(sigmas.shape[1]))
         if one != "camera":
-            axes = _AXES[sigmas.shape[1]]
+            axes = axes_of[sigmas.shape[1]]
         keys = ids.reshape(len(ids), len(columns)).T
         return frame_of(
             dict(zip(columns, keys, strict=True))
             | {f"sigma_{axis}": sigmas[:, k] for k, axis in enumerate(axes)}
         )
+
+    @staticmethod
+    def _one(kind: str, ids: _Ids, values: _Floats, wanted: int) -> _Floats:
+        found = np.flatnonzero(ids == wanted)
+        if not (_is_id(wanted) and len(found)):
+            known = f"one of {plural(len(ids), kind)}" if len(ids) else f"no {kind} (see of=)"
+            raise InputError(f"{kind}: expected the id of {known}, found {brief(wanted)}")
+        one: _Floats = values[found[0]]
+        return one
 
     def _display(self) -> Display:
         facts = [
@@ -232,75 +241,8 @@ class Covariance(_Saved):
         return Display(title="Covariance", facts=tuple(facts))
 
 
-@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class GraphCovariance(_Saved, Tabular):
-    """Marginal covariances of the poses of a graph: of each, with all others estimated as well.
-
-    A pose X (world_from_body) has the covariance of d in X Exp(d), a right perturbation: in the
-    plane x y angle, in space rotation [rad] and then translation, both in the frame of the body.
-    Constant poses have covariance 0.
-
-    Attributes:
-        pose_ids: (n,) ids of poses.
-        pose_covariance: (n, d, d) with d = 3 or 6.
-        relative_ids: (m, 2) ids of poses a and b.
-        relative_covariance: (m, d, d) of X_a^-1 X_b, a right perturbation; independent of the
-            gauge.
-        cross_covariance: (m, d, d) of d_a with d_b.
-        sigma0: root of sum r^T W Omega r over the degrees of freedom; 1 if the information of the
-            edges is right. NaN without degrees of freedom.
-        dof: d times the number of edges, minus d times the number of free poses under the gauge.
-        gauge: "first", "inner" or "none".
-        held_pose_ids: constant poses without a FIX.
-        scale: "unit": from the information of the edges; "sigma0": multiplied by sigma0^2.
-        notes: sentences with remarks on the covariance.
-    """
-
-    pose_ids: _Ids
-    pose_covariance: _Floats
-    relative_ids: _Ids
-    relative_covariance: _Floats
-    cross_covariance: _Floats
-    sigma0: float
-    dof: int
-    gauge: str
-    held_pose_ids: tuple[int, ...]
-    scale: str
-    notes: tuple[str, ...] = ()
-
-    def _tables(self) -> dict[str, Mapping[str, Any]]:
-        """Return standard deviations, one row per pose or pair."""
-        pairs = {"pose_id_a": self.relative_ids[:, 0], "pose_id_b": self.relative_ids[:, 1]}
-        return {
-            "poses": {"pose_id": self.pose_ids, **_sigmas(self.pose_covariance)},
-            "relative": {**pairs, **_sigmas(self.relative_covariance)},
-        }
-
-    def pose(self, pose_id: int) -> _Floats:
-        """Return the (d, d) covariance of a pose.
-
-        Raises:
-            InputError: the pose does not exist.
-        """
-        return self._one("pose", self.pose_ids, self.pose_covariance, pose_id)
-
-    def relative(self, id_a: int, id_b: int) -> _Floats:
-        """Return the (d, d) covariance of X_a^-1 X_b.
-
-        Raises:
-            InputError: the pair was not requested.
-        """
-        found = np.flatnonzero((self.relative_ids == (id_a, id_b)).all(axis=1))
-        if not found.size:
-            raise InputError(
-                f"relative: expected a pair of {self.relative_ids.tolist()}, "
-                f"found {brief((id_a, id_b))}"
-            )
-        of_pair: _Floats = self.relative_covariance[found[0]]
-        return of_pair
-
-    def _counts(self) -> list[str]:
-        return [plural(len(self.pose_ids), "pose")]
+GraphCovariance = Covariance
+"""Name of the covariance of a pose graph."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -387,8 +329,14 @@ class FactorGraphCovariance(_Saved, Tabular):
             arrays[name] = np.asarray(getattr(self, name))
         return arrays
 
-    def _counts(self) -> list[str]:
-        return [plural(len(self.covariances), "variable")]
+    def _display(self) -> Display:
+        facts = (
+            ("of", plural(len(self.covariances), "variable")),
+            ("gauge", self.gauge),
+            ("scale", self.scale),
+            ("sigma0", f"{number(self.sigma0)} ({plural(self.dof, 'degree')} of freedom)"),
+        )
+        return Display(title="FactorGraphCovariance", facts=facts)
 
 
 def rows_of(ids: _Ids, pairs: Iterable[Any], noun: str) -> list[tuple[int, int]]:
@@ -410,10 +358,3 @@ def rows_of(ids: _Ids, pairs: Iterable[Any], noun: str) -> list[tuple[int, int]]
 
 def _is_id(value: object) -> bool:
     return isinstance(value, int | np.integer) and not isinstance(value, bool)
-
-
-def _sigmas(covariance: _Floats) -> dict[str, _Floats]:
-    """Return the standard deviation of each tangent coordinate, in the plane or in space."""
-    axes = ("x", "y", "angle") if covariance.shape[-1] == 3 else ("wx", "wy", "wz", "x", "y", "z")
-    sigmas = np.sqrt(np.einsum("nii->ni", covariance))
-    return {f"sigma_{axis}": sigmas[:, k] for k, axis in enumerate(axes)}

@@ -129,23 +129,6 @@ def elimination_costs(
     )
 
 
-def display_of(found: Any, matrix: str, counts: str) -> Display:
-    """Return the display of a graph's inspection, with the name of its matrix."""
-    facts = [
-        (matrix, f"{found.nnz} nonzeros, {100 * found.density:.4g} %"),
-        *(
-            (
-                cost.ordering,
-                f"{cost.nnz_factor} nonzeros of L, {number(cost.flops)} flops, "
-                f"{span(cost.time_per_step_in_seconds)} per step",
-            )
-            for cost in found.costs
-        ),
-        ("advice", found.recommendation),
-    ]
-    return Display(title=f"{type(found).__name__}: {counts}", facts=tuple(facts))
-
-
 def with_time(cost: EliminationCost, terms: Terms) -> EliminationCost:
     """Return the cost with the parts of a predicted time; unchanged without parts."""
     if not terms:
@@ -174,46 +157,100 @@ def advise(costs: Sequence[EliminationCost], chosen: str, setting: str) -> str:
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
-class PoseGraphInspection(Displayed, Tabular):
-    """Normal equations of a pose graph and the cost of factorising them.
+class FactorGraphInspection(Displayed, Tabular):
+    """Normal equations of a pose graph or a factor graph and the cost of factorising them.
 
     Attributes:
-        num_poses: number of poses.
-        num_edges: distinct pairs of poses with an edge.
-        block_size: 3 in the plane (SE(2)), 6 in space (SE(3)).
-        nnz: nonzeros of the information matrix over all poses, both triangles and the diagonal.
-        density: share of nonzeros in that matrix.
-        num_free_poses: poses that a solve does not hold constant; the costs are for these.
-        nnz_free: nonzeros of the information matrix over the free poses.
+        num_variables: number of variables, or of poses.
+        num_factors: number of factors, or of edges.
+        manifolds: number of variables by manifold.
+        kinds: number of factors by class.
+        block_size: of a pose graph 3 in the plane (SE(2)), 6 in space (SE(3)); 0 if variables have
+            sizes of their own.
+        num_columns: number of free coordinates.
+        num_free_variables: variables with a free coordinate; the costs are for these.
+        num_edges: distinct pairs of poses with an edge; of free variables with a common factor.
+        largest_clique: free variables of the factor with most of them.
+        nnz: nonzeros of the information matrix, both triangles and the diagonal: over all poses of
+            a pose graph, over the free coordinates of a factor graph.
+        nnz_free: its nonzeros over the free coordinates.
+        density: share of nonzeros in the matrix of ``nnz``.
         costs: one per order, then the dense matrix.
-        auto_ordering: order that ``auto`` selects.
-        num_threads: threads of the predicted times.
+        auto_ordering: order that a solve selects, of a pose graph with ``auto``.
+        num_threads: threads of the predicted times. Those of a factor graph are of Ceres' normal
+            equations with the evaluation of its factors, NaN if a factor failed.
     """
 
-    num_poses: int
+    num_variables: int
+    num_factors: int
+    manifolds: dict[str, int]
+    kinds: dict[str, int]
+    block_size: int = 0
+    num_columns: int
+    num_free_variables: int
     num_edges: int
-    block_size: int
+    largest_clique: int
     nnz: int
-    density: float
-    num_free_poses: int
     nnz_free: int
+    density: float
     costs: tuple[EliminationCost, ...]
     auto_ordering: str
     num_threads: int
 
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        # Pickles of pose graphs once had names of their own.
+        poses, free = state.pop("num_poses", 0), state.pop("num_free_poses", 0)
+        if poses:
+            sizes = {"num_columns": state["block_size"] * free, "largest_clique": min(free, 2)}
+            self.__dict__.update(num_variables=poses, num_free_variables=free, **sizes)
+            self.__dict__.update(num_factors=state["num_edges"], manifolds={}, kinds={})
+        self.__dict__.update({"nnz_free": state["nnz"], **state})
+
+    @property
+    def num_poses(self) -> int:
+        """Number of poses of a pose graph."""
+        return self.num_variables
+
+    @property
+    def num_free_poses(self) -> int:
+        """Number of poses that a solve does not hold constant."""
+        return self.num_free_variables
+
     @property
     def recommendation(self) -> str:
         """Recommended order and the reason, in one sentence."""
-        return advise(self.costs, self.auto_ordering, "--pose-ordering at auto")
+        if self.auto_ordering == "dense":
+            unknowns = plural(self.num_columns, "free coordinate")
+            return f"Dense matrices are the fastest for {unknowns}: a solve uses them."
+        setting = "--pose-ordering at auto" if self.block_size else ""
+        return advise(self.costs, self.auto_ordering, setting)
 
     def _display(self) -> Display:
-        poses = f"{plural(self.num_poses, 'pose')}, {plural(self.num_edges, 'edge')}"
-        return display_of(self, "matrix", poses)
+        counts = f"{plural(self.num_variables, 'variable')}, {plural(self.num_factors, 'factor')}"
+        if self.block_size:
+            counts = f"{plural(self.num_variables, 'pose')}, {plural(self.num_edges, 'edge')}"
+        facts = [
+            ("matrix", f"{self.nnz} nonzeros, {100 * self.density:.4g} %"),
+            *(
+                (
+                    cost.ordering,
+                    f"{cost.nnz_factor} nonzeros of L, {number(cost.flops)} flops, "
+                    f"{span(cost.time_per_step_in_seconds)} per step",
+                )
+                for cost in self.costs
+            ),
+            ("advice", self.recommendation),
+        ]
+        return Display(title=f"FactorGraphInspection: {counts}", facts=tuple(facts))
+
+
+PoseGraphInspection = FactorGraphInspection
+"""Name of the inspection of a pose graph."""
 
 
 def inspect_pose_graph(
     source: Any, num_threads: int = 0, *, recalibrate: bool = False
-) -> PoseGraphInspection:
+) -> FactorGraphInspection:
     """Count the cost of a step of a pose graph's solve; see :func:`bundle.inspect`.
 
     ``num_threads``: number of threads of the predicted solve; 0: all cores.
@@ -232,14 +269,19 @@ def inspect_pose_graph(
     threads = min(num_threads or _core.hardware_threads(), _core.hardware_threads())
     rates = graph_rates(threads, recalibrate=recalibrate)
     nnz = d * d * (graph.num_poses + 2 * num_edges)
-    return PoseGraphInspection(
-        num_poses=graph.num_poses,
-        num_edges=num_edges,
+    return FactorGraphInspection(
+        num_variables=graph.num_poses,
+        num_factors=graph.num_edges,
+        manifolds={f"se{graph.dimension}": graph.num_poses},
+        kinds={"BetweenFactor": graph.num_edges},
         block_size=d,
+        num_columns=pattern.num_columns,
+        num_free_variables=len(pattern.sizes),
+        num_edges=num_edges,
+        largest_clique=2 if pattern.num_edges else 1,
         nnz=nnz,
-        density=nnz / (d * graph.num_poses) ** 2,
-        num_free_poses=len(pattern.sizes),
         nnz_free=pattern.nnz,
+        density=nnz / (d * graph.num_poses) ** 2,
         costs=elimination_costs(
             pattern,
             OF_POSES,
@@ -248,54 +290,6 @@ def inspect_pose_graph(
         auto_ordering=_core.auto_ordering(graph, held),
         num_threads=threads,
     )
-
-
-@dataclass(frozen=True, kw_only=True, repr=False)
-class FactorGraphInspection(Displayed, Tabular):
-    """Normal equations of a factor graph and the cost of factorising them.
-
-    Attributes:
-        num_variables: number of variables.
-        num_factors: number of factors.
-        manifolds: number of variables by manifold.
-        kinds: number of factors by class.
-        num_columns: number of free coordinates.
-        num_free_variables: variables with a free coordinate; the costs are for these.
-        num_edges: distinct pairs of free variables with a common factor.
-        largest_clique: free variables of the factor with most of them.
-        nnz: nonzeros of Lambda over the free coordinates, both triangles and the diagonal.
-        density: share of nonzeros in that matrix.
-        costs: one per order, then the dense matrix.
-        auto_ordering: order that a solve selects.
-        num_threads: threads of the predicted times, which are of Ceres' normal equations with the
-            evaluation of this graph's factors. Times are NaN if a factor failed.
-    """
-
-    num_variables: int
-    num_factors: int
-    manifolds: dict[str, int]
-    kinds: dict[str, int]
-    num_columns: int
-    num_free_variables: int
-    num_edges: int
-    largest_clique: int
-    nnz: int
-    density: float
-    costs: tuple[EliminationCost, ...]
-    auto_ordering: str
-    num_threads: int
-
-    @property
-    def recommendation(self) -> str:
-        """Advice on the order, in one sentence."""
-        if self.auto_ordering == "dense":
-            unknowns = plural(self.num_columns, "free coordinate")
-            return f"Dense matrices are the fastest for {unknowns}: a solve uses them."
-        return advise(self.costs, self.auto_ordering, "")
-
-    def _display(self) -> Display:
-        counts = f"{plural(self.num_variables, 'variable')}, {plural(self.num_factors, 'factor')}"
-        return display_of(self, "Lambda", counts)
 
 
 def inspect_factor_graph(
@@ -325,6 +319,7 @@ def inspect_factor_graph(
         num_edges=pattern.num_edges,
         largest_clique=max(sum(is_free[key] for key in factor.keys) for factor in factors),
         nnz=nnz,
+        nnz_free=nnz,
         density=nnz / columns**2,
         costs=(*sparse, with_time(dense, predict({"columns": columns}))),
         auto_ordering="dense" if columns <= MOST_DENSE_COLUMNS else "amd",

@@ -23,7 +23,6 @@ from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.model.problem import Problem
 from bundle.planning.inspection.elimination_costs import (
     FactorGraphInspection,
-    PoseGraphInspection,
     inspect_factor_graph,
     inspect_pose_graph,
 )
@@ -52,7 +51,7 @@ from bundle.solving.layout import resolve_defaults
 @overload
 def inspect(
     problem: PoseGraph | PoseGraphResult, *, recalibrate: bool = False, num_threads: int = 0
-) -> PoseGraphInspection: ...
+) -> FactorGraphInspection: ...
 
 
 @overload
@@ -62,7 +61,7 @@ def inspect(
     *,
     recalibrate: bool = False,
     **changes: Unpack[SolveKeywords],
-) -> Inspection | PoseGraphInspection | FactorGraphInspection: ...
+) -> Inspection | FactorGraphInspection: ...
 
 
 @overload
@@ -82,7 +81,7 @@ def inspect(
     *,
     recalibrate: bool = False,
     **changes: Unpack[SolveKeywords],
-) -> Inspection | PoseGraphInspection | FactorGraphInspection:
+) -> Inspection | FactorGraphInspection:
     """Predict the cost of each solver method on a problem, without solving it.
 
     Counts are exact, by symbolic elimination on blocks, unless a method's note says otherwise.
@@ -90,9 +89,9 @@ def inspect(
     second or two.
 
     For a pose graph, the result of its solve, or a g2o file, the result is a
-    :class:`PoseGraphInspection`: nonzeros of the normal equations, and fill-in, flops and memory of
-    their factor in each elimination order, with the predicted time of a step. Of the options, pose
-    graphs take only ``num_threads``.
+    :class:`FactorGraphInspection`: nonzeros of the normal equations, and fill-in, flops and memory
+    of their factor in each elimination order, with the predicted time of a step. Of the options,
+    pose graphs take only ``num_threads``.
 
     A :class:`FactorGraph` of reprojections is inspected as the problem that it states, one of
     relative poses as the pose graph that it states; the result is equal. For any other factor graph
@@ -146,7 +145,7 @@ def _inspect_factor_graph(
     *,
     recalibrate: bool,
     **changes: Unpack[SolveKeywords],
-) -> Inspection | PoseGraphInspection | FactorGraphInspection:
+) -> Inspection | FactorGraphInspection:
     """Inspect the pose graph or problem that a factor graph states, otherwise the graph itself."""
     if (same := problem_of(graph)) is not None:
         asked = options_of_graph(same, SolveOptions.of(options, changes, "inspect"))

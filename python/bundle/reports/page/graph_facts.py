@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 import bundle._core as _core
 from bundle.analysis.diagnosis.diagnose_problem import diagnose
-from bundle.analysis.diagnosis.diagnosis_result import GraphDiagnosis
+from bundle.analysis.diagnosis.diagnosis_result import Diagnosis
 from bundle.base.records import dataclass
 from bundle.base.words import change, number, plural
 from bundle.errors import InputError, brief
@@ -25,7 +25,7 @@ from bundle.graphs.pose_graphs.edge_weights import pose_graph_chi2
 from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.model.rigid_motions import rotation_matrices
-from bundle.planning.inspection.elimination_costs import FactorGraphInspection, PoseGraphInspection
+from bundle.planning.inspection.elimination_costs import FactorGraphInspection
 from bundle.planning.inspection.problem_inspection import inspect
 from bundle.reports.terminal.graph_headline import graph_headline
 from bundle.reports.terminal.inputs import contents_of
@@ -61,8 +61,8 @@ class GraphFacts:
     chi2: Floats
     chi2_before: Floats
     sizes: NDArray[np.int64]
-    diagnosis: GraphDiagnosis | None
-    inspection: PoseGraphInspection | FactorGraphInspection | None
+    diagnosis: Diagnosis | None
+    inspection: FactorGraphInspection | None
     costs: Floats
 
     @property

@@ -16,7 +16,7 @@ from bundle.base.words import amount, span
 from bundle.figures.cost_figures import bar_figure, column_figure
 from bundle.figures.matplotlib.matrix_pattern import MatrixPattern
 from bundle.model.pose_graph_arrays import PoseGraph
-from bundle.planning.inspection.elimination_costs import ORDERINGS, PoseGraphInspection
+from bundle.planning.inspection.elimination_costs import ORDERINGS, FactorGraphInspection
 from bundle.planning.inspection.graph_inspection import inspect_graph
 from bundle.planning.inspection.graph_rates import free_pattern
 from bundle.reports.page.elimination_player import (
@@ -98,7 +98,7 @@ MOST_DRAWN = 20_000
 
 
 def write_graph_structure(
-    found: PoseGraphInspection, graph: PoseGraph, path: str | os.PathLike[str], *, name: str = ""
+    found: FactorGraphInspection, graph: PoseGraph, path: str | os.PathLike[str], *, name: str = ""
 ) -> None:
     """Write the page of an inspected pose graph."""
     pattern = free_pattern(graph)

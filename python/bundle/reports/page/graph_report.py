@@ -32,7 +32,6 @@ from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.planning.inspection.elimination_costs import (
     CONVENTION,
     FactorGraphInspection,
-    PoseGraphInspection,
 )
 from bundle.reports.page.graph_facts import (
     ODOMETRY,
@@ -44,7 +43,7 @@ from bundle.reports.page.page import lead, write_page
 from bundle.reports.page.scene_section import packed, scene_data, scene_script, scene_section
 from bundle.reports.page.table import findings_list, rendered
 from bundle.reports.sections import Section, Table
-from bundle.reports.terminal.graph_costs import cost_table, matrix_size
+from bundle.reports.terminal.graph_costs import cost_table
 from bundle.reports.terminal.graph_headline import certificate_section, certificate_sentences
 
 MOST_EDGES = 15
@@ -218,10 +217,10 @@ def _diagnosis(facts: GraphFacts, notes: Sequence[str]) -> list[Section]:
     return [Section(title="Certainty", facts=table, notes=notes)]
 
 
-def structure_section(found: PoseGraphInspection | FactorGraphInspection) -> Section:
+def structure_section(found: FactorGraphInspection) -> Section:
     """Return the table of the elimination orders."""
     words = f"{plural(found.num_edges, 'pair', grouped=True)} of variables; without constant ones "
-    words += f"the matrix has {amount(matrix_size(found)[1])} nonzeros. {found.recommendation}"
+    words += f"the matrix has {amount(found.nnz_free)} nonzeros. {found.recommendation}"
     table = cost_table(found)
     table = replace(table, legend=f"{CONVENTION} {table.legend}")
     return Section(title="Structure", text=[escape(words)], tables=[table])

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.analysis.diagnosis.diagnosis_result import Diagnosis, GraphDiagnosis
-from bundle.analysis.uncertainty.covariance_result import Covariance, GraphCovariance
+from bundle.analysis.diagnosis.diagnosis_result import Diagnosis
+from bundle.analysis.uncertainty.covariance_result import Covariance
 from bundle.base.words import number, plural
 from bundle.errors import shown
 from bundle.interface.finding import Finding, one_list
@@ -74,7 +74,7 @@ MOST_CAMERAS = 10
 def uncertainties(
     path: str,
     given: Problem | PoseGraph,
-    cov: Covariance | GraphCovariance,
+    cov: Covariance,
     options: Mapping[str, Any],
     target: str,
     wall_time: float,
@@ -82,25 +82,23 @@ def uncertainties(
     """Return the report on a reconstruction or a pose graph; ``target`` has the matrices."""
     pose = _sigmas(cov.pose_covariance)
     cameras: list[Section] = []
-    data: dict[str, Any] = {"gauge": cov.gauge}
-    if isinstance(cov, Covariance) and isinstance(given, Problem):
+    data: dict[str, Any] = {"gauge": cov.gauge, "robust": cov.robust}
+    if isinstance(given, Problem):
         spread = [("rotation [rad]", pose[:, :3]), ("translation", pose[:, 3:])]
         spread.append(("point", _sigmas(cov.point_covariance)))
         gauge, whole, warnings = cov.gauge.replace("_", " "), "of the model", _null_points(cov)
         cameras = _cameras(given, cov)
         sigmas = zip(cov.camera_ids, _sigmas(cov.camera_covariance), strict=True)
-        data["robust"] = cov.robust
         data["cameras"] = [
             {"id": int(key), "model": given.camera_models[row], "sigma": sigma}
             for row, (key, sigma) in enumerate(sigmas)
         ]
         data["points_without_parallax"] = cov.null_point_ids
     else:
-        assert isinstance(cov, GraphCovariance)
         parts = [pose[:, :2], pose[:, 2:]] if pose.shape[1] == 3 else [pose[:, 3:], pose[:, :3]]
         spread = [*zip(("translation", "rotation [rad]"), parts, strict=True)]
         gauge, whole, warnings = _held(cov), "of the graph", [*cov.notes]
-        data |= {"held_pose_ids": cov.held_pose_ids, "robust": "weights"}
+        data["held_pose_ids"] = cov.held_pose_ids
     sigma0 = f"{number(cov.sigma0)} ({plural(cov.dof, 'degree')} of freedom)"
     facts = [("gauge", gauge), ("sigma0", sigma0), ("scale", _scale(cov))]
     pairs = zip(cov.relative_ids, cov.relative_covariance, strict=True)
@@ -132,10 +130,10 @@ def uncertainties(
     )
 
 
-def _held(cov: GraphCovariance) -> str:
+def _held(cov: Covariance) -> str:
     """Return the gauge of a graph with the poses that it holds."""
     held = {
-        "first": f"{plural(len(cov.held_pose_ids), 'pose')} constant, besides fixed ones",
+        "first": f"{plural(len(cov.held_pose_ids or ()), 'pose')} constant, besides fixed ones",
         "inner": "inner constraints (minimum trace)",
         "none": "by fixed poses",
     }
@@ -153,10 +151,10 @@ def _sigmas_in_words(parts: Sequence[tuple[str, NDArray[np.float64]]], unit: str
     return f"Sigma (median / 95th percentile, length unit {unit}): {', '.join(said)}."
 
 
-def _scale(cov: Covariance | GraphCovariance) -> str:
-    if cov.scale != "unit" and (isinstance(cov, GraphCovariance) or cov.robust != "sandwich"):
+def _scale(cov: Covariance) -> str:
+    if cov.scale != "unit" and cov.robust != "sandwich":
         return "times sigma0"
-    if isinstance(cov, GraphCovariance):
+    if cov.is_of_graph:
         return "the information of the edges"
     if cov.robust == "sandwich":
         return "sandwich, from the scatter of the residuals"
@@ -234,49 +232,37 @@ SUSPICIOUS = (
 def diagnosed(
     path: str,
     given: Problem | PoseGraph,
-    diagnosis: Diagnosis | GraphDiagnosis,
+    diagnosis: Diagnosis,
     options: Mapping[str, Any],
     wall_time: float,
     found: Sequence[Finding] = (),
 ) -> Report:
     """Return the report on a reconstruction or a pose graph, with further findings about it."""
-    data = fields(diagnosis)
-    suspicious: list[Section] = []
-    if isinstance(diagnosis, Diagnosis):
-        sizes, noun = [len(part.image_ids) for part in diagnosis.components], "image"
-        matrix = ("reduced camera system", "as it is")
-        data["rank_gap"] = diagnosis.rank_gap
-    else:
-        sizes, noun = [len(part.pose_ids) for part in diagnosis.components], "pose"
-        matrix = ("normal equations", "as they are")
-        no_ids: dict[str, Any] = {"image_ids": [], "camera_ids": []}
-        data["weak_modes"] = [fields(mode) | no_ids for mode in diagnosis.weak_modes]
-        data |= {"points_without_parallax": [], "collapsed": []}
-        rows = diagnosis.suspicious_edges[:MOST_EDGES]
-        suspicious = [Section(tables=[Table(SUSPICIOUS, rows)])] if rows else []
+    rows = diagnosis.suspicious_edges[:MOST_EDGES]
     facts = [
         *input_facts(path, given, rigs=True),
         ("rank", diagnosis.verdict),
         ("eigenvalues", _eigenvalues(diagnosis)),
-        ("pieces", _pieces(sizes, noun)),
+        ("pieces", _pieces(diagnosis)),
     ]
     problems = [entry for entry in diagnosis.findings if entry.is_problem]
     notes = [entry.sentence for entry in diagnosis.findings if not entry.is_problem]
     return Report(
         command="diagnose",
         input=about_input(path, given),
-        headline=_headline(diagnosis, sizes, noun),
+        headline=_headline(diagnosis),
         findings=one_list(problems, found),
         sections=[
             Section(facts=facts, is_detail=True),
-            Section(tables=[_condition(*matrix, diagnosis)], is_detail=True),
-            *suspicious,
+            Section(tables=[_condition(diagnosis)], is_detail=True),
+            *([Section(tables=[Table(SUSPICIOUS, rows)])] if rows else []),
             *([Section(facts=[("notes", "")], notes=notes, is_detail=True)] if notes else []),
         ],
         data={
             "options": dict(options),
             "ok": diagnosis.ok,
-            **data,
+            **fields(diagnosis),
+            "rank_gap": diagnosis.rank_gap,
             "findings": one_list(diagnosis.findings, found),
             "digits": {
                 "normal_equations": diagnosis.digits_normal_equations,
@@ -287,8 +273,11 @@ def diagnosed(
     )
 
 
-def _condition(title: str, unscaled: str, diagnosis: Diagnosis | GraphDiagnosis) -> Table:
+def _condition(diagnosis: Diagnosis) -> Table:
     digits = (str(diagnosis.digits_normal_equations), str(diagnosis.digits_square_root))
+    title, unscaled = "reduced camera system", "as it is"
+    if diagnosis.noun == "pose":
+        title, unscaled = "normal equations", "as they are"
     return Table.of(
         (title, "condition number", "digits: normal equations", "digits: QR"),
         [
@@ -298,24 +287,22 @@ def _condition(title: str, unscaled: str, diagnosis: Diagnosis | GraphDiagnosis)
     )
 
 
-def _headline(diagnosis: Diagnosis | GraphDiagnosis, sizes: Sequence[int], noun: str) -> list[str]:
+def _headline(diagnosis: Diagnosis) -> list[str]:
     """Return the rank, then the condition number and the connected components."""
     verdict = diagnosis.verdict.rstrip(".")
-    held = ""
-    if isinstance(diagnosis, GraphDiagnosis) and np.isfinite(diagnosis.condition_number):
-        held = diagnosis.held_words
+    held = diagnosis.held_words if np.isfinite(diagnosis.condition_number) else ""
     condition = f"Condition number {number(diagnosis.condition_number)} (scaled{held})"
     return [
         f"{verdict[0].upper()}{verdict[1:]}.",
-        f"{condition}; {_pieces(sizes, noun)}{'; no problem found' if diagnosis.ok else ''}.",
+        f"{condition}; {_pieces(diagnosis)}{'; no problem found' if diagnosis.ok else ''}.",
     ]
 
 
-def _eigenvalues(diagnosis: Diagnosis | GraphDiagnosis) -> str:
+def _eigenvalues(diagnosis: Diagnosis) -> str:
     """Return the smallest eigenvalues as text."""
     if not len(diagnosis.eigenvalues):
         return "-"
-    if isinstance(diagnosis, GraphDiagnosis):
+    if diagnosis.noun == "pose":
         lowest = ", ".join(f"{value:.3g}" for value in diagnosis.eigenvalues)
         return f"{lowest}, ... (scaled normal equations)"
     lowest = ", ".join(f"{value:.3g}" for value in diagnosis.eigenvalues[:MOST_EIGENVALUES])
@@ -323,7 +310,8 @@ def _eigenvalues(diagnosis: Diagnosis | GraphDiagnosis) -> str:
     return f"{null}{lowest}, ... (scaled reduced camera system)"
 
 
-def _pieces(sizes: Sequence[int], noun: str) -> str:
+def _pieces(diagnosis: Diagnosis) -> str:
+    sizes = [part.size for part in diagnosis.components]
     listed = ", ".join(map(str, sizes[:5])) + (", ..." if len(sizes) > 5 else "")
-    members = noun if sizes == [1] else f"{noun}s"
+    members = diagnosis.noun if sizes == [1] else f"{diagnosis.noun}s"
     return f"{plural(len(sizes), 'connected component')} ({listed} {members})" if sizes else "none"

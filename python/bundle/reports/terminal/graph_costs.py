@@ -15,7 +15,6 @@ from bundle.planning.inspection.elimination_costs import (
     CONVENTION,
     EliminationCost,
     FactorGraphInspection,
-    PoseGraphInspection,
 )
 from bundle.reports.sections import Column, Report, Section, Table, fields, records
 from bundle.reports.terminal.inputs import about_input, input_facts
@@ -27,7 +26,7 @@ LEGEND = "* selected by auto; [not offered by a solve]."
 
 
 def inspected_graph(
-    path: str, graph: PoseGraph, found: PoseGraphInspection, wall_time: float
+    path: str, graph: PoseGraph, found: FactorGraphInspection, wall_time: float
 ) -> Report:
     """Return the matrix, a row for each elimination order, and advice; wall_time in seconds."""
     size = found.block_size * found.num_poses
@@ -48,6 +47,8 @@ def inspected_graph(
         ],
         data={
             **fields(found),
+            "num_poses": found.num_poses,
+            "num_free_poses": found.num_free_poses,
             "recommendation": found.recommendation,
             "nonzeros": CONVENTION,
             "wall_time": {"total": wall_time},
@@ -55,16 +56,9 @@ def inspected_graph(
     )
 
 
-def matrix_size(found: PoseGraphInspection | FactorGraphInspection) -> tuple[int, int]:
-    """Return columns and nonzeros (both triangles) of the matrix that a solve factorises."""
-    if isinstance(found, PoseGraphInspection):
-        return found.block_size * found.num_free_poses, found.nnz_free
-    return found.num_columns, found.nnz
-
-
-def cost_table(found: PoseGraphInspection | FactorGraphInspection) -> Table:
+def cost_table(found: FactorGraphInspection) -> Table:
     """Return a row for each elimination order; pages highlight the one that `auto` selects."""
-    free = max(1, sum(matrix_size(found)) / 2)
+    free = max(1, (found.num_columns + found.nnz_free) / 2)
     columns = (
         Column("order", lambda cost: _order(cost, found.auto_ordering)),
         Column("nonzeros of L", "nnz_factor"),
@@ -80,12 +74,12 @@ def cost_table(found: PoseGraphInspection | FactorGraphInspection) -> Table:
     return Table(columns, found.costs, legend=LEGEND, best=best)
 
 
-def _predicted(found: PoseGraphInspection) -> str:
+def _predicted(found: FactorGraphInspection) -> str:
     chosen = next(cost for cost in found.costs if cost.ordering == found.auto_ordering)
     return (
         f"Predicted: {span(chosen.time_per_step_in_seconds)} per step and "
         f"{format_size(chosen.memory_in_bytes)} on {plural(found.num_threads, 'thread')}, for "
-        f"{plural(found.block_size * found.num_free_poses, 'unknown', grouped=True)}."
+        f"{plural(found.num_columns, 'unknown', grouped=True)}."
     )
 
 
