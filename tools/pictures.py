@@ -49,7 +49,7 @@ def rolling_shutter(folder: Path) -> None:
         errors = [image.position for image in compared.images]
         images = np.arange(1.0, len(errors) + 1)
         lines.append(bundle.figures.Line(name, images, 1000 * np.array(errors), dash=dash))
-    errors_of_positions = bundle.figures.LineFigure(
+    errors_of_positions = bundle.figures.line_figure(
         name="positions",
         title="Errors of positions",
         x_label="image",

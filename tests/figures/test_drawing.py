@@ -20,7 +20,6 @@ from bundle.figures.marks import (
     Ellipses,
     Figure,
     Line,
-    LineFigure,
     Mark,
     Matrix,
     Photo,
@@ -28,6 +27,7 @@ from bundle.figures.marks import (
     StackedBars,
     Steps,
     Vectors,
+    line_figure,
     linear,
     logarithmic,
     over_image,
@@ -355,10 +355,10 @@ def test_ugly_lines_are_drawn(x, y, is_logarithmic, is_plan):
         Line("c", x, y, is_limit=True),
     )  # fmt: skip
     with np.errstate(over="ignore", invalid="ignore"):
-        figure = LineFigure(
+        figure = line_figure(
             name="f", title="", x_label="x", y_label="y", lines=lines,
             is_logarithmic=is_logarithmic, is_plan=is_plan,
-        ).figure()  # fmt: skip
+        )  # fmt: skip
         for axis in (figure.x, figure.y):
             assert math.isfinite(axis.low) and axis.low < axis.high < math.inf
             assert all(math.isfinite(tick) for tick in axis.ticks) and len(axis.ticks) < 9
@@ -395,7 +395,7 @@ def test_ten_thousand_marks_take_no_minute():
 
 def test_limits_of_a_line_figure_are_grey_and_others_take_colours_in_turn():
     lines = [Line(name, X, Y, is_limit=name in "bd") for name in "abcd"]
-    figure = LineFigure(name="f", title="", x_label="", y_label="", lines=tuple(lines)).figure()
+    figure = line_figure(name="f", title="", x_label="", y_label="", lines=lines)
     assert [line.colour for line in figure.marks] == [0, 6, 2, 6]
     assert [line.dash for line in figure.marks] == [0, 1, 0, 2]
 
@@ -420,8 +420,8 @@ def test_a_square_is_as_wide_by_high_as_the_area_of_a_chart():
 @pytest.mark.parametrize(("y", "low"), [([2.0, 3.0], 0.0), ([-2.0, 3.0], -2.0)])
 def test_axes_of_lines_begin_at_zero_unless_values_are_below(y, low):
     line = Line("a", np.array([1.0, 2.0]), np.array(y))
-    lines = LineFigure(name="f", title="", x_label="x", y_label="y", lines=(line,))
-    axis = lines.figure().y
+    lines = line_figure(name="f", title="", x_label="x", y_label="y", lines=(line,))
+    axis = lines.y
     assert axis.low == 0.0 if low == 0.0 else axis.low <= low
 
 

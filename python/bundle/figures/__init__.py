@@ -2,7 +2,7 @@
 
 from bundle.figures.certainty import Certainty, certainty
 from bundle.figures.lens_figures import LensCurve, lens_curve, most_observed_cameras
-from bundle.figures.marks import Figure, Line, LineFigure
+from bundle.figures.marks import Figure, Line, line_figure
 from bundle.figures.odometry_figures import odometry_figures
 from bundle.figures.placement_figures import Placement, placement
 from bundle.figures.projection_uncertainty import (
@@ -33,7 +33,6 @@ __all__ = [
     "ImageResiduals",
     "LensCurve",
     "Line",
-    "LineFigure",
     "Placement",
     "ProjectionUncertainty",
     "RadialProfile",
@@ -46,6 +45,7 @@ __all__ = [
     "certainty",
     "image_residuals",
     "lens_curve",
+    "line_figure",
     "most_observed_cameras",
     "odometry_figures",
     "placement",

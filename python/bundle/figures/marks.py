@@ -13,7 +13,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import field, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -340,6 +339,11 @@ class Figure:
     is_plan: bool = False
 
     @property
+    def lines(self) -> list[Line]:
+        """Return the lines."""
+        return [mark for mark in self.marks if isinstance(mark, Line)]
+
+    @property
     def legend(self) -> list[Line | Steps]:
         """Return the marks that have a label."""
         return [mark for mark in self.marks if isinstance(mark, Line | Steps) and mark.label]
@@ -352,69 +356,49 @@ def over_image(box: Array, name: str, title: str, *marks: Mark, note: str = "") 
     return Figure(name=name, title=title, x=x, y=y, marks=marks, note=note, is_image=True)
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class LineFigure:
-    """Figure of lines with one pair of axes.
+def line_figure(
+    name: str,
+    title: str,
+    x_label: str,
+    y_label: str,
+    lines: Iterable[Line],
+    *,
+    is_logarithmic: bool = False,
+    is_plan: bool = False,
+    note: str = "",
+) -> Figure:
+    """Return a figure with axes over all lines and bands; limits are grey and dashed.
 
-    Attributes:
+    Args:
         name: one word that identifies the figure for programs.
         title: title of the figure.
-        x_label, y_label: labels of the axes, with units.
+        x_label: label of the x axis, with its unit.
+        y_label: label of the y axis, with its unit.
         lines: lines in the order of the legend.
         is_logarithmic: True for a logarithmic y axis, which excludes values of 0 and below.
         is_plan: True if both axes have the same scale.
         note: sentence below the figure, or "".
     """
-
-    name: str
-    title: str
-    x_label: str
-    y_label: str
-    lines: tuple[Line, ...]
-    is_logarithmic: bool = False
-    is_plan: bool = False
-    note: str = ""
-
-    def asdict(self) -> dict[str, Any]:
-        """Return the data of the figure for JSON."""
-        return {
-            "name": self.name,
-            "lines": [
-                {
-                    "label": line.label,
-                    "x": line.x.tolist(),
-                    "y": line.y.tolist(),
-                    "sigma": None if line.sigma is None else line.sigma.tolist(),
-                }
-                for line in self.lines
-            ],
-        }
-
-    def figure(self) -> Figure:
-        """Return the figure with axes over all lines and bands; limits are grey and dashed."""
-        limits = [line for line in self.lines if line.is_limit]
-        marks = tuple(
-            replace(line, colour=GREY, dash=1 + limits.index(line))
-            if line.is_limit
-            else replace(line, colour=index if line.colour is None else line.colour)
-            for index, line in enumerate(self.lines)
-        )
-        x = _finite(line.x for line in self.lines)
-        bands = [(line.y, line.sigma) for line in self.lines if line.sigma is not None]
-        y = _finite(
-            [line.y for line in self.lines] + [y + sign * s for y, s in bands for sign in (-1, 1)]
-        )
-        if self.is_plan and len(x) and len(y):
-            axes = _plan(x, y, (self.x_label, self.y_label))
-        elif self.is_logarithmic:
-            axes = linear(x, self.x_label), logarithmic(y, self.y_label)
-        else:
-            low = None if (y < 0).any() else 0.0
-            axes = linear(x, self.x_label), linear(y, self.y_label, low=low)
-        return Figure(
-            name=self.name, title=self.title, x=axes[0], y=axes[1], marks=marks, note=self.note,
-            is_plan=self.is_plan,
-        )  # fmt: skip
+    lines = tuple(lines)
+    limits = [line for line in lines if line.is_limit]
+    marks = tuple(
+        replace(line, colour=GREY, dash=1 + limits.index(line))
+        if line.is_limit
+        else replace(line, colour=index if line.colour is None else line.colour)
+        for index, line in enumerate(lines)
+    )
+    x = _finite(line.x for line in lines)
+    bands = [(line.y, line.sigma) for line in lines if line.sigma is not None]
+    y = _finite([line.y for line in lines] + [y + sign * s for y, s in bands for sign in (-1, 1)])
+    if is_plan and len(x) and len(y):
+        axes = _plan(x, y, (x_label, y_label))
+    elif is_logarithmic:
+        axes = linear(x, x_label), logarithmic(y, y_label)
+    else:
+        axes = linear(x, x_label), linear(y, y_label, low=None if (y < 0).any() else 0.0)
+    return Figure(
+        name=name, title=title, x=axes[0], y=axes[1], marks=marks, note=note, is_plan=is_plan
+    )
 
 
 def _plan(x: Array, y: Array, labels: tuple[str, str]) -> tuple[Axis, Axis]:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.figures.marks import Line, LineFigure
+from bundle.figures.marks import Figure, Line, line_figure
 from bundle.inertial.preintegration.motion_excitation import HEALTHY, UNOBSERVABLE
 from bundle.inertial.vio.keyframe_record import KeyframeRecord
 from bundle.inertial.vio.odometry import OdometryResult
@@ -29,9 +29,7 @@ FAMILIES = ("visual", "imu", "bias_walk", "prior")
 TIME = "s since the first pose"
 
 
-def odometry_figures(
-    result: OdometryResult, truth: Trajectory | None = None
-) -> tuple[LineFigure, ...]:
+def odometry_figures(result: OdometryResult, truth: Trajectory | None = None) -> tuple[Figure, ...]:
     """Return the figures of an odometry; each has a ``name``.
 
     Args:
@@ -67,7 +65,7 @@ class _Keyframes:
         return Line(label, ends, np.full(2, value), is_limit=True)
 
 
-def _of_keyframes(result: OdometryResult) -> list[LineFigure]:
+def _of_keyframes(result: OdometryResult) -> list[Figure]:
     frames = _Keyframes(result)
     return [
         *_work(frames, 1e3 * result.options.time_budget),
@@ -83,7 +81,7 @@ def _of_keyframes(result: OdometryResult) -> list[LineFigure]:
     ]
 
 
-def _work(frames: _Keyframes, budget: float) -> list[LineFigure]:
+def _work(frames: _Keyframes, budget: float) -> list[Figure]:
     def milliseconds(phase: str) -> Line:
         return frames.line(phase, lambda r: 1e3 * r.times[phase] if phase in r.times else None)
 
@@ -91,19 +89,19 @@ def _work(frames: _Keyframes, budget: float) -> list[LineFigure]:
         return frames.line(family.replace("_", " "), lambda r: r.costs.get(family))
 
     return [
-        LineFigure(
+        line_figure(
             name="times", title="Time per keyframe", x_label=TIME, y_label="ms",
             lines=(*map(milliseconds, PHASES), frames.limit("budget of a solve", budget)),
             is_logarithmic=True,
         ),
-        LineFigure(
+        line_figure(
             name="steps", title="Steps of the solve", x_label=TIME, y_label="steps",
             lines=(
                 frames.line("tried", lambda r: r.num_iterations),
                 frames.line("rejected", lambda r: r.num_rejected),
             ),
         ),
-        LineFigure(
+        line_figure(
             name="costs", title="Cost by factor family", x_label=TIME, y_label="1/2 sum of rho",
             lines=tuple(map(cost, FAMILIES)), is_logarithmic=True,
             note="A wrong calibration shows in one family.",
@@ -111,8 +109,8 @@ def _work(frames: _Keyframes, budget: float) -> list[LineFigure]:
     ]  # fmt: skip
 
 
-def _contradiction(frames: _Keyframes) -> LineFigure:
-    return LineFigure(
+def _contradiction(frames: _Keyframes) -> Figure:
+    return line_figure(
         name="imu_excess", title="IMU cost divided by its expected value", x_label=TIME,
         y_label="ratio",
         lines=(
@@ -123,9 +121,9 @@ def _contradiction(frames: _Keyframes) -> LineFigure:
     )  # fmt: skip
 
 
-def _sizes(frames: _Keyframes) -> list[LineFigure]:
+def _sizes(frames: _Keyframes) -> list[Figure]:
     return [
-        LineFigure(
+        line_figure(
             name="sizes", title="Size of the solve", x_label=TIME, y_label="count",
             lines=(
                 frames.line("rows", lambda r: r.num_rows),
@@ -133,7 +131,7 @@ def _sizes(frames: _Keyframes) -> list[LineFigure]:
                 frames.line("landmarks", lambda r: r.num_landmarks),
             ),
         ),
-        LineFigure(
+        line_figure(
             name="fill", title="Fill-in of the factor", x_label=TIME, y_label="nnz(L) / nnz(Λ)",
             lines=(frames.line("nnz(L) / nnz(Λ)", lambda r: r.fill_ratio),),
             note="Of the reduced matrix of the states; 1 where it is dense.",
@@ -141,12 +139,12 @@ def _sizes(frames: _Keyframes) -> list[LineFigure]:
     ]  # fmt: skip
 
 
-def _prior(frames: _Keyframes) -> list[LineFigure]:
+def _prior(frames: _Keyframes) -> list[Figure]:
     def size(value: float | None) -> float | None:
         return None if value is None else abs(value)
 
     return [
-        LineFigure(
+        line_figure(
             name="spectrum", title="Eigenvalues of the prior", x_label=TIME,
             y_label="information", is_logarithmic=True,
             lines=(
@@ -155,7 +153,7 @@ def _prior(frames: _Keyframes) -> list[LineFigure]:
             ),
             note="The smallest is rounding error where position and yaw are unobservable.",
         ),
-        LineFigure(
+        line_figure(
             name="prior", title="Health of the prior", x_label=TIME, y_label="ratio",
             is_logarithmic=True,
             lines=(
@@ -169,9 +167,9 @@ def _prior(frames: _Keyframes) -> list[LineFigure]:
     ]  # fmt: skip
 
 
-def _nullity(frames: _Keyframes) -> LineFigure:
+def _nullity(frames: _Keyframes) -> Figure:
     counted = any(record.nullity is not None for record in frames.records)
-    return LineFigure(
+    return line_figure(
         name="nullity", title="Unobservable directions", x_label=TIME, y_label="nullity",
         lines=(
             frames.line("nullity", lambda r: r.nullity),
@@ -183,10 +181,10 @@ def _nullity(frames: _Keyframes) -> LineFigure:
     )  # fmt: skip
 
 
-def _excitation(frames: _Keyframes) -> LineFigure:
+def _excitation(frames: _Keyframes) -> Figure:
     verdicts = [record.excitation_verdict for record in frames.records]
     counts = [f"{name} {verdicts.count(name)}" for name in dict.fromkeys(verdicts)]
-    return LineFigure(
+    return line_figure(
         name="excitation", title="Excitation of the accelerometer", x_label=TIME, y_label="m/s²",
         is_logarithmic=True,
         lines=(
@@ -198,7 +196,7 @@ def _excitation(frames: _Keyframes) -> LineFigure:
     )  # fmt: skip
 
 
-def _bias(frames: _Keyframes, name: str, words: str, unit: str) -> LineFigure:
+def _bias(frames: _Keyframes, name: str, words: str, unit: str) -> Figure:
     lines = []
     known = False
     for axis, label in enumerate(AXES):
@@ -206,7 +204,7 @@ def _bias(frames: _Keyframes, name: str, words: str, unit: str) -> LineFigure:
         known = known or bool(np.isfinite(sigma).any())
         line = frames.line(label, lambda r, axis=axis: _entry(r, f"{name}_bias", axis))  # type: ignore[misc]
         lines.append(Line(label, line.x, line.y, sigma if np.isfinite(sigma).any() else None))
-    return LineFigure(
+    return line_figure(
         name=f"{name}_bias", title=f"Bias of the {words}", x_label=TIME, y_label=unit,
         lines=tuple(lines),
         note="Band: one standard deviation." if known else "With --covariance also its sigmas.",
@@ -218,11 +216,11 @@ def _entry(record: KeyframeRecord, field: str, axis: int) -> float | None:
     return None if values is None else float(values[axis])
 
 
-def _yaw_sigma(frames: _Keyframes) -> LineFigure:
+def _yaw_sigma(frames: _Keyframes) -> Figure:
     sigma = np.degrees(frames.values(lambda r: r.yaw_sigma))
     rotation = np.degrees(frames.values(lambda r: r.accumulated_rotation))
     missing = "Known with --covariance, --start-yaw-sigma and --start-position-sigma."
-    return LineFigure(
+    return line_figure(
         name="yaw_sigma", title="Sigma of yaw against rotation",
         x_label="rotation since the start, degrees", y_label="sigma of yaw, degrees",
         lines=(Line("sigma of yaw", rotation, sigma),),
@@ -230,7 +228,7 @@ def _yaw_sigma(frames: _Keyframes) -> LineFigure:
     )  # fmt: skip
 
 
-def _departures(frames: _Keyframes) -> list[LineFigure]:
+def _departures(frames: _Keyframes) -> list[Figure]:
     records = frames.records
     ways = dict.fromkeys(r.marginalized["how"] for r in records if r.marginalized is not None)
 
@@ -247,12 +245,12 @@ def _departures(frames: _Keyframes) -> list[LineFigure]:
     ]
     left = sum(r.marginalized is not None for r in records)
     return [
-        LineFigure(
+        line_figure(
             name="ages", title="Keyframes that left the window", x_label=TIME,
             y_label="age when it left, s", lines=tuple(ages),
             note=f"{left} of {len(records)} keyframes have left.",
         ),
-        LineFigure(
+        line_figure(
             name="landmarks_left", title="Landmarks of keyframes that left", x_label=TIME,
             y_label="landmarks",
             lines=(
@@ -264,14 +262,14 @@ def _departures(frames: _Keyframes) -> list[LineFigure]:
     ]  # fmt: skip
 
 
-def _paths(result: OdometryResult, truth: Trajectory | None) -> list[LineFigure]:
+def _paths(result: OdometryResult, truth: Trajectory | None) -> list[Figure]:
     labels: dict[str, Any] = {
         "name": "path", "title": "Path from above", "x_label": "x, m", "y_label": "y, m",
         "is_plan": True,
     }  # fmt: skip
     if truth is None:
         x, y = result.trajectory.states[:, 4:6].T
-        return [LineFigure(lines=(Line("estimate", x, y),), **labels)]
+        return [line_figure(lines=(Line("estimate", x, y),), **labels)]
     stamps, found, wanted = aligned_in_yaw(result.trajectory, truth)
     lines = (
         Line("estimate", found[:, 4], found[:, 5]),
@@ -285,8 +283,8 @@ def _paths(result: OdometryResult, truth: Trajectory | None) -> list[LineFigure]
     )
     note = "Aligned in yaw and position."
     return [
-        LineFigure(lines=lines, note=note, **labels),
-        LineFigure(
+        line_figure(lines=lines, note=note, **labels),
+        line_figure(
             name="error", title="Error of the position", x_label=TIME, y_label="m", lines=errors,
             note=note,
         ),

@@ -8,6 +8,7 @@ from scipy.stats import chi2 as chi2_distribution
 
 import bundle
 from bundle.graphs.pose_graphs.chi2_quantiles import chi2_limit, chi2_median
+from tests import scenes
 from tests.graphs.pose_graphs import graphs
 from tests.graphs.pose_graphs.test_wrong_closures import with_wrong_closures
 
@@ -275,6 +276,19 @@ def test_the_command(tmp_path, capsys):
     assert {"condition_number", "components", "digits", "suspicious_edges"} <= set(found)
     assert main(["diagnose", str(tmp_path / "x.g2o"), "--gauge", "none"]) == 2
     assert capsys.readouterr().err.splitlines()[-1].startswith("error: --gauge: ")
+
+
+def test_what_a_graph_does_not_have_is_empty_also_in_former_pickles():
+    found = bundle.diagnose(healthy(2))
+    assert (found.noun, found.components[0].size) == ("pose", 12)
+    assert np.isnan(found.rank_gap) and found.collapsed == ()
+    state = {name: value for name, value in vars(found).items() if "points" not in name}
+    old = object.__new__(bundle.GraphDiagnosis)
+    old.__setstate__(state)
+    for one in (found, old):
+        assert one.points_seen_once.shape == (0,) and not one.points_seen_once.flags.writeable
+    assert repr(old) == repr(found)
+    assert bundle.diagnose(scenes.make_problem()).noun == "image"
 
 
 def test_the_held_poses_of_the_condition_number_are_told():

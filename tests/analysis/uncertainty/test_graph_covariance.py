@@ -9,6 +9,7 @@ import pytest
 import bundle
 from bundle import _core
 from bundle.graphs.pose_graphs.lie_groups import adjoints
+from tests import scenes
 from tests.graphs.pose_graphs import graphs
 from tests.graphs.pose_graphs.test_wrong_closures import certain_loop, with_wrong_closures
 
@@ -213,6 +214,9 @@ def test_the_command(tmp_path, capsys):
     with np.load(tmp_path / "c.npz") as file:
         arrays = dict(file)
     np.testing.assert_array_equal(arrays["pose_ids"], graph.ids)
+    assert arrays["held_pose_ids"].tolist() == [0] and arrays["camera_covariance"].size == 0
+    of_images = bundle.covariance(scenes.make_problem())
+    assert "held_pose_ids" not in of_images._arrays() and not of_images.is_of_graph
     np.testing.assert_allclose(arrays["pose_covariance"], expected.pose_covariance, rtol=1e-9)
     found = json.loads((tmp_path / "r.json").read_text())
     assert found["command"] == "covariance" and found["dof"] == expected.dof

@@ -111,3 +111,16 @@ def test_the_command(tmp_path, capsys):
         assert main(["inspect", str(tmp_path / "x.g2o"), *flags]) == 2
         assert capsys.readouterr().err.splitlines()[-1].startswith(f"error: {flags[0]}: ")
     assert not (tmp_path / "x.html").exists()
+
+
+def test_pickles_of_the_former_class_are_read():
+    found = bundle.inspect(chain(6, 2, dimension=2))
+    state = dict(vars(found))
+    state["num_poses"] = state.pop("num_variables")
+    state["num_free_poses"] = state.pop("num_free_variables")
+    for name in ("num_factors", "manifolds", "kinds", "num_columns", "largest_clique"):
+        del state[name]
+    old = object.__new__(bundle.PoseGraphInspection)
+    old.__setstate__(state)
+    assert repr(old) == repr(found) and (old.num_poses, old.num_free_poses) == (6, 5)
+    assert (old.num_columns, old.largest_clique, old.nnz_free) == (15, 2, found.nnz_free)

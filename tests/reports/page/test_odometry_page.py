@@ -192,7 +192,7 @@ def test_matplotlib_draws_the_same_lines(told, truth):
         assert list(shown) == [line.label for line in figure.lines]
         for line in figure.lines:
             np.testing.assert_array_equal(shown[line.label].get_ydata(), line.y)
-        assert axes[0, 0].get_yscale() == ("log" if figure.is_logarithmic else "linear")
+        assert axes[0, 0].get_yscale() == ("log" if figure.y.is_logarithmic else "linear")
         bands = [line for line in figure.lines if line.sigma is not None]
         assert len(axes[0, 0].collections) == len(bands)
     with pytest.raises(InputError, match="figure"):

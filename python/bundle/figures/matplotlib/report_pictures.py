@@ -20,7 +20,7 @@ from bundle.figures.cost_figures import (
     time_figure,
 )
 from bundle.figures.lens_figures import LensCurve
-from bundle.figures.marks import LineFigure
+from bundle.figures.marks import Figure
 from bundle.figures.matplotlib.draw import COLOURS, draw
 from bundle.figures.placement_figures import Placement
 from bundle.figures.projection_uncertainty import ProjectionUncertainty
@@ -44,14 +44,14 @@ if TYPE_CHECKING:
 CELLS = {"count": "count", "rms": "magnitude", "significance": "significance"}
 
 
-def draw_lines(ax: Axes, figure: LineFigure) -> None:
-    """Draw a figure of lines from :func:`bundle.figures.odometry_figures`.
+def draw_lines(ax: Axes, figure: Figure) -> None:
+    """Draw a figure, such as one of :func:`bundle.figures.odometry_figures`.
 
     Raises:
         InputError: ``figure`` is not such a figure.
     """
-    check_type("figure", figure, LineFigure)
-    draw(ax, figure.figure())
+    check_type("figure", figure, Figure)
+    draw(ax, figure)
 
 
 def draw_residual_histogram(ax: Axes, histogram: ResidualHistogram) -> None:

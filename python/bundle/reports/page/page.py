@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import re
 from collections.abc import Mapping, Sequence
 from html import escape
@@ -14,6 +13,7 @@ from typing import Any
 from bundle.io.atomic import atomic_write as atomic
 from bundle.io.atomic.replaced_paths import is_stream
 from bundle.io.recognition import PAGE, check_name
+from bundle.reports.sections import plain
 
 # The browser may load only content of the page itself; it enforces this for any data.
 POLICY = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data:"
@@ -52,9 +52,9 @@ def as_json(data: Any) -> str:
     """Return data as JSON that is safe inside a script element, for all names in the data.
 
     HTML parsers end a script at ``</script``, so ``<`` is escaped, and ``&`` and ``>`` as well.
-    Numbers that are not finite become null.
+    Arrays and dataclasses become lists and objects, numbers that are not finite null.
     """
-    text = json.dumps(_finite(data), allow_nan=False, separators=(",", ":"))
+    text = json.dumps(plain(data), allow_nan=False, separators=(",", ":"))
     for character in "<>&":
         text = text.replace(character, f"\\u{ord(character):04x}")
     return text
@@ -105,14 +105,3 @@ def _contents(sections: list[str]) -> str:
 def asset(*name: str) -> str:
     """Return the text of a file in the assets folder."""
     return resources.files("bundle.reports.page").joinpath("assets", *name).read_text("utf-8")
-
-
-def _finite(data: Any) -> Any:
-    """Return data with null in place of numbers that JSON cannot represent."""
-    if isinstance(data, float):
-        return data if math.isfinite(data) else None
-    if isinstance(data, Mapping):
-        return {key: _finite(value) for key, value in data.items()}
-    if isinstance(data, list | tuple):
-        return [_finite(value) for value in data]
-    return data

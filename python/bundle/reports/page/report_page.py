@@ -73,7 +73,7 @@ from bundle.reports.page.scene_section import (
 )
 from bundle.reports.page.table import findings_list, rendered, rounded
 from bundle.reports.page.verdicts import Judged, summarised, verdict_list, verdicts
-from bundle.reports.sections import Section, displayed, fields, plain
+from bundle.reports.sections import Section, displayed, fields
 from bundle.solving.headline import headline
 from bundle.solving.result import Result
 
@@ -198,12 +198,12 @@ class _Page:
                 place=self.place, tracks=tracks, graph=graph, findings=findings,
             )
         )  # fmt: skip
-        self.data["verdicts"], self.data["findings"] = plain(judged), plain(findings)
+        self.data["verdicts"], self.data["findings"] = judged, findings
         sets = self._sets(found)
         rows = rows_of_sets(sets)
         observed = len(np.unique(problem.image_camera[problem.observation_image]))
-        self.data["rows"] = plain(rows)
-        self.data |= plain(shutter_data(problem, result, self.covariance))
+        self.data["rows"] = rows
+        self.data |= shutter_data(problem, result, self.covariance)
         sections = [
             *self._residuals(sets, found, description),
             *(field_sections(planes, observed, rows) if planes else []),
@@ -228,7 +228,7 @@ class _Page:
             sigmas = dict(zip(ids, self.known.position_sigmas.tolist(), strict=True))
         self.data["images"] = image_data(images, photographs, sigmas)
         if self.place is not None:
-            self.data["placement"] = plain(self.place)
+            self.data["placement"] = self.place
         first = [
             *([] if result is None else [lead(headline(result))]),
             tag("p", escape(contents_of(problem)), class_="quiet"),
@@ -267,7 +267,7 @@ class _Page:
     ) -> list[Section]:
         histogram = residual_histogram({name: one for name, (_, one) in sets.items()})
         if histogram is not None:
-            self.data["histogram"] = plain(histogram)
+            self.data["histogram"] = histogram
         return residual_section(self.problem, self.result, description, found, histogram)
 
     def _lenses(self) -> list[Section]:

@@ -129,10 +129,15 @@ def write_odometry(
     facts = [("result", result.message), *odometry_facts(name, result, error)]
     sections = [Section(facts=facts), _alarms(result)]
     for title, names in SECTIONS.items():
-        drawn = [figures[key].figure() for key in names if key in figures]
+        drawn = [figures[key] for key in names if key in figures]
         sections.append(Section(title=title, figures=drawn))
     title = f"Odometry of {name}" if name else "Odometry"
-    data = {"figures": [figure.asdict() for figure in figures.values()]}
+    names = ("label", "x", "y", "sigma")
+    lines = {
+        key: [{name: getattr(line, name) for name in names} for line in figure.lines]
+        for key, figure in figures.items()
+    }
+    data = {"figures": [{"name": key, "lines": of_one} for key, of_one in lines.items()]}
     write_page(as_path(path), title, rendered(sections), data, script="")
 
 
