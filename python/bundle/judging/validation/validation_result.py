@@ -20,14 +20,10 @@ from bundle.model.problem import Problem
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class ValidatedCandidate:
-    """Errors of one candidate; NaN if it has no fit. Pixels are per observation, not per axis.
+class ValidatedCandidate(Candidate):
+    """A candidate and its errors; NaN if it has no fit. Pixels are per observation, not per axis.
 
     Attributes:
-        camera_model: COLMAP's name of the model of all cameras; "" keeps the models of the input.
-        share: "each", "focal", "size", "all" or "input" (docs/which_lens.md).
-        loss: robust loss of the fits.
-        refine: groups of refined variables.
         num_cameras: number of lenses with an image.
         num_intrinsics: number of free lens parameters; shared parameters count once.
         num_parameters: number of all free parameters that the fit determines, by rank.
@@ -54,10 +50,6 @@ class ValidatedCandidate:
         command: command line that refines the input in this way.
     """
 
-    camera_model: str
-    share: str
-    loss: str
-    refine: tuple[str, ...]
     num_cameras: int
     num_intrinsics: int
     num_parameters: int
@@ -91,11 +83,6 @@ class ValidatedCandidate:
     def sharing(self) -> str:
         """Sharing in words."""
         return SHARING[self.share]
-
-    @property
-    def name(self) -> str:
-        """Name of the lens, such as "OPENCV, shared"."""
-        return Candidate(camera_model=self.camera_model, share=self.share).name
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)

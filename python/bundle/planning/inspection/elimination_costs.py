@@ -13,10 +13,8 @@ dense. Constant coordinates have no columns.
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import field
 from typing import Any
 
 import numpy as np
@@ -38,6 +36,7 @@ from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.planning.inspection.factor_graph_time import factor_work
 from bundle.planning.inspection.factor_graph_time import step_terms as factor_step_terms
 from bundle.planning.inspection.graph_rates import free_pattern, panel_work, step_terms
+from bundle.planning.inspection.inspection_result import EliminationCost
 from bundle.planning.inspection.machine_rates import factor_graph_rates, graph_rates
 from bundle.planning.inspection.peak_memory import Terms, total
 from bundle.planning.inspection.problem_pattern import BlockPattern, count_dense
@@ -60,35 +59,6 @@ MOST_DENSE_COLUMNS = 100
 BYTES = 8
 
 Predict = Callable[[BlockPattern, NDArray[np.int32], Mapping[str, Any]], Terms]
-
-
-@dataclass(frozen=True, kw_only=True)
-class EliminationCost:
-    """Exact cost of the Cholesky factor L in one order of the variables.
-
-    Attributes:
-        ordering: "natural" (by position), "amd", "metis", "colamd", "nesdis", or "dense" for a
-            dense matrix.
-        nnz_factor: nnz(L): lower triangle with its diagonal, without the zeros that supernodes
-            store.
-        fill: fill-in: pairs of variables that are nonzero in L and zero in the matrix.
-        flops: sum of c^2 + 3 c over the columns of L with c entries below the diagonal.
-        tree_height: variables on the longest path of the elimination tree.
-        memory_in_bytes: memory of the values of L, of a dense matrix with both triangles.
-        is_taken: True if an option of the solve selects the order.
-        time_per_step_in_seconds: predicted time of a step with this order; NaN if unknown.
-        time_terms: parts of this time.
-    """
-
-    ordering: str
-    nnz_factor: int
-    fill: int
-    flops: int
-    tree_height: int
-    memory_in_bytes: int
-    is_taken: bool = True
-    time_per_step_in_seconds: float = math.nan
-    time_terms: Mapping[str, float] = field(default_factory=dict)
 
 
 def elimination_costs(

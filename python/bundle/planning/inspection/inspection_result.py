@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from dataclasses import field
 
 import bundle._core as _core
 from bundle.base.display import Display, Displayed
@@ -13,9 +15,40 @@ from bundle.interface.tabular import Tabular
 from bundle.planning.inspection.peak_memory import Terms
 
 
+@dataclass(frozen=True, kw_only=True)
+class EliminationCost:
+    """Exact cost of the Cholesky factor L in one order of the variables.
+
+    Attributes:
+        ordering: "natural" (by position), "amd", "metis", "colamd", "nesdis", or "dense" for a
+            dense matrix; of a method "" without a factorisation, whose counts are then 0.
+        nnz_factor: nnz(L): lower triangle with its diagonal, without the zeros that supernodes
+            store.
+        fill: fill-in: pairs of variables or blocks that are nonzero in L and zero in the matrix.
+        flops: sum of c^2 + 3 c over the columns of L with c entries below the diagonal.
+        tree_height: variables or blocks on the longest path of the elimination tree.
+        memory_in_bytes: memory of the values of L, of a dense matrix with both triangles; of a
+            method the peak memory beyond the loaded problem.
+        is_taken: True if an option of the solve selects the order or the method. The fused backend
+            always takes the cheapest of three orders of S.
+        time_per_step_in_seconds: predicted time of a trust region step; NaN if unknown.
+        time_terms: parts of this time.
+    """
+
+    ordering: str
+    nnz_factor: int
+    fill: int
+    flops: float
+    tree_height: int
+    memory_in_bytes: float
+    is_taken: bool = True
+    time_per_step_in_seconds: float = math.nan
+    time_terms: Terms = field(default_factory=dict)
+
+
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class MethodInspection(Displayed):
-    """Predicted cost of one method.
+class MethodInspection(Displayed, EliminationCost):
+    """Predicted cost of one method: that of its factor, and more.
 
     Nonzeros of J, of the information matrix and of S count both triangles and the diagonal; those
     of L count its lower triangle with the diagonal.
@@ -25,49 +58,30 @@ class MethodInspection(Displayed):
         linear_solver_type: Ceres' name.
         backend: "FUSED", "CERES", or "" for an order that neither backend offers, listed for
             comparison; its time and memory are predicted as for the fused backend.
-        ordering: elimination order; "" without a factorisation.
         preconditioner: Ceres' name; "" for direct solvers.
         num_unknowns: number of refined scalars.
         nnz_jacobian, nnz_information, nnz_reduced: nonzeros of J, J^T J and S; 0 where S is not
             formed.
-        nnz_factor: nnz(L). Without a factor, this and the next four values are 0.
-        fill: fill-in: pairs of blocks that are nonzero in L and zero in the matrix.
-        flops: sum of c^2 + 3 c over the columns of L with c entries below the diagonal.
-        cholmod_flops: sum of (c + 1)^2, CHOLMOD's own estimate.
-        tree_height: blocks on the longest path of the elimination tree.
+        cholmod_flops: sum of (c + 1)^2, CHOLMOD's own estimate; 0 without a factor.
         column_count_profile: largest c of up to 200 equal portions of the columns of L, in
             elimination order.
-        memory_in_bytes: peak memory beyond the loaded problem.
         memory_terms: terms of the memory in bytes.
-        time_per_step_in_seconds: time of one trust region step.
-        time_terms: terms of the time in seconds.
         fits_in_memory: True if the memory is at most 90 % of the free memory.
-        is_taken: True if options can select this method. The fused backend always takes the
-            cheapest of three orders.
         note: remark on the numbers; may be "".
     """
 
     name: str
     linear_solver_type: str
     backend: str
-    ordering: str
     preconditioner: str
     num_unknowns: int
     nnz_jacobian: int
     nnz_information: int
     nnz_reduced: int
-    nnz_factor: int
-    fill: int
-    flops: float
     cholmod_flops: float
-    tree_height: int
     column_count_profile: tuple[int, ...]
-    memory_in_bytes: float
     memory_terms: Terms
-    time_per_step_in_seconds: float
-    time_terms: Terms
     fits_in_memory: bool
-    is_taken: bool
     note: str
 
     @property
