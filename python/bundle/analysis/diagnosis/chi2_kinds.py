@@ -244,9 +244,3 @@ def _merged(kinds: Sequence[Chi2Kind]) -> list[Chi2Kind]:
     scales = [one.scale for one in wrong]
     is_common = wrong[0].verdict == "too-large" or max(scales) < SAME * min(scales)
     return [total] if is_common and total.verdict == wrong[0].verdict else wrong
-
-
-def kinds_data(kinds: Sequence[Chi2Kind]) -> list[dict[str, Any]]:
-    """Return the kinds for JSON."""
-    names = ("kind", "count", "chi2", "degrees", "low", "high", "scale", "verdict")
-    return [{name: getattr(one, name) for name in names} for one in kinds]

@@ -165,45 +165,28 @@ def covariance(
     # A report of a reconstruction needs no graphs.
     from bundle.graphs.pose_graphs.edge_weights import is_graph, refuse_for_graphs
 
-    if isinstance(problem, FactorGraph):
-        from bundle.analysis.factor_equations import factor_graph_covariance
-
+    if isinstance(problem, FactorGraph) or is_graph(problem):
         refuse_for_graphs(
-            options=options,
             robust=None if robust == "weights" else robust,
             factors=factors,
             priors=priors,
             bounds=bounds,
             constraints=constraints,
-            **{name: value for name, value in changes.items() if name != "num_threads"},
         )
-        return factor_graph_covariance(
-            problem,
-            of=None if of is PARTS else of,
-            relative=relative,
-            gauge="first" if gauge is None else gauge,
-            scale=scale,
-            num_threads=SolveOptions.of(None, changes, "covariance").num_threads,
-        )
-    if is_graph(problem):
+        of = None if of is PARTS else of
+        gauge = "first" if gauge is None else gauge
+        given: Any = {"relative": relative, "gauge": gauge, "scale": scale}
+        if isinstance(problem, FactorGraph):
+            from bundle.analysis.factor_equations import factor_graph_covariance
+
+            threads = SolveOptions.of(None, changes, "covariance").num_threads
+            others = {name: one for name, one in changes.items() if name != "num_threads"}
+            refuse_for_graphs(options=options, **others)
+            return factor_graph_covariance(problem, of=of, num_threads=threads, **given)
         from bundle.analysis.normal_equations import graph_covariance
 
-        refuse_for_graphs(
-            of=None if of is PARTS else of,
-            robust=None if robust == "weights" else robust,
-            factors=factors,
-            priors=priors,
-            bounds=bounds,
-            constraints=constraints,
-        )
-        return graph_covariance(
-            problem,
-            options,  # type: ignore[arg-type]
-            relative=relative,
-            gauge="first" if gauge is None else gauge,
-            scale=scale,
-            **changes,
-        )
+        refuse_for_graphs(of=of)
+        return graph_covariance(problem, options, **given, **changes)  # type: ignore[arg-type]
     if isinstance(problem, Result):
         check_same_factors(problem, factors, priors, constraints)
         options = problem.options if options is None else options

@@ -18,7 +18,6 @@ from bundle.analysis.diagnosis.chi2_kinds import (
     Chi2Kind,
     chi2_kinds,
     information_sentence,
-    kinds_data,
 )
 from bundle.base.words import number, plural, rounded
 from bundle.graphs.pose_graphs.pose_graph_result import (
@@ -136,7 +135,7 @@ def about_information(path: str, kinds: Sequence[Chi2Kind]) -> list[Finding]:
             kind="information",
             sentence=sentence,
             command=shlex.join(["bundle", "diagnose", path]) if is_large else "",
-            evidence={"kinds": kinds_data(kinds)},
+            evidence={"kinds": kinds},
         )
     ]
 

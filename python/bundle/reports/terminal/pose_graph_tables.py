@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from bundle.analysis.diagnosis.chi2_kinds import kinds_data
 from bundle.base.own_process import Waiting
 from bundle.base.words import number, plural
 from bundle.errors import InputError
@@ -159,7 +158,7 @@ def refined_graph(
                 }
                 for one in left_out
             ],
-            "chi2_by_kind": kinds_data(kinds),
+            "chi2_by_kind": kinds,
             "structure": {"densest": densest_set(graph.edges)},
             "wall_time": wall,
             "environment": environment_data(waiting),
