@@ -87,18 +87,21 @@ class ControlPointError:
 
 @dataclass(frozen=True)
 class ImageError:
-    """Position of an image after an alignment.
+    """Image of a model and its measured position.
 
     Attributes:
         name: name of the image.
         residual: (3,) model minus measurement, east, north, up [m], or in the frame and the length
-            unit of the other model; nan for an unknown height.
-        used: False if it had no influence, for example because of a robust loss.
+            unit of the other model; nan for an unknown height, or without a measurement.
+        used: False without a prior, or if it had no influence, for example because of a robust
+            loss.
+        sigmas: length of the residual in standard deviations; nan if unknown.
     """
 
     name: str
     residual: Triple
     used: bool
+    sigmas: float = float("nan")
 
 
 @dataclass(frozen=True, repr=False)

@@ -12,6 +12,7 @@ from bundle.base.words import number, plural
 from bundle.errors import shown
 from bundle.georeference.alignment_result import (
     ControlPointError,
+    ImageError,
     metres,
     point_errors,
     root_mean_square,
@@ -31,22 +32,8 @@ MOST_IMAGES = 5
 NOUNS = {"gps": "position", "control": "control point", "check": "check point"}
 
 
-@dataclass(frozen=True)
-class PositionError:
-    """Image of the model and its measured position.
-
-    Attributes:
-        name: name of the image.
-        residual: (3,) position in the model minus measured position, east, north, up [m]; nan
-            without a measurement.
-        sigmas: length of the residual in standard deviations; nan for an image without a position.
-        used: True if the image has a prior.
-    """
-
-    name: str
-    residual: tuple[float, float, float]
-    sigmas: float
-    used: bool
+PositionError = ImageError
+"""Former name, which pickles have."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -68,7 +55,7 @@ class Georeference(MeasurementErrors, Displayed):
     reference_system: str | None
     origin: LocalFrame | None
     similarity: Similarity
-    images: tuple[PositionError, ...]
+    images: tuple[ImageError, ...]
     notes: tuple[str, ...]
     control_points: tuple[ControlPointError, ...] = ()
     offset: OffsetCheck | None = None
@@ -99,7 +86,7 @@ class Georeference(MeasurementErrors, Displayed):
         return tuple(point.name for point in self.control_points if point.suspect)
 
     @property
-    def suspects(self) -> tuple[PositionError, ...]:
+    def suspects(self) -> tuple[ImageError, ...]:
         """Images whose residual exceeds three sigmas, the largest first."""
         large = [image for image in self.images if image.used and image.sigmas > LARGE]
         return tuple(sorted(large, key=lambda image: -image.sigmas))

@@ -15,7 +15,7 @@ from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
 from bundle.base.words import plural
 from bundle.errors import InputError
-from bundle.georeference.alignment_result import ControlPointError
+from bundle.georeference.alignment_result import ControlPointError, ImageError
 from bundle.georeference.control_point import (
     GCP_PIXEL_SIGMA,
     GCP_SIGMA,
@@ -25,7 +25,6 @@ from bundle.georeference.control_point import (
 )
 from bundle.georeference.georeferenced import (
     Georeference,
-    PositionError,
     origin_text,
     rig_notes,
 )
@@ -90,7 +89,7 @@ class GpsPriors(KnownPriors, Displayed):
             index = place.get(row)
             east, north, up = (np.full(3, np.nan) if index is None else residuals[index]).tolist()
             size = float("nan") if index is None else float(sigmas[index])
-            images.append(PositionError(name, (east, north, up), size, index is not None))
+            images.append(ImageError(name, (east, north, up), index is not None, size))
         return Georeference(
             self.reference_system,
             self.origin,
