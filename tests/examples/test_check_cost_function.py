@@ -35,14 +35,17 @@ def run(*command: str | Path) -> str:
     return done.stdout
 
 
-def build(project: Path, folder: Path, name: str) -> ModuleType:
-    """Build a project with our warnings as errors, and load its module."""
+def build(project: Path, folder: Path) -> None:
+    """Build a project with our warnings as errors."""
     run(
         *("cmake", "-S", project, "-B", folder, "-G", "Ninja", "-DCMAKE_BUILD_TYPE=Debug"),
         *(f"-DPython_EXECUTABLE={sys.executable}", f"-DCMAKE_CXX_FLAGS={WARNINGS}"),
     )
     run("cmake", "--build", folder)
-    (library,) = folder.glob(f"{name}.*.so")
+
+
+def loaded(library: Path, name: str) -> ModuleType:
+    """Return a module of an extension library."""
     spec = importlib.util.spec_from_file_location(name, library)
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
@@ -51,18 +54,25 @@ def build(project: Path, folder: Path, name: str) -> ModuleType:
 
 
 @pytest.fixture(scope="module")
-def costs(tmp_path_factory: pytest.TempPathFactory) -> ModuleType:
-    return build(EXAMPLE, tmp_path_factory.mktemp("build"), "costs")
+def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The example, whose one source also defines a module of cost functions that misbehave."""
+    project = tmp_path_factory.mktemp("costs") / EXAMPLE.name
+    shutil.copytree(EXAMPLE, project)
+    with (project / "costs.cpp").open("a") as source:
+        source.write(Path(__file__).with_name("odd_costs.cpp").read_text())
+    build(project, project / "build")
+    (found,) = (project / "build").glob("costs.*.so")
+    return found
 
 
 @pytest.fixture(scope="module")
-def odd_costs(tmp_path_factory: pytest.TempPathFactory) -> ModuleType:
-    """Cost functions that misbehave, in a project like the example's."""
-    project = tmp_path_factory.mktemp("odd_costs")
-    recipe = (EXAMPLE / "CMakeLists.txt").read_text()
-    (project / "CMakeLists.txt").write_text(recipe.replace("costs", "odd_costs"))
-    shutil.copy(Path(__file__).with_name("odd_costs.cpp"), project)
-    return build(project, project / "build", "odd_costs")
+def costs(library: Path) -> ModuleType:
+    return loaded(library, "costs")
+
+
+@pytest.fixture(scope="module")
+def odd_costs(library: Path) -> ModuleType:
+    return loaded(library, "odd_costs")
 
 
 def test_the_header_is_where_get_include_says() -> None:

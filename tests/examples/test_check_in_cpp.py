@@ -5,14 +5,13 @@ from __future__ import annotations
 import os
 import shutil
 import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import bundle
-from tests.examples.test_check_cost_function import WARNINGS, run
+from tests.examples.test_check_cost_function import WARNINGS, build, run
 
 ROOT = Path(__file__).parents[2]
 EXAMPLE = ROOT / "examples" / "check_in_cpp"
@@ -64,6 +63,7 @@ struct Spoiled final : ceres::DynamicCostFunction {
 };
 
 int main(int argc, char** argv) {
+  if (argc == 1) return Example();
   const double x[2] = {1.3, -0.7}, y[1] = {0.5};
   const ceres::QuaternionManifold quaternion;
   bundle::CheckOptions options;
@@ -85,33 +85,26 @@ int main(int argc, char** argv) {
 """
 
 
-def build(project: Path, folder: Path, target: str) -> Path:
-    """Build a project with our warnings as errors."""
-    run(
-        *("cmake", "-S", project, "-B", folder, "-G", "Ninja", "-DCMAKE_BUILD_TYPE=Debug"),
-        *(f"-DPython_EXECUTABLE={sys.executable}", f"-DCMAKE_CXX_FLAGS={WARNINGS}"),
-    )
-    run("cmake", "--build", folder)
-    return folder / target
+@pytest.fixture(scope="module")
+def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The example, whose one source also has the functions above: they run if it gets arguments."""
+    project = tmp_path_factory.mktemp("check") / EXAMPLE.name
+    shutil.copytree(EXAMPLE, project)
+    source = project / "check_jacobians.cpp"
+    example = source.read_text()
+    assert example.count("int main() {") == 1
+    source.write_text(example.replace("int main() {", "int Example() {") + MORE)
+    build(project, project / "build")
+    return project / "build" / "check_jacobians"
 
 
-def test_the_example_runs(tmp_path: Path) -> None:
-    build(EXAMPLE, tmp_path, "check_jacobians")
-    out = run("ctest", "--test-dir", tmp_path, "--verbose", "--no-tests=error")
+def test_the_example_runs(program: Path) -> None:
+    out = run("ctest", "--test-dir", program.parent, "--verbose", "--no-tests=error")
     words = " ".join(out.split())
     assert "100% tests passed" in words
     assert "position [1]: the sign is flipped" in words
     assert "Jet: expected 5 derivatives, one per parameter, found 4" in words
     assert "zero, although the residual depends on it" in words
-
-
-@pytest.fixture(scope="module")
-def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    project = tmp_path_factory.mktemp("more")
-    recipe = (EXAMPLE / "CMakeLists.txt").read_text()
-    (project / "CMakeLists.txt").write_text(recipe.replace("check_jacobians.cpp", "more.cpp"))
-    (project / "more.cpp").write_text(MORE)
-    return build(project, project / "build", "check_jacobians")
 
 
 def in_python(how: str, num_samples: int) -> bundle.GradientReport:
@@ -184,13 +177,16 @@ HEADERS = ["check.h", "entry_scales.h", "jet_cost.h", "numeric_jacobian.h"]
 HEADERS += ["resolution.h", "richardson.h"]
 
 
-@pytest.mark.parametrize("compiler", ["g++", "clang++"])
-@pytest.mark.parametrize("header", HEADERS)
-def test_compilers_accept_the_headers(compiler: str, header: str, tmp_path: Path) -> None:
-    """With the installed Ceres, and with those whose include folders BUNDLE_OTHER_CERES lists."""
+@pytest.mark.parametrize(
+    ("compiler", "headers"),
+    [*(("g++", [header]) for header in HEADERS), ("clang++", HEADERS)],
+    ids=[*HEADERS, "clang++"],
+)
+def test_compilers_accept_the_headers(compiler: str, headers: list[str], tmp_path: Path) -> None:
+    """Each alone; with the installed Ceres, and with those of BUNDLE_OTHER_CERES, a path."""
     if shutil.which(compiler) is None:
         pytest.skip(f"no {compiler}")
-    (tmp_path / "x.cpp").write_text(f"#include <bundle/{header}>\n")
+    (tmp_path / "x.cpp").write_text("".join(f"#include <bundle/{name}>\n" for name in headers))
     others = [path for path in os.environ.get("BUNDLE_OTHER_CERES", "").split(os.pathsep) if path]
     for folder in ([], *([path] for path in others)):
         include = [word for path in (*folder, "/usr/include/eigen3") for word in ("-isystem", path)]
