@@ -5,7 +5,8 @@ import math
 from benchmarks.graph_predictions import Row, verdict
 
 from benchmarks import graph_predictions
-from bundle.planning.inspection.graph_rates import made_graph
+from bundle.planning.inspection import machine_rates
+from bundle.planning.inspection.graph_rates import FEATURES, made_graph
 
 
 def row(predicted, measured):
@@ -20,7 +21,9 @@ def test_the_share_within_the_factor_decides():
     assert verdict([row(99.0, math.nan)]) == "No step was measured."
 
 
-def test_a_graph_has_a_row_per_order():
+def test_a_graph_has_a_row_per_order(monkeypatch):
+    rates = {"seconds": dict.fromkeys(FEATURES, 1e-9), "efficiency": 1.0}
+    monkeypatch.setattr(machine_rates, "_fitted", lambda *_: rates)
     rows = graph_predictions.rows_of("loops", made_graph("loops", 150, 3, seed=4), 1)
     assert [one.ordering for one in rows] == ["natural", "amd", "metis"]
     assert all(one.predicted > 0 and one.measured > 0 for one in rows)

@@ -125,7 +125,7 @@ class Workshop:
 
     def flight(self, change: Callable[..., Any] | None = None, **options: Any) -> Path:
         """The sequence of all faults of odometry, or a changed one."""
-        settings = {"duration": 10.0, "motion": "loop", "seed": self.seed, **options}
+        settings = {"duration": 7.0, "motion": "loop", "seed": self.seed, **options}
         sequence = bundle.synthesize_flight(**settings).sequence
         self._count += 1
         path = self.folder / str(self._count) / "flight"

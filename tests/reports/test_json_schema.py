@@ -29,7 +29,7 @@ RUNS = {
     "validate": "validate IN --folds 2 --camera-models SIMPLE_RADIAL",
     "align": "align IN -o OUT --reference IN",
     "synth": "synth OUT --scene orbit",
-    "compare": "compare IN --repeat 1",
+    "compare": "compare IN --repeat 1 --backends fused --solvers dense-schur,sparse-schur",
     "demo": "demo OUT",
     "graph": "refine GRAPH.g2o -o OUT.g2o",
     "info of a graph": "info GRAPH.g2o",
