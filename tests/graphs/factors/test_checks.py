@@ -57,14 +57,14 @@ def test_one_mistake_of_the_code_is_one_finding():
 
 
 def test_a_sample_of_each_kind_is_checked():
-    graph = make_graph(measured_range, spoiled, count=20)
+    graph = make_graph(measured_range, spoiled, count=8)
     check = bundle.check_jacobians(graph, samples_per_image=4)
-    assert (check.num_checked, check.num_factors) == (12, 60)
+    assert (check.num_checked, check.num_factors) == (12, 24)
     assert [group.num_checked for group in check.groups] == [4, 4, 4]
     assert [found.num_wrong for found in check.findings] == [4]
     positions = [int(name.split()[1].rstrip(",")) // 3 for name in check.reports]
-    assert set(positions) == {0, 5, 10, 15}
-    assert bundle.check_jacobians(graph, samples_per_image=None).num_checked == 60
+    assert set(positions) == {0, 2, 4, 6}
+    assert bundle.check_jacobians(graph, samples_per_image=None).num_checked == 24
 
 
 def test_functions_with_other_manifolds_are_another_kind():

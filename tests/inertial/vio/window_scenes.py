@@ -87,8 +87,8 @@ class Flight:
 
 
 def seen_from(state: Array, camera: Array, points: Array) -> Array:
-    """Points in a camera's frame."""
-    body = Rotation.from_quat(state[:4]).inv().apply(points - state[4:7])
+    """Points in the frame of a camera at one state, or at a state per point."""
+    body = Rotation.from_quat(state[..., :4]).inv().apply(points - state[..., 4:7])
     return Rotation.from_quat(camera[:4]).apply(body) + camera[4:]
 
 
@@ -117,7 +117,7 @@ def imu_residual(motion: Preintegration, i: Array, j: Array) -> Array:
 def residuals(window: dict[str, Any], motions: list[Preintegration], x: Array) -> Array:
     """All residuals of a window (trivial loss, no prior) at x: states, points, camera, offset."""
     n = len(window["states"])
-    states = [moved(s, x[15 * k : 15 * k + 15]) for k, s in enumerate(window["states"])]
+    states = np.array([moved(s, x[15 * k : 15 * k + 15]) for k, s in enumerate(window["states"])])
     at = 15 * n
     points = window["points"] + x[at : at + window["points"].size].reshape(-1, 3)
     at += points.size
@@ -127,20 +127,17 @@ def residuals(window: dict[str, Any], motions: list[Preintegration], x: Array) -
         camera = np.r_[turned.as_quat(), camera[4:] + x[at + 3 : at + 6]]
         at += 6
     offset = window["time_offset"] + (x[at] if window["refine_time_offset"] else 0.0)
-    rows = []
-    for landmark, observer, xy, velocity in zip(
-        window["landmarks"], window["observers"], window["xy"], window["xy_velocity"], strict=True
-    ):
-        anchor = states[window["anchor_states"][landmark]]
-        there = points[landmark, :2] - offset * window["anchor_velocity"][landmark]
-        ray = np.r_[there, 1.0] / points[landmark, 2]
-        body = Rotation.from_quat(camera[:4]).inv().apply(ray - camera[4:])
-        point = Rotation.from_quat(anchor[:4]).apply(body) + anchor[4:7]
-        seen = seen_from(states[observer], camera, point[None])[0]
-        rows.append((seen[:2] / seen[2] - (xy - offset * velocity)) / window["sigma"])
+    there = points[:, :2] - offset * window["anchor_velocity"]
+    rays = np.c_[there, np.ones(len(points))] / points[:, 2:]
+    body = Rotation.from_quat(camera[:4]).inv().apply(rays - camera[4:])
+    anchor = states[window["anchor_states"]]
+    place = Rotation.from_quat(anchor[:, :4]).apply(body) + anchor[:, 4:7]
+    seen = seen_from(states[window["observers"]], camera, place[window["landmarks"]])
+    xy = window["xy"] - offset * window["xy_velocity"]
+    rows = (seen[:, :2] / seen[:, 2:] - xy) / window["sigma"]
     anchors = (points[:, :2] - window["anchor_xy"]) / window["sigma"]
     inertial = [imu_residual(m, states[k], states[k + 1]) for k, m in enumerate(motions)]
-    return np.concatenate([*rows, *anchors, *inertial])
+    return np.concatenate([rows.ravel(), anchors.ravel(), *inertial])
 
 
 def jacobian(function: Any, size: int, h: float = 1e-6) -> Array:
