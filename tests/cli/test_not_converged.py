@@ -1,4 +1,4 @@
-"""A solve that ends at its limit of steps says what to run next."""
+"""A solve that ends at its limit of steps, or without a usable result, says what to run next."""
 
 import json
 import shlex
@@ -51,3 +51,15 @@ def test_a_loss_comes_before_more_steps(tmp_path):
     kinds = [one["kind"] for one in findings(tmp_path / "model", tmp_path, 10)]
     assert "outliers" in kinds
     assert "not_converged" not in kinds
+
+
+def test_shorter_steps_are_advised_for_a_far_start_and_suffice(tmp_path):
+    far = {"rotation_noise": 8.0, "translation_noise": 0.3, "point_noise": 0.3}
+    made = bundle.synthesize(scene="orbit", num_images=6, num_points=120, seed=4, **far)
+    bundle.save(made.problem, tmp_path / "model")
+    flags = ("--threads", "1", "--loss", "cauchy")
+    (found,) = findings(tmp_path / "model", tmp_path, 100, *flags)
+    assert found["kind"] == "far_start" and found["is_problem"]
+    words = shlex.split(found["command"])[1:]
+    assert set(flags) < set(words) and words[-2:] == ["--initial-trust-region-radius", "1"]
+    assert main([*words, "--quiet"]) == 0

@@ -7,12 +7,15 @@ import pytest
 
 from bundle.cli import refine_outcome
 from bundle.interface.finding import Finding
+from bundle.judging.findings.next_command import NextCommand
 
 PROBLEM, START = object(), object()
-OPTIONS = SimpleNamespace(max_num_iterations=10, refine=("poses",))
+OPTIONS = SimpleNamespace(max_num_iterations=10, refine=("poses",), initial_trust_region_radius=1e4)
 
 
-def judged(monkeypatch, *, end="CONVERGENCE", steps=5, usable=True, sliced=None, inertial=None):
+def judged(
+    monkeypatch, *, end="CONVERGENCE", steps=5, usable=True, sliced=None, inertial=None, warned=()
+):
     """Return the kinds of the findings, and what ``find`` was given."""
     given = {}
 
@@ -29,8 +32,10 @@ def judged(monkeypatch, *, end="CONVERGENCE", steps=5, usable=True, sliced=None,
     )
     solved = SimpleNamespace(
         problem=PROBLEM, initial_problem=START, options=OPTIONS, survey_checks="survey",
-        summary=SimpleNamespace(termination_type=end, is_solution_usable=usable),
-        reprojection_error_before=SimpleNamespace(rmse=1.0),
+        summary=SimpleNamespace(
+            termination_type=end, is_solution_usable=usable, warning_kinds=warned
+        ),
+        reprojection_error_before=SimpleNamespace(rmse=1.0, median=200.0),
         iterations={"cost": np.zeros(steps + 1)},
     )  # fmt: skip
     found = refine_outcome.judge(asked, opened, solved, inertial)
@@ -82,6 +87,36 @@ def test_a_result_without_use_has_findings_about_its_start(monkeypatch, is_far):
     monkeypatch.setattr(refine_outcome, "positions_of_start", of_start)
     kinds, given, _ = judged(monkeypatch, usable=False)
     assert kinds == ["positions"] * is_far and given == {}
+    warned = ("observations_behind", "too_many_behind")
+    assert judged(monkeypatch, usable=False, warned=warned)[0] == (
+        ["positions"] if is_far else ["far_start"]
+    )
+    seen = seen[:1]
     (start,) = seen
     assert (start.whole, start.options, start.priors) == (START, OPTIONS, ("prior",))
     assert start.command.given == ("--a", "1")
+
+
+@pytest.mark.parametrize(
+    ("radius", "advised"), [(1e4, "1"), (1.01, "1"), (1.0, "0.01"), (0.02, "0.01"), (0.01, "")]
+)
+@pytest.mark.parametrize("kind", ["too_many_behind", "invalid_solution"])
+def test_steps_from_a_far_start_become_shorter(radius, advised, kind):
+    solved = SimpleNamespace(
+        options=SimpleNamespace(initial_trust_region_radius=radius),
+        reprojection_error_before=SimpleNamespace(median=200.0),
+        summary=SimpleNamespace(warning_kinds=("far_origin", kind)),
+    )
+    command = NextCommand("IN", "OUT", ("--initial-trust-region-radius", "7", "--loss", "tukey"))
+    found = refine_outcome.far_start(solved, command)
+    flags = f" --loss tukey --initial-trust-region-radius {advised}"
+    assert found.command == (f"bundle refine IN -o OUT{flags}" if advised else "")
+    assert found.is_problem and found.evidence == {"median": 200.0, "radius": radius}
+
+
+def test_a_solve_that_failed_otherwise_has_no_far_start():
+    summary = SimpleNamespace(warning_kinds=("no_projection", "observations_behind"))
+    solved = SimpleNamespace(
+        options=OPTIONS, reprojection_error_before=SimpleNamespace(median=2.0), summary=summary
+    )
+    assert refine_outcome.far_start(solved, NextCommand()) is None

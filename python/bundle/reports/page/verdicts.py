@@ -305,8 +305,8 @@ QUESTIONS: tuple[tuple[Callable[[Judged], Verdict | None], str], ...] = (
     (_solve, ""),
     (
         _error,
-        "not_refined not_converged shifted_pixels no_observations unsupported_camera_models "
-        "observations_outside_image",
+        "not_refined not_converged far_start shifted_pixels no_observations "
+        "unsupported_camera_models observations_outside_image",
     ),
     (_held_out, ""),
     (_outliers, "outliers gross_errors observations_behind_camera"),
