@@ -58,24 +58,46 @@ def test_nothing_is_deleted_after_a_loss_that_reduces_the_weight():
     assert scale == pytest.approx(2.4 * found.evidence["scale"], rel=0.05)
 
 
-@pytest.mark.parametrize(("num_alone", "are_named"), [(0, False), (4, False), (5, True), (9, True)])
-def test_outliers_are_those_that_the_images_alone_have(monkeypatch, num_alone, are_named):
+@pytest.mark.parametrize(
+    ("num_alone", "num_held", "are_named"),
+    [(0, 10, False), (4, 10, False), (5, 10, True), (9, 10, True), (4, 8, True), (4, None, False)],
+)
+def test_outliers_are_those_that_the_images_alone_have(monkeypatch, num_alone, num_held, are_named):
     scene = make(40_000, ("positions",))
     known = {"priors": scene.priors, "align": True}
     result = bundle.solve(scene.start, num_threads=1, max_num_iterations=200, **known)
-    stages = []
+    stages, repaired = [], find_module.repaired
+
+    def solved(measured, *repairs, **how):
+        if how.get("with_priors") and num_held is None:
+            return None
+        return repaired(measured, *repairs, **how)
 
     def planted(stage):
         stages.append(stage)
-        errors = [50.0] * (num_alone if stages[1:] else 10) + [1.0] * 100
-        return judged(errors, loss="trivial")
+        is_free = stage.whole is not result.problem and not stage.priors
+        is_held = stage.whole is not result.problem and bool(stage.priors)
+        many = num_alone if is_free else num_held if is_held else 10
+        return judged([50.0] * many + [1.0] * 100, loss="trivial")
 
+    monkeypatch.setattr(find_module, "repaired", solved)
     monkeypatch.setattr(find_module, "outliers", planted)
     found = find(result.problem, options=result.options, priors=scene.priors)
     assert ("outliers" in {one.kind for one in found}) == are_named
-    with_positions, alone = stages
-    assert with_positions.whole is result.problem and with_positions.priors
-    assert alone.options is with_positions.options and not alone.priors
+    given, alone, held = stages
+    assert given.whole is result.problem and given.priors
+    assert alone.options is given.options and not alone.priors
+    assert held.options is given.options and held.priors
+    assert (held.whole is result.problem) == (num_held is None)  # that solve failed
+
+
+def test_outliers_beside_positions_are_named_although_least_squares_doubles_them():
+    scene = make(59_014)
+    assert scene.planted == {"focal_drift", "outliers"}
+    known = {"priors": scene.priors, "align": True}
+    result = bundle.solve(scene.start, num_threads=1, max_num_iterations=200, **known)
+    kinds = [one.kind for one in find(result.problem, options=result.options, priors=scene.priors)]
+    assert "outliers" in kinds and "positions" not in kinds
 
 
 def judged(errors, *, loss="cauchy", loss_scale=1.0, scale=1.0, sigma=None):

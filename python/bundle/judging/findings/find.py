@@ -106,15 +106,10 @@ def _repairs(measured: Measured) -> tuple[tuple[str, str], bool]:
     return ("" if lens is None else str(lens.evidence["larger_model"]), ""), False
 
 
-def _without_bends(measured: Measured, is_robust: bool, repairs: tuple[str, str]) -> Measured:
-    """Return the model with its positions, solved again without outliers and with repairs."""
-    if not is_affordable(measured):
-        return measured
-    if is_robust:
-        measured = repaired(measured, with_priors=True) or measured
-    if any(repairs):
-        measured = repaired(measured, *repairs, with_priors=True) or measured
-    return measured
+def _num_outliers(model: Measured, given: Measured) -> int:
+    """Return the number of outliers of a model that was solved again, for the loss given."""
+    found = outliers(dataclasses.replace(model, options=given.options))
+    return 0 if found is None else int(found.evidence["num_outliers"])
 
 
 def _fields(
@@ -144,12 +139,13 @@ def _findings(measured: Measured) -> Iterator[Finding | None]:
     is_tensed = offset is None and is_tense(measured)  # an offset bends the model
     is_bent = is_tensed or turned is not None
     can_repair = is_affordable(measured)
-    free = None
+    free = held = None
     if can_repair and (far is not None or is_bent):
         free = repaired(measured, is_bent=is_bent)
     if free is not None and is_bent and far is not None:
-        alone = outliers(dataclasses.replace(free, options=measured.options))
-        if alone is None or 2 * alone.evidence["num_outliers"] < far.evidence["num_outliers"]:
+        # Least squares spreads outliers over their neighbours: both models have a robust loss.
+        held = repaired(measured, with_priors=True)
+        if 2 * _num_outliers(free, measured) < _num_outliers(held or measured, measured):
             far = None  # positions that bend the model have made most of them
     yield far
     drift = places = None
@@ -158,7 +154,9 @@ def _findings(measured: Measured) -> Iterator[Finding | None]:
         repairs, is_moving = _repairs(straight)
         if any(repairs) and can_repair:
             straight = repaired(straight, *repairs) or straight
-        placed = _without_bends(measured, far is not None, repairs)
+        placed = measured if far is None else held or measured
+        if any(repairs) and can_repair:
+            placed = repaired(placed, *repairs, with_priors=True) or placed
         is_open = can_repair and free is None
         drift = scale_drift(placed, straight.whole)
         if drift is None:
