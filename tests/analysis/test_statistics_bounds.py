@@ -7,6 +7,7 @@ import pytest
 
 import bundle
 from bundle.analysis.diagnosis.track_table import covisibility
+from bundle.analysis.statistics import suspicions as suspicions_module
 from bundle.analysis.statistics.description import describe
 from bundle.analysis.statistics.suspicions import (
     broken_parts,
@@ -96,3 +97,58 @@ def test_one_collapsed_point_of_a_result_is_no_broken_model():
         points[seen[:count]] = problem.projection_centers[problem.observation_image[first[:count]]]
         found = broken_parts(problem.replace(points=points))
         assert [one.kind for one in found] == expected
+
+
+def seen_by_one(kind: str, count: int) -> bundle.Problem:
+    """Return a refined model whose image 3 keeps some observations: spread, or close together."""
+    made = bundle.synthesize(scene="drone-grid", num_images=8, num_points=600, seed=3)
+    problem = bundle.solve(made.problem, num_threads=1).problem
+    own = np.flatnonzero(problem.observation_image == 3)
+    xy = problem.observation_xy[own]
+    near = np.argsort(np.hypot(*(xy - np.median(xy, axis=0)).T))
+    spread = np.linspace(0, len(own) - 1, count).astype(int)
+    kept = problem.observation_image != 3
+    kept[own[near[:count] if kind == "near" else spread]] = True
+    return problem.select(observations=kept).problem
+
+
+@pytest.mark.parametrize(
+    ("kind", "count"), [("spread", 3), ("spread", 4), ("near", 5), ("near", 14)]
+)
+def test_an_open_rotation_is_that_of_the_covariance_with_all_others_known(monkeypatch, kind, count):
+    problem = seen_by_one(kind, count)
+    others = problem.image_ids[problem.image_ids != problem.image_ids[3]].tolist()
+    known = {"refine": ("poses", "points"), "scale": "unit", "gauge": "none"}
+    found = bundle.covariance(problem, fixed_image_ids=others, of="poses", **known)
+    sigma = float(np.sqrt(np.linalg.eigvalsh(found.pose_covariance[3][:3, :3])[-1]))
+    for factor, expected in ((0.999, ["undetermined_poses"]), (1.001, [])):
+        monkeypatch.setattr(suspicions_module, "OPEN_ROTATION", factor * sigma)
+        named = broken_parts(problem)
+        assert [one.kind for one in named] == expected
+        assert all(one.evidence["ids"] == [problem.image_ids[3]] for one in named)
+
+
+def test_two_observations_leave_a_rotation_open_unless_something_else_holds_it():
+    problem = seen_by_one("spread", 2)
+    (found,) = broken_parts(problem)
+    assert found.kind == "undetermined_poses" and found.evidence["count"] == 1
+    image = problem.image_ids.tolist()[3]
+    assert not broken_parts(problem, {image})
+    assert not broken_parts(problem, {problem.image_names[3]})
+    assert broken_parts(problem, {image + 1})
+    assert not broken_parts(seen_by_one("spread", 8))
+
+
+def test_many_well_spread_observations_are_not_linearised(monkeypatch):
+    monkeypatch.setattr(suspicions_module, "linearize", None)
+    assert not broken_parts(seen_by_one("spread", 15))
+    with pytest.raises(TypeError):
+        broken_parts(seen_by_one("spread", 14))
+
+
+def test_derivatives_that_overflow_do_not_count():
+    problem = seen_by_one("spread", 8)
+    params = problem.camera_params.copy()
+    params[:, 0] = 1e200
+    kinds = {one.kind for one in broken_parts(problem.replace(camera_params=params))}
+    assert kinds == {"absurd_focal_lengths", "undetermined_poses"}

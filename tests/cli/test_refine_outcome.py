@@ -9,13 +9,18 @@ from bundle.cli import refine_outcome
 from bundle.interface.finding import Finding
 from bundle.judging.findings.next_command import NextCommand
 
-PROBLEM, START = object(), object()
-OPTIONS = SimpleNamespace(max_num_iterations=10, refine=("poses",), initial_trust_region_radius=1e4)
+PROBLEM, START = SimpleNamespace(image_ids=np.array([7, 8])), object()
+OPTIONS = SimpleNamespace(
+    max_num_iterations=10, refine=("poses",), initial_trust_region_radius=1e4, fixed_image_ids=(7,)
+)
+PRIOR = SimpleNamespace(image="a.jpg")
+RULE = SimpleNamespace(target=SimpleNamespace(kind="camera"))
 
 
 def judged(
-    monkeypatch, *, end="CONVERGENCE", steps=5, usable=True, sliced=None, inertial=None, warned=()
-):
+    monkeypatch, *, end="CONVERGENCE", steps=5, usable=True, sliced=None, inertial=None, warned=(),
+    rule=RULE,
+):  # fmt: skip
     """Return the kinds of the findings, and what ``find`` was given."""
     given = {}
 
@@ -25,10 +30,15 @@ def judged(
 
     broken = Finding(kind="broken", sentence="")
     monkeypatch.setattr(refine_outcome, "find", find)
-    monkeypatch.setattr(refine_outcome, "broken_parts", lambda _: (broken,))
-    asked = SimpleNamespace(source="IN", target="OUT", given=("--a", "1"), constraints=("rule",))
+
+    def broken_parts(_, held=()):
+        given["held"] = held
+        return (broken,)
+
+    monkeypatch.setattr(refine_outcome, "broken_parts", broken_parts)
+    asked = SimpleNamespace(source="IN", target="OUT", given=("--a", "1"), constraints=(rule,))
     opened = SimpleNamespace(
-        sliced=sliced, known=SimpleNamespace(priors=("prior",)), problem=PROBLEM, options=OPTIONS
+        sliced=sliced, known=SimpleNamespace(priors=(PRIOR,)), problem=PROBLEM, options=OPTIONS
     )
     solved = SimpleNamespace(
         problem=PROBLEM, initial_problem=START, options=OPTIONS, survey_checks="survey",
@@ -47,9 +57,15 @@ def test_the_tests_are_given_the_run(monkeypatch):
     assert kinds == ["broken", "found"]
     assert given == {
         "problem": PROBLEM, "source": "IN", "target": "OUT", "given": ("--a", "1"),
-        "options": OPTIONS, "priors": ("prior",), "survey": "survey",
-        "constraints": ("rule",), "is_minimum": True,
+        "options": OPTIONS, "priors": (PRIOR,), "survey": "survey",
+        "constraints": (RULE,), "is_minimum": True, "held": {7, "a.jpg"},
     }  # fmt: skip
+
+
+def test_poses_that_rules_or_an_imu_determine_are_not_judged_by_their_observations(monkeypatch):
+    of_image = SimpleNamespace(target=SimpleNamespace(kind="image"))
+    for known in ({"rule": of_image}, {"inertial": SimpleNamespace(findings=())}):
+        assert judged(monkeypatch, **known)[1]["held"] == {7, 8, "a.jpg"}
 
 
 def test_an_end_by_the_limit_is_no_minimum(monkeypatch):
@@ -68,7 +84,7 @@ def test_an_imu_comes_first_and_is_a_prior(monkeypatch):
     kinds, given, found = judged(monkeypatch, end="NO_CONVERGENCE", steps=10, inertial=inertial)
     assert kinds == ["imu_noise", "not_converged", "broken", "found"]
     assert found[0].command == "bundle refine IN -o OUT --a 1 --b"
-    assert given["priors"] == (inertial, "prior")
+    assert given["priors"] == (inertial, PRIOR)
 
 
 def test_a_result_in_slices_is_not_judged(monkeypatch):
@@ -93,7 +109,7 @@ def test_a_result_without_use_has_findings_about_its_start(monkeypatch, is_far):
     )
     seen = seen[:1]
     (start,) = seen
-    assert (start.whole, start.options, start.priors) == (START, OPTIONS, ("prior",))
+    assert (start.whole, start.options, start.priors) == (START, OPTIONS, (PRIOR,))
     assert start.command.given == ("--a", "1")
 
 

@@ -77,7 +77,10 @@ def judge(
         constraints=asked.constraints,
         is_minimum=solved.summary.termination_type == "CONVERGENCE",
     )
-    return one_list(about_imu, limited, broken_parts(solved.problem), found)
+    is_held = inertial is not None or any(one.target.kind == "image" for one in asked.constraints)
+    held = set(solved.problem.image_ids.tolist()) if is_held else {*solved.options.fixed_image_ids}
+    held |= {getattr(prior, "image", None) for prior in priors}
+    return one_list(about_imu, limited, broken_parts(solved.problem, held), found)
 
 
 def _shifted_input(opened: Opened, solved: Result, command: NextCommand) -> tuple[Finding, ...]:

@@ -11,6 +11,18 @@ t)^2.
 
 Depths of observed points in their cameras, and points collapsed onto a camera.
 
+A rotation that its observations leave open. Let all other images and the lenses be known; then the
+standard deviation of a pose is a lower bound. With the derivatives J of an observation by the pose,
+K by its point, and V the sum of K^T K over all observations of the point, the pose has
+
+    S = sum J^T J - J^T K V^-1 K^T J,
+
+and its rotation, with the translation free, the Schur complement of that block of S. For noise of
+one pixel the finding needs 0.3 rad: angles of this size are not linear any more. It is computed for
+images whose observations are fewer than 15, or so close together that a rotation and a movement
+differ by little: with the standard deviation s of their narrower direction, the difference is about
+s^2 / f pixels per radian, and must be below 20 / sqrt(n).
+
 A depth is the third coordinate of R X + t, in the reconstruction's length unit. A solve can pull
 points onto a projection centre, where any direction fits. Their depths are then many orders of
 magnitude smaller than others, and their derivatives as many larger.
@@ -19,7 +31,7 @@ magnitude smaller than others, and their derivatives as many larger.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Container, Iterator
 from typing import Any
 
 import numpy as np
@@ -32,6 +44,7 @@ from bundle.base.words import plural
 from bundle.interface.finding import Finding
 from bundle.model.cameras import camera_models, param_kinds
 from bundle.model.problem import Problem
+from bundle.model.reprojection import linearize
 from bundle.model.unobserved import unobserved
 
 FEW_OBSERVATIONS = 10
@@ -47,6 +60,11 @@ FOCAL_RATIO = 0.1, 10.0
 QUATERNION_TOLERANCE = 1e-6
 PROBLEMS = ("collapsed_points", "unsupported_camera_models")
 """Kinds with which a model is no reconstruction."""
+FEW_FOR_POSE, SMALL_DIFFERENCE, MOST_LOOSE = 15, 20.0, 20
+LARGEST = 1e50
+"""Derivatives beyond this limit, whose products would overflow, do not count."""
+OPEN_ROTATION = 0.3
+"""Standard deviation [rad], for noise of 1 px, from which a rotation is not determined."""
 UNUSABLE = 0.01
 """Share of observations with collapsed points above which a refined model is unusable."""
 NAMED = 5
@@ -80,11 +98,16 @@ def suspicions(
     )
 
 
-def broken_parts(problem: Problem) -> tuple[Finding, ...]:
-    """Return cameras and points with which a refined model is unusable, whatever its residuals."""
+def broken_parts(problem: Problem, held: Container[int | str] = ()) -> tuple[Finding, ...]:
+    """Return parts with which a refined model is unusable, whatever its residuals.
+
+    Ids or names of images are held if more than their observations determines their poses.
+    """
+    lens = lenses(problem)
     return (
-        *_lenses(problem, lenses(problem)),
+        *_lenses(problem, lens),
         *_collapsed(problem, depths_of_observations(problem), UNUSABLE),
+        *_rotations(problem, lens, held),
     )
 
 
@@ -147,6 +170,53 @@ def _lenses(problem: Problem, lens: Lens) -> Iterator[Finding]:
         ("folding_distortion", "camera", folded, "has", fold),
         ("absurd_distortion", "camera", lens.stretched, "has", stretch),
     )
+
+
+def _rotations(problem: Problem, lens: Lens, held: Container[int | str]) -> Iterator[Finding]:
+    image, xy = problem.observation_image, problem.observation_xy
+    count = np.bincount(image, minlength=problem.num_images)
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        sums = [np.bincount(image, one, problem.num_images) / count for one in (*xy.T, *(xy.T**2))]
+        x, y, xx, yy = sums
+        mixed = np.bincount(image, xy[:, 0] * xy[:, 1], problem.num_images) / count - x * y
+        a, b = xx - x * x, yy - y * y
+        narrow = (a + b) / 2 - np.hypot((a - b) / 2, mixed)
+        difference = narrow / lens.focal[problem.image_camera] * np.sqrt(count)
+    loose = (count > 0) & ((count < FEW_FOR_POSE) | (difference < SMALL_DIFFERENCE))
+    if problem.num_frames:
+        loose &= problem.image_frame < 0
+    names = zip(problem.image_ids.tolist(), problem.image_names, strict=True)
+    loose &= [one not in held and name not in held for one, name in names]
+    chosen = np.flatnonzero(loose)
+    chosen = chosen[np.argsort(difference[chosen], kind="stable")][:MOST_LOOSE]
+    if not len(chosen):
+        return
+    seen = np.zeros(problem.num_points, bool)
+    seen[problem.observation_point[np.isin(image, chosen)]] = True
+    part = problem.select(points=seen, observations=seen[problem.observation_point]).problem
+    found = linearize(part)
+    k, point = np.where(abs(found.d_point) < LARGEST, found.d_point, 0), part.observation_point
+    inverse = _sums(np.einsum("nai,naj->nij", k, k), point, part.num_points)
+    inverse += (1e-12 * np.trace(inverse, axis1=1, axis2=2) + 1e-300)[:, None, None] * np.eye(3)
+    own = np.flatnonzero(np.isin(part.observation_image, chosen))
+    j, k = np.where(abs(found.d_pose[own]) < LARGEST, found.d_pose[own], 0), k[own]
+    left = np.eye(2) - k @ np.linalg.inv(inverse)[point[own]] @ np.swapaxes(k, 1, 2)
+    normal = np.swapaxes(j, 1, 2) @ left @ j
+    pose = _sums(normal, part.observation_image[own], problem.num_images)
+    w, wt, tt = pose[chosen, :3, :3], pose[chosen, :3, 3:], pose[chosen, 3:, 3:]
+    rotation = w - wt @ np.linalg.pinv(tt, 1e-9, hermitian=True) @ np.swapaxes(wt, 1, 2)
+    is_open = np.zeros(problem.num_images, bool)
+    is_open[chosen] = np.linalg.eigvalsh(rotation)[:, 0] < OPEN_ROTATION**-2
+    what = f"a rotation with a standard deviation above {OPEN_ROTATION:g} rad for noise of 1 px"
+    yield from _where(problem, ("undetermined_poses", "image", is_open, "has", what))
+
+
+def _sums(blocks: NDArray[np.float64], group: NDArray[np.int32], size: int) -> NDArray[np.float64]:
+    """Return the sums of blocks (n, k, k) by group."""
+    sums = np.empty((size, *blocks.shape[1:]))
+    for place in np.ndindex(*blocks.shape[1:]):
+        sums[:, place[0], place[1]] = np.bincount(group, blocks[:, place[0], place[1]], size)
+    return sums
 
 
 def _quaternions(problem: Problem) -> Iterator[Finding]:
