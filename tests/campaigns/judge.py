@@ -57,6 +57,15 @@ def record(scene: judge_scenes.JudgeScene) -> dict:
         fits.extend(fit_candidates(*arguments, **keywords))
         return fits
 
+    shutters = {}
+    motion_test = judgement.motion_test
+
+    def tested(plain, rolling, image, shared, rule):
+        both = {"plain": plain[shared], "rolling": rolling}
+        shutters.update({name: np.round(one, 3).tolist() for name, one in both.items()})
+        shutters["shared"] = shared
+        return motion_test(plain, rolling, image, shared, rule)
+
     cameras = []
     cameras_of = judgement.cameras_of
 
@@ -67,6 +76,7 @@ def record(scene: judge_scenes.JudgeScene) -> dict:
     with (
         mock.patch.object(validation_module, "fit_candidates", kept),
         mock.patch.object(judgement, "cameras_of", known),
+        mock.patch.object(judgement, "motion_test", tested),
     ):
         found = bundle.validate(scene.problem, num_threads=1)
     test = found.row_test
@@ -82,6 +92,8 @@ def record(scene: judge_scenes.JudgeScene) -> dict:
                 "share": one.share,
                 "num_intrinsics": one.num_intrinsics,
                 "vetoed": one.vetoed,
+                "aic": one.aic,
+                "bic": one.bic,
                 **_measured(scene, fit),
             }
             for one, fit in zip(found.candidates, fits, strict=True)
@@ -94,6 +106,7 @@ def record(scene: judge_scenes.JudgeScene) -> dict:
         "row_test": None if test is None else [test.anisotropy, test.shear, test.size],
         "image": found.image[counts].tolist(),
         "normalized": np.round(found.normalized[:, counts], 3).tolist(),
+        "shutters": shutters,
     }
 
 

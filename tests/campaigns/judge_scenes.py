@@ -225,7 +225,9 @@ def _cameras(
     width = sizes.max(1)
     f = rng.uniform(0.4, 0.55) * width if wide else rng.uniform(0.7, 1.5) * width
     f = f * (1 + (rng.uniform(0.005, 0.03) * rng.normal(size=count) if sharing != "all" else 0.0))
-    corner = np.hypot(*sizes.T) / 2 / f
+    # Where only the focal length is an image's own, the coefficients are those of the mean one.
+    common = f if sharing != "focal" else np.full(count, f.mean())
+    corner = np.hypot(*sizes.T) / 2 / common
     corner = np.arctan(corner) if wide else corner
     moved = {
         name: rng.choice([-1, 1]) * np.exp(rng.uniform(np.log(0.02), np.log(8))) for name in names
@@ -246,7 +248,7 @@ def _cameras(
         elif name in ("cx", "cy"):
             params[:, column] = sizes[:, int(name == "cy")] / 2
         else:
-            params[:, column] = moved[name] / (f * corner ** power[name])
+            params[:, column] = moved[name] / (common * corner ** power[name])
     return [model] * count, params, sizes, image_camera
 
 
