@@ -49,7 +49,8 @@ def test_rounds_remove_planted_outliers_and_end_at_the_clean_minimum(flight, mod
     found = adjusted(flight.sequence, wrong, stamps, options, rounds=rounds, **SETTINGS)
     mask = found.result.observation_mask
     assert not mask[planted].any()
-    assert (~mask).sum() < 2 * planted.sum()
+    # a planted one may take a right one of its short track along
+    assert (~mask).sum() < 3 * planted.sum()
     left = problem.select(observations=mask).problem
     clean = adjusted(flight.sequence, left, stamps, options, **SETTINGS)
     error = found.result.problem.projection_centers - clean.result.problem.projection_centers

@@ -13,6 +13,8 @@ from bundle import _core
 from bundle.inertial.vio.marginal_prior import (
     CAMERA_SHIFT,
     CAMERA_TURN,
+    MOTION,
+    POSE,
     REST_DISTANCE,
     REST_SPEED,
     MarginalPrior,
@@ -120,6 +122,42 @@ def test_the_oldest_frame_is_judged_alone() -> None:
     assert prior.oldest_ratio() == pytest.approx(0.25 / 1.75)
     root = MarginalPrior(keys, np.zeros((3, 16)), True, np.linalg.cholesky(matrix).T, np.zeros(21))
     assert root.oldest_ratio() == pytest.approx(0.25 / 1.75)
+
+
+def test_only_directions_that_are_measured_make_a_prior_indefinite(flight: Flight) -> None:
+    stamps, h = [int(stamp) for stamp in flight.stamps[:2]], 1e-6
+    keys = tuple((stamp, kind) for stamp in stamps for kind in (POSE, MOTION))
+    states = flight.states[:2] + np.r_[np.zeros(4), 1000.0, -500.0, 0.0, np.zeros(9)]
+
+    def step(turn: float, shift: Any) -> Any:
+        """The tangent of a motion of the world, by finite difference."""
+        world = Rotation.from_rotvec([0, 0, turn])
+        parts = []
+        for state in states:
+            centre = states[:, 4:7].mean(axis=0)
+            there = state.copy()
+            there[:4] = (world * Rotation.from_quat(state[:4])).as_quat()
+            there[4:7] = world.apply(state[4:7] - centre) + centre + shift
+            there[7:10] = world.apply(state[7:10])
+            parts.append(_core.state_coordinates(state, there))
+        return np.concatenate(parts) / h
+
+    gauge = np.array([step(h, 0), *(step(0, h * axis) for axis in np.eye(3))]).T
+    rng = np.random.default_rng(0)
+    vectors = np.linalg.qr(np.column_stack([gauge, rng.normal(size=(30, 26))]))[0]
+    unmeasured, known = vectors[:, :4], vectors[:, 4:]
+
+    def definiteness(along_gauge: float, along_one: float) -> float:
+        values = np.r_[np.full(4, along_gauge), along_one, rng.uniform(1, 9, 25)]
+        matrix = np.hstack([unmeasured, known]) * values @ np.hstack([unmeasured, known]).T
+        points = np.repeat(states, 2, axis=0)
+        return MarginalPrior(keys, points, False, matrix, np.zeros(30)).definiteness()
+
+    assert abs(definiteness(-1e-6, 2.0)) < 1e-9
+    assert abs(definiteness(0.0, 0.0)) < 1e-12
+    for lost in (1e-4, 1e-6):
+        assert definiteness(-1e-6, -lost) == pytest.approx(-lost / 9, rel=0.9)
+        assert definiteness(0.0, -lost) < 0.05 * -lost
 
 
 @FORMS

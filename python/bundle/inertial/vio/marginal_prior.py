@@ -116,6 +116,41 @@ class MarginalPrior:
         """
         return np.asarray(_core.prior_spectrum(self.matrix, self.square_root, scaled))
 
+    def definiteness(self) -> float:
+        """Ratio of smallest and largest eigenvalue with a unit diagonal, without the gauge.
+
+        No sensor measures the position and yaw of the whole window. The rounding errors of all
+        marginalisations add up along these four directions, more the farther the platform goes,
+        and an error there moves all frames alike.
+        """
+        if self.square_root:
+            values = self.spectrum(scaled=True)
+        else:
+            diagonal = np.diag(self.matrix)
+            root = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+            gauge = root[:, None] * self._gauge()
+            rest = np.eye(len(root)) - gauge @ np.linalg.pinv(gauge)
+            values = np.linalg.eigvalsh(rest @ (self.matrix / np.outer(root, root)) @ rest)
+        return float(values[0] / values[-1])
+
+    def _gauge(self) -> Array:
+        """(n, 4) motions of the window that no sensor measures: translations, and yaw."""
+        centre = self.points[:, 4:7].mean(axis=0)
+        blocks = []
+        for (key, kind), point in zip(self.keys, self.points, strict=True):
+            if not isinstance(key, int):
+                blocks.append(np.zeros((6 if key == CAMERA else 1, 4)))
+                continue
+            block = np.zeros((SIZES[kind], 4))
+            if kind == POSE:
+                block[:3, 3] = _rotation(point)[2]
+                block[3:, :3] = np.eye(3)
+                block[3:, 3] = np.cross([0, 0, 1], point[4:7] - centre)
+            else:
+                block[:3, 3] = np.cross([0, 0, 1], point[7:10])
+            blocks.append(block)
+        return np.concatenate(blocks)
+
     def oldest_ratio(self) -> float:
         """Ratio of smallest and largest eigenvalue of the information on the first frame.
 

@@ -182,12 +182,12 @@ class WindowTelemetry:
                 "prior_definiteness": None,
                 "prior_asymmetry": None,
             }
-        values, scaled = prior.spectrum(), prior.spectrum(scaled=True)
+        values = prior.spectrum()
         return {
             "prior_min_eigenvalue": float(values[0]),
             "prior_max_eigenvalue": float(values[-1]),
             "prior_ratio": prior.oldest_ratio(),
-            "prior_definiteness": float(scaled[0] / scaled[-1]),
+            "prior_definiteness": prior.definiteness(),
             "prior_asymmetry": prior.asymmetry,
         }
 
