@@ -153,9 +153,9 @@ def run_vio(run: Run) -> Report:
     if truth is not None and loops is not None:
         corrected = compare_trajectories(loops.published, truth)
     findings = given.findings
-    if given.tracking is None and (not result.is_usable or _disagrees(result)):
+    if not result.is_usable or _disagrees(result):
         progress.stage("searching the cause")
-        findings = (*findings, *explanations(sequence, source))
+        findings = (*findings, *explanations(sequence, source, findings))
     progress.stage(f"writing {shown(target)}")
     save_tum(target, result.trajectory.timestamps_ns, result.trajectory.states)
     if loops is not None and result.is_usable:

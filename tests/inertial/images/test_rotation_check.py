@@ -8,10 +8,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from bundle.inertial.tracking import track_recording as tracks
-from bundle.inertial.tracking.feature_tracker import Turn
-from bundle.inertial.tracking.relative_rotation import refined_rotation
-from bundle.inertial.tracking.rotation_check import check_rotations, tracking_findings
+from bundle.inertial.tracking import track_recording
+from bundle.inertial.tracking.relative_rotation import Turn, refined_rotation, turns_of_tracks
+from bundle.inertial.tracking.rotation_check import (
+    RotationCheck,
+    check_rotations,
+    tracking_findings,
+)
+from bundle.inertial.vio.sequence_images import SequenceImages
 from bundle.interface.window_options import TrackingOptions
 from bundle.io.sequences.recordings import read_mav
 from bundle.model.sequence.sequence import Recording
@@ -23,15 +27,8 @@ def given(tmp_path_factory: pytest.TempPathFactory) -> tuple[Recording, list[Tur
     """A recording, and the rotations of its tracks."""
     mav = render(Flight(duration=5.0, seed=3, **SMALL), tmp_path_factory.mktemp("flight"))
     recording = read_mav(mav)
-    kept: list[list[Turn]] = []
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(
-            tracks,
-            "check_rotations",
-            lambda *given: (kept.append(given[1]), check_rotations(*given))[1],
-        )
-        tracks.track_recording(recording, TrackingOptions())
-    return recording, kept[0]
+    sequence, _ = track_recording.track_recording(recording, TrackingOptions())
+    return recording, turns_of_tracks(SequenceImages(sequence), 100)
 
 
 def test_a_right_calibration_agrees(given: tuple[Recording, list[Turn]]) -> None:
@@ -99,6 +96,31 @@ def posed(recording: Recording, pose: list[float]) -> Recording:
     )
 
 
+@pytest.mark.parametrize("sign", [1, -1])
+def test_images_are_compared_with_the_signs_of_the_forces(
+    given: tuple[Recording, list[Turn]], sign: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recording = replace(given[0], accel=sign * given[0].accel)
+    monkeypatch.setattr(track_recording, "read_recording", lambda *_: recording)
+    found = track_recording.track_images("mav0").findings
+    assert [each.kind for each in found] == ([] if sign > 0 else ["accelerometer axes"])
+    assert all(each.is_problem and "imu0/data.csv" in each.sentence for each in found)
+
+
+@pytest.mark.parametrize(
+    ("rate", "shift", "count"),
+    [(1000, 2.9e-3, 0), (1000, -3.1e-3, 1), (50, -11.9e-3, 0), (50, 12.1e-3, 1)],
+)
+def test_samples_that_are_means_are_no_time_offset(
+    given: tuple[Recording, list[Turn]], rate: int, shift: float, count: int
+) -> None:
+    """Means over the interval that follows are half a period late: 10 ms at 50 Hz."""
+    stamps = np.arange(len(given[0].gyro)) * (1_000_000_000 // rate)
+    check = RotationCheck(num_pairs=50, unexplained=0.01, time_shift=shift, time_sigma=1e-4)
+    found = tracking_findings(replace(given[0], imu_timestamps_ns=stamps), check)
+    assert len(found) == count
+
+
 def test_too_little_rotation_says_nothing(given: tuple[Recording, list[Turn]]) -> None:
     recording, turns = given
     still = [turn._replace(rotation=np.eye(3)) for turn in turns]
@@ -125,7 +147,7 @@ def test_the_refined_rotation_is_as_certain_as_its_rays(baseline: float) -> None
         other[:4] += rng.uniform(-0.02, 0.02, (4, 2))  # wrong tracks that survived
         start = (Rotation.from_rotvec(rng.normal(0, 0.01, 3)) * turn).as_matrix()
         guess = way / baseline + rng.normal(0, 0.2, 3) if baseline else rng.normal(size=3)
-        found, information = refined_rotation(one, other, start, guess, 0.3 / 460)
+        found, information, _ = refined_rotation(one, other, start, guess, 0.3 / 460)
         stated.append(np.sqrt(np.trace(np.linalg.inv(information))))
         errors.append((Rotation.from_matrix(found) * turn.inv()).magnitude())
     assert np.degrees(np.median(errors)) < 0.05

@@ -20,7 +20,6 @@ from typing import Any
 import numpy as np
 
 from bundle.base.records import dataclass
-from bundle.inertial.tracking.relative_rotation import Turn, refined_rotation
 from bundle.interface.window_options import TrackingOptions
 from bundle.model.cameras import project
 from bundle.model.pycolmap.lens import normalized
@@ -37,7 +36,6 @@ WEAKEST = 0.01  # of the eigenvalue of strong cells
 BACK = 5  # images
 CONFIDENCE, ITERATIONS = 0.999, 300
 FEWEST = 12  # rays of an essential matrix
-SIGMA = 0.3  # pixels, of a tracked feature
 PATCH = 2  # half a patch, in pixels of the reduced image
 
 
@@ -57,7 +55,6 @@ class FeatureTracker:
     """Tracker of one camera.
 
     Attributes:
-        turns: rotations by tracks, one per image with enough tracks.
         lost: number of tracks that each of ``CHECKS`` ended.
         num_steps: number of track steps from an image to the next.
         num_predicted: number of images whose rotation the gyroscope predicted.
@@ -74,8 +71,6 @@ class FeatureTracker:
         self._features = _Features()
         self._earlier: deque[_Features] = deque(maxlen=BACK)
         self._next_id = 0
-        self._count = 0
-        self.turns: list[Turn] = []
         self.lost = dict.fromkeys(CHECKS, 0)
         self.num_steps = 0
         self.num_predicted = 0
@@ -87,11 +82,10 @@ class FeatureTracker:
             image: (height, width) uint8.
             turn: (3, 3) rotation of the camera since the previous image, by the gyroscope.
         """
-        if self._count and len(self._features.ids):
+        if len(self._features.ids):
             self._features = self._tracked(image, turn)
         self._earlier.append(self._features)
         self._image = image
-        self._count += 1
         self._refill(image)
         # new corners belong to this image, too
         self._earlier[-1] = self._features
@@ -122,8 +116,8 @@ class FeatureTracker:
         kept = self._end("backward", kept, returned)
         kept = self._end("crowded", kept, ~_is_crowded(pixels, kept, self._cell / 2))
         now = _Features(before.ids, pixels, self._plane(pixels)).only(kept)
-        for earlier, number in ((before, 1), (self._earlier[0], len(self._earlier))):
-            fits = self._coplanar(earlier, now, self._count - number)
+        for earlier in (before, self._earlier[0]):
+            fits = self._coplanar(earlier, now)
             now = now.only(self._end("epipolar", np.ones(len(fits), bool), fits))
         return now
 
@@ -161,7 +155,7 @@ class FeatureTracker:
         self.num_predicted += 1
         return moved
 
-    def _coplanar(self, earlier: _Features, now: _Features, number: int) -> Array:
+    def _coplanar(self, earlier: _Features, now: _Features) -> Array:
         """Return the tracks that fit an essential matrix since an earlier image."""
         import cv2
 
@@ -182,17 +176,6 @@ class FeatureTracker:
         if essential is None or essential.shape != (3, 3):
             return fits
         fits[b] = inliers.ravel() > 0
-        if self._count - number == BACK:
-            # The second solution differs by half a turn about the baseline.
-            *pair, direction = cv2.decomposeEssentialMat(essential)
-            found = refined_rotation(
-                one[fits[b]],
-                other[fits[b]],
-                max(pair, key=np.trace),
-                direction,
-                SIGMA / self._calibration.focal,
-            )
-            self.turns.append(Turn(number, self._count, *found))
         return fits
 
     def _refill(self, image: Array) -> None:

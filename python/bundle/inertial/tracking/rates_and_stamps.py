@@ -55,7 +55,7 @@ def scale_findings(images: SequenceImages, recording: Recording) -> tuple[Findin
     stretches = bad_stretches(recording.gyro, recording.accel)
     if any((each.kind, each.sensor) == ("saturated", "gyro") for each in stretches):
         return ()
-    turns = turns_of_tracks(images, SCALE_PAIRS, SCALE_APART, by_samples=True)
+    turns = turns_of_tracks(images, SCALE_PAIRS, SCALE_APART)
     pairs = RotationPairs(recording, turns, least_turn=0.0)
     if len(pairs.camera) < FEWEST:
         return ()

@@ -11,11 +11,15 @@ perpendicular to it. Without translation, t is arbitrary and R still determined;
 keeps the step finite. The Schur complement of d in the normal matrix is the information on w: small
 where a rotation and a translation move the rays in the same way.
 
-The initial value ignores the translation: the rotation that takes the rays of one image to those of
-the other (Kabsch), with robust weights. Points on a plane have a second solution, which may be the
-nearer one; the rotation by the samples is nearer to the right one unless axes or units are wrong.
-The initial direction of the translation is perpendicular to the normals of the planes through
-corresponding rays.
+A rotation and a translation move rays in similar ways, so that there are several minima. Of those
+from two starts, the one with the least Cauchy cost counts.
+
+* Rotation by the samples, near the right minimum unless axes or units are wrong. The direction of
+  the translation is then perpendicular to the normals of the planes through corresponding rays.
+* Essential matrix E by linear least squares on y^T E x = 0 (Longuet-Higgins, 1981), which ignores
+  that two of its singular values are equal and the third is 0. With E = U S V^T, the smaller of the
+  two rotations U W V^T, in which W is a quarter of a turn to either side; t is the last column of
+  U. Points on a plane leave E open.
 """
 
 from __future__ import annotations
@@ -39,9 +43,12 @@ FEWEST = 12  # common tracks
 
 
 class Turn(NamedTuple):
-    """Rotation of the camera since an earlier image, by tracks: (3, 3), later_from_earlier.
+    """Rotation of the camera between two images, by their tracks.
 
-    ``information`` (3, 3) is that on a small rotation of the later image.
+    Attributes:
+        earlier, later: stamps of the images on the IMU's clock, ns.
+        rotation: (3, 3), later_from_earlier.
+        information: (3, 3) on a small rotation of the later image.
     """
 
     earlier: int
@@ -52,8 +59,8 @@ class Turn(NamedTuple):
 
 def refined_rotation(
     one: Array, other: Array, rotation: Array, direction: Array, sigma: float
-) -> tuple[Array, Array]:
-    """Return the best rotation (3, 3) other_from_one and the information (3, 3) on it.
+) -> tuple[Array, Array, float]:
+    """Return the nearest best rotation (3, 3) other_from_one, the information (3, 3) on it, cost.
 
     ``one``, ``other`` and ``sigma`` are in normalised coordinates; ``rotation`` and ``direction``
     of the translation are initial values.
@@ -80,28 +87,26 @@ def refined_rotation(
         t = t + step[3:] @ tangent
         t = t / np.linalg.norm(t)
     by_both = np.linalg.solve(normal[3:, 3:], normal[3:, :3])
-    return rotation, (normal[:3, :3] - normal[:3, 3:] @ by_both) / sigma**2
+    information = (normal[:3, :3] - normal[:3, 3:] @ by_both) / sigma**2
+    return rotation, information, float(-np.log(weight).sum())
 
 
-def kabsch(camera: Array, imu: Array) -> Array:
-    """Return the rotation that takes one set of vectors to the other, with robust weights."""
-    rotation = np.eye(3)
-    weight = np.ones(len(camera))
-    for _ in range(10):
-        u, _, vt = np.linalg.svd((weight[:, None] * camera).T @ imu)
-        rotation = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
-        errors = np.linalg.norm(camera - imu @ rotation.T, axis=1)
-        weight = 1 / (1 + (errors / max(float(np.median(errors)), 1e-9)) ** 2)
-    return rotation
+def linear_rotation(x: Array, y: Array) -> tuple[Array, Array]:
+    """Return rotation (3, 3) and direction of the translation between unit rays, roughly."""
+    rows = (y[:, :, None] * x[:, None, :]).reshape(-1, 9)
+    essential = np.linalg.svd(rows)[2][-1].reshape(3, 3)
+    errors = np.abs(rows @ essential.ravel())
+    weights = 1 / (1 + (errors / (2 * np.median(errors) + 1e-15)) ** 2)
+    u, _, vt = np.linalg.svd(np.linalg.svd(weights[:, None] * rows)[2][-1].reshape(3, 3))
+    found = []
+    for sign in (1.0, -1.0):
+        rotation = u @ np.array([[0, -sign, 0], [sign, 0, 0], [0, 0, 1]]) @ vt
+        found.append(rotation * np.sign(np.linalg.det(rotation)))
+    return max(found, key=np.trace), u[:, 2]
 
 
-def turns_of_tracks(
-    images: SequenceImages, most: int, apart: float = APART, *, by_samples: bool = False
-) -> list[Turn]:
-    """Return rotations between images that are some seconds apart, as of a recording's images.
-
-    With ``by_samples`` they are those nearest to the rotations of the gyroscope.
-    """
+def turns_of_tracks(images: SequenceImages, most: int, apart: float = APART) -> list[Turn]:
+    """Return rotations between at most so many pairs of images, which are some seconds apart."""
     stamps, covered = images.stamps, np.flatnonzero(images.covered)
     sigma = images.sequence.calibration.pixel_sigma / images.sequence.calibration.focal
     earlier = covered
@@ -118,15 +123,15 @@ def turns_of_tracks(
             continue
         rays = [np.column_stack([xy, np.ones(len(xy))]) for xy in (one.xy[a], other.xy[b])]
         x, y = (each / np.linalg.norm(each, axis=1, keepdims=True) for each in rays)
-        if by_samples:
-            interval = images.interval(int(stamps[first]), second)
-            rotation = turn_of_samples(interval, images.sequence.calibration)
-        else:
-            rotation = kabsch(y, x)
-        normals = np.cross(y, x @ rotation.T)
-        direction = np.linalg.svd(normals)[2][2]
-        found = refined_rotation(one.xy[a], other.xy[b], rotation, direction, sigma)
-        turns.append(Turn(first - int(covered[0]), second - int(covered[0]), *found))
+        interval = images.interval(int(stamps[first]), second)
+        rotation = turn_of_samples(interval, images.sequence.calibration)
+        direction = np.linalg.svd(np.cross(y, x @ rotation.T))[2][2]
+        found = [
+            refined_rotation(one.xy[a], other.xy[b], turned, shift, sigma)
+            for turned, shift in ((rotation, direction), linear_rotation(x, y))
+        ]
+        best = min(found, key=lambda each: each[2])
+        turns.append(Turn(int(stamps[first]), int(stamps[second]), *best[:2]))
     return turns
 
 

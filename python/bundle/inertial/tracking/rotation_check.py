@@ -30,7 +30,7 @@ import numpy as np
 
 from bundle.base.records import dataclass
 from bundle.inertial.preintegration.preintegration import Preintegration
-from bundle.inertial.tracking.relative_rotation import Turn, kabsch
+from bundle.inertial.tracking.relative_rotation import Turn
 from bundle.inertial.vio.sequence_images import ImuSlices
 from bundle.interface.finding import Finding
 from bundle.model.rigid_motions import (
@@ -46,7 +46,7 @@ BIAS = 0.1  # rad/s: largest bias of a gyroscope that is no error
 LEAST_TURN, DEGREE = np.radians(1.0), np.pi / 180
 FEWEST, MOST = 15, 300  # pairs of images
 SHIFTS = 5e-3 * np.arange(-20, 21)  # s
-WRONG, RIGHT = 0.15, 0.25  # shares that reject a matrix, and that a better one must not exceed
+WRONG, RIGHT = 0.1, 0.25  # shares that reject a matrix, and that a better one must not exceed
 BETTER = 0.5  # share of a better matrix, relative to that of the calibration
 UNKNOWN = 0.5  # share above which no explanation is a finding, too
 AXES = 0.15  # rms rotation about the second axis, relative to the first, for a rotation to follow
@@ -82,7 +82,7 @@ class RotationCheck:
 
 
 def check_rotations(recording: Recording, turns: list[Turn]) -> RotationCheck:
-    """Compare rotations of image pairs, numbered from the first tracked image."""
+    """Compare the rotations of image pairs by tracks with those of a recording's samples."""
     pairs = RotationPairs(recording, turns)
     if len(pairs.camera) < FEWEST:
         return RotationCheck()
@@ -150,11 +150,7 @@ class RotationPairs:
         stamps = recording.imu_timestamps_ns
         self._slices = ImuSlices(stamps, recording.gyro, recording.accel, "midpoint")
         self._noise = recording.calibration.noise
-        first, _ = recording.covered()
-        times = recording.image_times_ns
-        spans = np.array(
-            [(times[first + each.earlier], times[first + each.later]) for each in turns]
-        ).reshape(-1, 2)
+        spans = np.array([(each.earlier, each.later) for each in turns], np.int64).reshape(-1, 2)
         vectors = np.zeros((0, 3))
         if turns:
             matrices = np.array([each.rotation for each in turns])
@@ -210,6 +206,18 @@ class RotationPairs:
         return float(np.median(errors) / np.median(_norms(self.camera)))
 
 
+def _kabsch(camera: Array, imu: Array) -> Array:
+    """Return the rotation that takes one set of vectors to the other, with robust weights."""
+    rotation = np.eye(3)
+    weight = np.ones(len(camera))
+    for _ in range(10):
+        u, _, vt = np.linalg.svd((weight[:, None] * camera).T @ imu)
+        rotation = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
+        errors = np.linalg.norm(camera - imu @ rotation.T, axis=1)
+        weight = 1 / (1 + (errors / max(float(np.median(errors)), 1e-9)) ** 2)
+    return rotation
+
+
 def _causes(lens: Array, camera: Array, imu: Array) -> list[tuple[str, Array, str]]:
     found = [("inverse", lens.T, "")]
     for order in permutations(range(3)):
@@ -219,13 +227,13 @@ def _causes(lens: Array, camera: Array, imu: Array) -> list[tuple[str, Array, st
             if not np.array_equal(axes, np.eye(3)):
                 words = " ".join("-+"[s > 0] + "xyz"[k] for s, k in zip(signs, order, strict=True))
                 found.append(("axes", lens @ axes, words))
-    return [*found, ("turned", kabsch(camera, imu), "")]
+    return [*found, ("turned", _kabsch(camera, imu), "")]
 
 
 def _angle(lens: Array, pairs: RotationPairs, imu: Array) -> tuple[float, float]:
     """Return the angle to the rotation that tracks imply, and its standard deviation, degrees."""
     drift = np.median(pairs.camera - imu @ lens.T, axis=0)
-    rotation = kabsch(pairs.camera - drift, imu)
+    rotation = _kabsch(pairs.camera - drift, imu)
     errors = pairs.camera - drift - imu @ rotation.T
     spread = np.linalg.svd(imu, compute_uv=False)
     cosine = (float(np.trace(rotation @ lens.T)) - 1) / 2
@@ -250,13 +258,17 @@ def _likely_shifts(pairs: RotationPairs) -> list[float]:
 def _time_shift(pairs: RotationPairs, matrix: Array) -> tuple[float, float]:
     """Return the best shift and its standard deviation by a parabola through the cost.
 
-    If the best one is the last, those beyond are tried, too.
+    The cost of a shift is that with the best rotation near the matrix: a rotation that is slightly
+    wrong looks like a shift. If the best shift is the last, those beyond are tried, too.
     """
     scale = 1.48 * float(np.median(np.abs(pairs.errors(matrix, pairs.imu(0.0)))))
     scale = max(scale, 1e-6)
 
     def cost(shift: float) -> float:
-        errors = pairs.errors(matrix, pairs.imu(shift)) / scale
+        imu = pairs.imu(shift)
+        drift = np.median(pairs.camera - imu @ matrix.T, axis=0)
+        turned = _kabsch(pairs.camera - drift, imu @ matrix.T) @ matrix
+        errors = pairs.errors(turned, imu) / scale
         return float(np.log1p((errors**2).sum(axis=1)).sum())
 
     middle = 0.0
@@ -283,7 +295,7 @@ def _norms(vectors: Array) -> Array:
 
 
 SIGMAS = 4.0
-LEAST_SHIFT = 3e-3  # s
+LEAST_SHIFT, LEAST_PERIODS = 3e-3, 0.6  # s; of samples, whose means are half a period late
 LEAST_ANGLE = 2.0  # degrees
 REFUSED_ANGLE = 15.0  # degrees
 
@@ -325,7 +337,9 @@ def tracking_findings(recording: Recording, check: RotationCheck) -> tuple[Findi
         return (Finding(kind=kind, sentence=sentence, evidence=evidence, is_problem=is_wrong),)
     found = []
     shift, sigma = check.time_shift, check.time_sigma
-    if math.isfinite(sigma) and abs(shift) > max(LEAST_SHIFT, SIGMAS * sigma):
+    period = 1e-9 * float(np.median(np.diff(recording.imu_timestamps_ns)))
+    least = max(LEAST_SHIFT, LEAST_PERIODS * period)
+    if math.isfinite(sigma) and abs(shift) > max(least, SIGMAS * sigma):
         used = 1e3 * recording.calibration.time_offset
         found.append(
             Finding(

@@ -1,14 +1,15 @@
-"""Axes, units and clocks of a sequence: its tracks against its samples, as for images.
+"""Axes, units and clocks of a sequence: its tracks against its samples.
 
 Before an odometry, a few pairs of images show if the gyroscope explains the rotation of the tracks;
-only if it does not, the cause is searched. One or two linear starts show the sign of the forces.
-After an odometry that failed or had alarms, all tests search its cause.
+only if it does not, the cause is searched. Tracks of images, which took much longer to find, are
+always compared in full. One or two linear starts show the sign of the forces. After an odometry
+that failed or had alarms, all tests search its cause.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from itertools import product
 from typing import NamedTuple
@@ -19,6 +20,7 @@ from bundle.errors import shown
 from bundle.inertial.tracking.rates_and_stamps import jitter_findings, scale_findings
 from bundle.inertial.tracking.relative_rotation import turns_of_tracks
 from bundle.inertial.tracking.rotation_check import (
+    RotationCheck,
     check_rotations,
     share_unexplained,
     tracking_findings,
@@ -28,7 +30,12 @@ from bundle.inertial.vio.linear_start import ACCEL_BIAS_SIGMA
 from bundle.inertial.vio.sequence_images import SequenceImages
 from bundle.interface.finding import Finding
 from bundle.model.sequence.sequence import Recording, Sequence
-from bundle.model.sequence.sequence_findings import bad_stretches, is_bridged, sequence_findings
+from bundle.model.sequence.sequence_findings import (
+    SequenceFinding,
+    bad_stretches,
+    is_bridged,
+    sequence_findings,
+)
 
 FEW, MANY = 40, 200  # pairs of images
 SUSPICIOUS = 0.3  # share of the rotation that the gyroscope does not explain; 0.2 if clean
@@ -39,30 +46,56 @@ def axes_findings(sequence: Sequence, path: str) -> tuple[Finding, ...]:
     """Return wrong units and axes, which spoil an odometry, or jitter of stamps; mostly empty."""
     if not _measures(sequence):
         return ()
-    images = SequenceImages(sequence)
-    recording = _recording(sequence, path)
+    images, recording = SequenceImages(sequence), _recording(sequence, path)
     if share_unexplained(recording, turns_of_tracks(images, FEW)) > SUSPICIOUS:
-        check = check_rotations(recording, turns_of_tracks(images, MANY))
-        found = tracking_findings(recording, check)
+        found = tracking_findings(recording, check_tracks(images, recording))
         certain = tuple(each for each in found if each.is_problem and each.kind != "rotation")
         if certain:
             return certain
+    return _motion_findings(images, recording)
+
+
+def recording_findings(
+    images: SequenceImages, recording: Recording, check: RotationCheck
+) -> tuple[Finding, ...]:
+    """Return all findings on the axes, units and clocks of images that were tracked."""
+    if not _measures(images.sequence):
+        return ()
+    found = tracking_findings(recording, check)
+    if any(each.is_problem for each in found):
+        return found
+    return (*found, *_motion_findings(images, recording))
+
+
+def check_tracks(images: SequenceImages, recording: Recording) -> RotationCheck:
+    """Return the comparison of the rotations of tracks and gyroscope over the whole recording."""
+    return check_rotations(recording, turns_of_tracks(images, MANY))
+
+
+def _motion_findings(images: SequenceImages, recording: Recording) -> tuple[Finding, ...]:
+    """Return a reversed accelerometer, a wrong scale of the gyroscope, or jitter of stamps."""
     signs = right_signs(images, is_gross=True)
     if signs is not None:
         return (_reversed(recording, signs, is_problem=True),)
     return scale_findings(images, recording) or jitter_findings(images, recording)
 
 
-def explanations(sequence: Sequence, path: str) -> tuple[Finding, ...]:
-    """Return possible causes of a failed odometry or its alarms; takes a second or two."""
+def explanations(
+    sequence: Sequence, path: str, known: Iterable[Finding | SequenceFinding] = ()
+) -> tuple[Finding, ...]:
+    """Return possible causes of a failed odometry or its alarms; takes a second or two.
+
+    Kinds that are ``known`` are left out.
+    """
     if not _measures(sequence):
         return ()
-    images = SequenceImages(sequence)
-    recording = _recording(sequence, path)
-    check = check_rotations(recording, turns_of_tracks(images, MANY))
-    found = tracking_findings(recording, check)
+    images, recording = SequenceImages(sequence), _recording(sequence, path)
+    found = tracking_findings(recording, check_tracks(images, recording))
     signs = None if found or _is_noisier(sequence) else right_signs(images)
-    return found if signs is None else (_reversed(recording, signs, is_problem=False),)
+    if signs is not None:
+        found = (_reversed(recording, signs, is_problem=False),)
+    kinds = {each.kind for each in known}
+    return tuple(each for each in found if each.kind not in kinds)
 
 
 def _reversed(recording: Recording, signs: Signs, is_problem: bool) -> Finding:

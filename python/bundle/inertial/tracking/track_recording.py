@@ -12,13 +12,9 @@ import numpy as np
 from bundle.base.records import dataclass
 from bundle.errors import InputError
 from bundle.inertial.tracking.feature_tracker import FeatureTracker
-from bundle.inertial.tracking.rates_and_stamps import jitter_findings, scale_findings
 from bundle.inertial.tracking.relative_rotation import turn_of_samples
-from bundle.inertial.tracking.rotation_check import (
-    RotationCheck,
-    check_rotations,
-    tracking_findings,
-)
+from bundle.inertial.tracking.rotation_check import RotationCheck
+from bundle.inertial.tracking.sequence_axes import check_tracks, recording_findings
 from bundle.inertial.vio.sequence_images import ImuSlices, SequenceImages
 from bundle.interface.finding import Finding
 from bundle.interface.window_options import TrackingOptions
@@ -132,7 +128,7 @@ def track_recording(
         share_predicted=tracker.num_predicted / max(1, len(ids) - 1),
         time_offset=calibration.time_offset,
         time=time.perf_counter() - began,
-        check=check_rotations(recording, tracker.turns),
+        check=check_tracks(SequenceImages(sequence), recording),
         notes=recording.notes,
     )
 
@@ -188,9 +184,7 @@ def track_images(
         return recording.image_place(int(stamps.searchsorted(sequence.track_timestamps_ns[row])))
 
     found: tuple[SequenceFinding | Finding, ...] = (
-        *tracking_findings(recording, tracking.check),
-        *scale_findings(images, recording),
-        *jitter_findings(images, recording),
+        *recording_findings(images, recording, tracking.check),
         *sequence_findings(sequence, recording.imu_place, place),
     )
     return TrackedImages(sequence, tracking, found)
