@@ -5,7 +5,9 @@ from __future__ import annotations
 import dataclasses
 import json
 import re
+import shlex
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -13,7 +15,10 @@ import bundle
 from bundle.base.records import dataclass
 from bundle.cli.commands import COMMANDS, Command, Way
 from bundle.cli.main import command_parser, main
+from bundle.cli.run import Run
 from bundle.errors import InputError
+from bundle.interface.camera_edit_options import RuleOptions
+from bundle.interface.georeference_options import GeoreferenceOptions
 from bundle.interface.option_class import Options, documented
 from bundle.interface.option_fields import option
 from bundle.io.recognition import Kind
@@ -159,6 +164,60 @@ def test_it_runs_and_writes_json_a_report_a_page_and_its_result(run, here):
 @pytest.mark.usefixtures("here")
 def test_its_exit_code_follows_from_the_result(run):
     assert run("saw", "in", "-o", "o.npz", "--wood", "red-fir", "--quiet").code == 1
+
+
+@pytest.mark.usefixtures("here")
+def test_the_exit_code_of_several_inputs_is_that_of_a_failure(run, monkeypatch):
+    way = Way(
+        call=saw, keywords=SawOptions, report=sawn, tells=TELLS,
+        code=lambda found: 0 if len(found.planks) == 4 else 3,
+    )  # fmt: skip
+    row = Command(
+        help="saw models",
+        arguments=lambda a: (a.given_input("inputs", nargs="+"), a.options(SawOptions, "planks")),
+        is_for_each=True,
+        ways={Kind.RECONSTRUCTION: way},
+    )
+    monkeypatch.setitem(COMMANDS, "saw", row)
+    bundle.save(scene(kind="colmap", num_images=5), "five")
+    for inputs, code in ((["in"], 0), (["in", "in"], 0), (["in", "five", "in"], 3)):
+        done = run("saw", *inputs, "--quiet")
+        assert done.code == code and done.out.count("planks of oak") == len(inputs)
+
+
+@pytest.mark.usefixtures("here")
+def test_a_failure_is_told_once(run, monkeypatch):
+    """Standard error has it where standard output has only JSON; else the report does."""
+
+    def fail(run):
+        run.end(1, "no saw here")
+        return Report(command="saw", title="Planks", headline=["no saw here"], sections=[], data={})
+
+    row = Command(
+        help="fail", arguments=lambda a: (a.INPUT,), ways={Kind.RECONSTRUCTION: Way(run=fail)}
+    )
+    monkeypatch.setitem(COMMANDS, "saw", row)
+    for words, told in (((), False), (("--json", "r.json"), False), (("--json", "-"), True)):
+        done = run("saw", "in", "--quiet", *words)
+        assert done.code == 1 and ("no saw here" in done.err) == told
+        assert "no saw here" in done.out
+
+
+def test_flags_of_a_run_name_its_rigs_positions_and_rules():
+    given = SimpleNamespace(
+        arguments=SimpleNamespace(
+            rig_config="two rigs.json", flags={"gps": "--gps", "rules": "--set"}
+        ),
+        georeference=GeoreferenceOptions(gps="g.txt"),
+        rules=RuleOptions(rules=("image 1: fixed", "cameras *: share f")),
+    )
+    words = [
+        "--rig-config", "two rigs.json", "--gps", "g.txt",
+        "--set", "image 1: fixed", "--set", "cameras *: share f",
+    ]  # fmt: skip
+    assert shlex.split(Run.flags.fget(given)) == words
+    given.arguments.rig_config = None
+    assert shlex.split(Run.flags.fget(given)) == words[2:]
 
 
 @pytest.mark.usefixtures("here")

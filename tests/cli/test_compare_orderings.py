@@ -4,7 +4,9 @@ import json
 
 import bundle
 from tests.campaigns.triage_inputs import chain_of_poses
-from tests.scenes import make_problem
+from tests.cli.test_bad_input import assert_refused
+from tests.graphs.pose_graphs import graphs
+from tests.scenes import make_problem, scene
 
 
 def test_orders_of_a_pose_graph(run, tmp_path):
@@ -46,3 +48,11 @@ def test_a_page_of_orders(run, tmp_path):
     )
     assert code == 0
     assert "nnz(L)" in page.read_text() and "Cost against time" in page.read_text()
+
+
+def test_a_pose_graph_is_compared_alone(run, tmp_path):
+    bundle.save(graphs.loop(2), tmp_path / "x.g2o")
+    bundle.save(scene(), tmp_path / "m.txt")
+    for inputs in (("m.txt", "x.g2o"), ("x.g2o", "x.g2o")):
+        done = run("compare", *(tmp_path / name for name in inputs), "--quiet")
+        assert_refused(done, "expected one INPUT with a pose graph, found 2")

@@ -21,10 +21,14 @@ from bundle.georeference.measurements import (
     KnownPriors,
     Measurement,
     MeasurementErrors,
+    _with,
     find_priors,
+    kinds_given,
     move_models,
+    settings_of,
 )
 from bundle.graphs.factors.factors import PositionFactor
+from bundle.interface.georeference_options import GeoreferenceOptions
 from bundle.interface.option_class import Options
 from bundle.interface.option_fields import option
 from bundle.reports.json_schema import described_entries
@@ -244,3 +248,32 @@ def test_it_moves_no_model():
     prior = HeightPrior(1, 0.0, 1.0)
     assert not move_models([prior])
     assert move_models([prior, bundle.PositionPrior(1, (0, 0, 0), 1.0)])
+    assert not move_models([bundle.VelocityPrior(1, (0, 0, 0), 1.0)])
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, repr=False)
+class DepthOptions(Options):
+    """Depths of images."""
+
+    depths: str | None = option(None, "--depths", "measured depths", metavar="FILE", value="path")
+
+
+def test_options_of_kinds_are_in_the_order_of_their_rows():
+    own = [*HeightOptions.names(), *DepthOptions.names()]
+    assert list(_with((HeightOptions, DepthOptions)).names()) == [
+        *GeoreferenceOptions.names(),
+        *own,
+    ]
+    assert list(_with(()).names()) == list(GeoreferenceOptions.names())
+
+
+def test_kinds_of_one_source_are_given_once_with_all_options_of_their_reader():
+    given = GeoreferenceOptions(
+        orientations="xmp", images="photographs", velocities="v.txt", prior_loss="cauchy"
+    )
+    found = kinds_given(given)
+    assert [row.noun for row in found] == ["orientations", "velocities"]
+    assert settings_of(given, found[0]) == {
+        "orientations": "xmp", "images": "photographs", "prior_loss": "cauchy",
+    }  # fmt: skip
+    assert settings_of(given, found[1])["velocities"] == "v.txt"
