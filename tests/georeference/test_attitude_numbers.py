@@ -201,3 +201,18 @@ def test_headings_have_no_whole_turns_and_directions_length_one():
         np.testing.assert_allclose(
             GravityPrior(1, (0, 3 * size, 4 * size), 1.0).direction, (0, 0.6, 0.8), rtol=1e-15
         )
+
+
+def test_the_rms_of_residuals_is_that_of_a_coordinate():
+    """Lengths of 1, 1 and 0.2 sigmas of two, one and three coordinates."""
+    truth, _ = upright_and_turned()
+    turn = Rotation.from_rotvec(np.radians([1.0, 0, 0])).as_matrix()
+    level = tuple(GravityPrior(one.image, one.direction, 1.0) for one in gravity_of(truth, 1e-9))
+    (gravity,) = Attitudes(level).errors(moved(truth, Similarity(1.0, turn, np.zeros(3))))
+    (heading,) = Attitudes(tuple(headings_of(truth, 1.0))).errors(truth)
+    (whole,) = Attitudes(tuple(oriented(truth, (0, 0, 0.6)))).errors(truth)
+    assert gravity.rms_sigmas == pytest.approx(1 / math.sqrt(2), rel=1e-6)
+    assert heading.rms_sigmas == pytest.approx(1.0, rel=1e-6)
+    assert whole.rms_sigmas == pytest.approx(0.2 / math.sqrt(3), rel=1e-6)
+    assert gravity.off == pytest.approx(1.0, rel=1e-6)
+    assert heading.off == pytest.approx(1.0, rel=1e-6)
