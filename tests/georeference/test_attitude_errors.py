@@ -125,6 +125,32 @@ def test_three_or_four_directions_tell_their_spread(count, wrong):
     assert found.within == pytest.approx(radius_of_three_or_four(residuals, wrong), rel=2e-3)
 
 
+def radius_of_many(residuals, sigma):
+    """The bound of five directions or more, with Tukey's weights and an F factor."""
+    lengths = np.linalg.norm(residuals, axis=1) / sigma
+    scale, count = max(1, np.median(lengths) / 1.17741), len(lengths)
+    w = (1 - np.minimum((lengths / (4.685 * scale)) ** 2, 1)) ** 2
+    freedom = 2 * (w.sum() - 1)
+    variance = sigma**2 * (w * lengths**2).sum() / freedom / w.sum() * count / (count - 1)
+    return np.sqrt(variance * freedom * np.expm1(-2 / freedom * np.log(0.05)))
+
+
+@pytest.mark.parametrize("count", [5, 9])
+@pytest.mark.parametrize("wrong", [1.0, 0.02])
+def test_many_directions_tell_their_spread(count, wrong):
+    truth, _ = upright_and_turned(num_images=count)
+    priors = measured(truth, GravityPrior, 1.0, np.random.default_rng(count))
+    turned = Rotation.from_rotvec([0.9, 0, 0]).apply(np.array(priors[1].direction))
+    priors[1] = dataclasses.replace(priors[1], direction=turned)  # has no weight
+    priors = [dataclasses.replace(one, sigma_degrees=wrong) for one in priors]
+    known = ProblemAttitudes.make(truth, priors)
+    model = moved(truth, known.placement(truth))
+    (group,) = ProblemAttitudes.make(model, priors).groups
+    residuals = np.degrees(group.turns(model))[:, :2]
+    found = AttitudeErrors.of(group, model)
+    assert found.within == pytest.approx(radius_of_many(residuals, wrong), rel=2e-3)
+
+
 def test_three_directions_of_which_one_is_wrong_tell_nothing():
     truth, _ = upright_and_turned(num_images=3)
     priors = measured(truth, GravityPrior, 0.1, np.random.default_rng(0))

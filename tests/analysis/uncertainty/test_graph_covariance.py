@@ -207,7 +207,7 @@ def test_the_command(tmp_path, capsys):
     graph = solved(3)
     bundle.save(graph, tmp_path / "x.g2o")
     words = ["covariance", str(tmp_path / "x.g2o"), "-o", str(tmp_path / "c.npz")]
-    words += ["--num-threads", "1", "--quiet"]
+    words += ["--threads", "1", "--quiet"]
     report = ["--json", str(tmp_path / "r.json")]
     assert main([*words, *report, "--relative", "1:7", "--gauge", "inner"]) == 0
     assert "gauge inner" in capsys.readouterr().out
