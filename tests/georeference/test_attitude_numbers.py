@@ -216,3 +216,13 @@ def test_the_rms_of_residuals_is_that_of_a_coordinate():
     assert whole.rms_sigmas == pytest.approx(0.2 / math.sqrt(3), rel=1e-6)
     assert gravity.off == pytest.approx(1.0, rel=1e-6)
     assert heading.off == pytest.approx(1.0, rel=1e-6)
+
+
+def test_images_contradict_each_other_and_not_the_model():
+    truth, _ = upright_and_turned()
+    level = tuple(GravityPrior(one.image, one.direction, 1.0) for one in gravity_of(truth, 1e-9))
+    turn = Rotation.from_rotvec(np.radians([0, 20.0, 0])).as_matrix()
+    (found,) = Attitudes(level).errors(moved(truth, Similarity(1.0, turn, np.zeros(3))))
+    assert found.suspects == () and found.off == pytest.approx(20, rel=1e-6)
+    assert max(image.apart for image in found.images) < 1e-6
+    assert min(image.degrees for image in found.images) == pytest.approx(20, rel=1e-6)
