@@ -226,3 +226,14 @@ def test_images_contradict_each_other_and_not_the_model():
     assert found.suspects == () and found.off == pytest.approx(20, rel=1e-6)
     assert max(image.apart for image in found.images) < 1e-6
     assert min(image.degrees for image in found.images) == pytest.approx(20, rel=1e-6)
+
+
+@pytest.mark.parametrize("by", [-170.0, -10.0, 10.0, 170.0])
+def test_headings_turn_by_the_shorter_way(by):
+    truth, _ = upright_and_turned()
+    priors = headings_of(truth, by)
+    around = [HeadingPrior(one.image, one.heading_degrees + 360, 1.0, axis=AXIS) for one in priors]
+    for given in (priors, around):
+        (group,) = ProblemAttitudes.make(truth, given).groups
+        expected = np.tile([0, 0, np.radians(-by)], (len(given), 1))
+        np.testing.assert_allclose(group.turns(truth), expected, atol=1e-9)

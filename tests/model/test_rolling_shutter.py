@@ -8,7 +8,7 @@ import pytest
 from scipy.linalg import expm
 
 import bundle
-from bundle.model.shutter_motion import moved, read_positions
+from bundle.model.shutter_motion import moved, read_positions, scaled
 
 TWIST = np.arange(24.0).reshape(4, 6) / 100
 
@@ -178,3 +178,13 @@ def test_points_move_by_the_exponential_of_a_twist(angle):
     expected = (expm(0.5 * matrix) @ np.append(point, 1))[:3]
     found = moved(twist[None], np.array([0.5]), point[None])[0]
     np.testing.assert_allclose(found, expected, rtol=1e-14, atol=1e-14)
+
+
+@pytest.mark.parametrize("scale", [3.0, np.array([0.5, 1, 2, 4])])
+def test_longer_units_lengthen_the_shifts_of_twists(scale):
+    shutter = problem_of().rolling_shutter
+    found = scaled(shutter, scale)
+    np.testing.assert_array_equal(found.twist[:, :3], TWIST[:, :3])
+    np.testing.assert_allclose(found.twist[:, 3:], TWIST[:, 3:] * np.reshape(scale, (-1, 1)))
+    assert found.neighbours.tolist() == shutter.neighbours.tolist()
+    assert scaled(None, scale) is None
