@@ -8,6 +8,7 @@ from bundle.georeference.similarity import Similarity, moved
 from bundle.model.rigid_motions import quaternion_rotate
 from bundle.model.shutter_motion import read_positions
 from bundle.synthetic.video_scene import film
+from tests.model.test_rolling_shutter import problem_of
 
 
 def scene_of(kind="orbit", direction="rows", **changes):
@@ -91,6 +92,15 @@ def test_points_without_a_projection_stay_where_they_are():
     found = bundle.to_global_shutter(problem.replace(points=points))
     assert 0 < found.num_left < 9
     assert np.isfinite(found.problem.observation_xy).all()
+
+
+def test_the_motion_is_that_from_the_first_to_the_last_row():
+    """500 px times 0.02 at the depth 2 are 5 px: of 480 rows in three images, 640 columns."""
+    problem = problem_of(twist=np.tile([0.0, 0, 0, 0.02, 0, 0], (4, 1)))
+    found = bundle.to_global_shutter(problem)
+    shares = np.array([5 / 480, 5 / 480, 5 / 480, 5 / 640])
+    assert found.num_moved == 12
+    assert found.motion == pytest.approx(np.sqrt((shares**2).mean()), rel=1e-9)
 
 
 def test_global_shutters_are_refused():
