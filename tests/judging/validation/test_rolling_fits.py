@@ -1,5 +1,6 @@
 """Motion by prediction: the rule on planted errors, and shutters on planted motions."""
 
+from types import SimpleNamespace
 from unittest import mock
 
 import numpy as np
@@ -46,6 +47,30 @@ def test_a_motion_is_found_if_a_shutter_alone_predicts_as_well_as_the_best(
     )
     assert gain == pytest.approx(1 - rolling / shared)
     assert found == [explains, moves]
+
+
+@pytest.mark.parametrize(
+    ("difference", "sigmas", "lacks"),
+    [
+        (0.04, 4.79, True),  # Student's t of 9 degrees exceeds 4.781 with a probability of 0.001
+        (0.04, 4.77, False),
+        (0.0201, 100.0, True),
+        (0.0199, 100.0, False),  # 1 % of the best score of 2
+    ],
+)
+def test_a_lens_lacks_a_term_if_it_predicts_clearly_and_relevantly_worse(
+    monkeypatch, difference, sigmas, lacks
+):
+    decided = SimpleNamespace(
+        differences=np.array([0.0, difference]),
+        standard_errors=np.array([0.0, difference / sigmas]),
+        scores=np.array([2.0, 2.0 + difference]),
+        best=0,
+    )
+    monkeypatch.setattr(rolling_fits, "_decision", lambda *_: decided)
+    image = np.repeat(np.arange(10), 3)
+    found = rolling_fits.are_clearly_worse(np.ones((2, 30)), image, DecisionRule())
+    assert found.tolist() == [False, lacks]
 
 
 @pytest.mark.parametrize(("order", "gain"), [(ROWS, 2.77), (COLUMNS, 1.63)])
