@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import bundle
-from bundle.checking import column_signatures, row_signatures
+from bundle.checking import classify, column_signatures, row_signatures
 from bundle.checking.evidence import Evidence
 from bundle.checking.jacobian_deviation import JacobianDeviation
 from bundle.checking.residual_blocks import Block, Column
@@ -160,3 +160,50 @@ def test_a_logarithm_keeps_its_residual(off, is_kept):
 def test_a_start_is_finite(block):
     with pytest.raises(bundle.InputError, match="nan or infinity in block 1"):
         bundle.check_gradients(lambda _: (np.zeros(1), []), [[1.0], block])
+
+
+@pytest.mark.parametrize(
+    ("error", "kind"),
+    [
+        (0.99e-4, "float_precision"),
+        (1.01e-4, "small_part"),
+        (0.29, "small_part"),
+        (0.31, "large_part"),
+    ],
+)
+def test_errors_without_a_pattern_have_kinds_by_size(error, kind):
+    rng = np.random.default_rng(5)
+    right, signs = rng.normal(size=(4, 3, 2)), rng.choice([-1.0, 1.0], size=(4, 3, 2))
+    scale = evidence(right, right).deviations.scale
+    given = evidence(right + error * scale * signs, right)
+    classify._by_size(given)
+    assert [one.kind for one in given.findings] == [kind]
+
+
+@pytest.mark.parametrize(("num_wrong", "kind"), [(3, "small_part"), (4, "float_precision")])
+def test_last_digits_are_wrong_in_most_entries_or_in_some(num_wrong, kind):
+    """Half of six entries of a column, and four of them."""
+    right = np.random.default_rng(6).normal(size=(1, 6, 1))
+    analytic = right.copy()
+    analytic[0, :num_wrong] *= 1 + 1e-6
+    given = evidence(analytic, right)
+    classify._by_size(given)
+    assert [one.kind for one in given.findings] == [kind]
+
+
+@pytest.mark.parametrize(("source", "words"), [(-1, "just before"), (0, "the first point")])
+def test_a_stale_jacobian_is_that_of_an_earlier_point(source, words):
+    right = np.random.default_rng(7).normal(size=(5, 2, 2))
+    held = np.maximum(np.arange(5) - 1, 0) if source else np.zeros(5, int)
+    deviations = evidence(right[held], right).deviations
+    found = classify.stale(deviations, deviations, TOLERANCE)
+    assert found.kind == "stale" and words in found.sentence
+    two_before = evidence(right[np.maximum(np.arange(5) - 2, 0)], right).deviations
+    assert classify.stale(two_before, two_before, TOLERANCE) is None
+
+
+@pytest.mark.parametrize(("count", "is_found"), [(4, False), (5, True)])
+def test_five_numbers_tell_single_precision(count, is_found):
+    right = np.random.default_rng(8).normal(size=(1, count, 1))
+    given = evidence(right.astype(np.float32), right).deviations
+    assert bool(classify.float_precision(given, ("x",))) == is_found
