@@ -207,3 +207,43 @@ def test_five_numbers_tell_single_precision(count, is_found):
     right = np.random.default_rng(8).normal(size=(1, count, 1))
     given = evidence(right.astype(np.float32), right).deviations
     assert bool(classify.float_precision(given, ("x",))) == is_found
+
+
+@pytest.mark.parametrize(("times", "is_found"), [(1010, True), (990, False)])
+def test_a_term_of_rank_one_is_a_thousand_times_its_doubt(times, is_found):
+    rng = np.random.default_rng(9)
+    right, missing = rng.normal(size=(2, 2, 2)), np.array([[0.6, 0.0], [0.8, 0.0]])
+    doubt = np.full((2, 2, 2), 1 / (2 * times))  # of norm 1 / times at each point
+    given = evidence(right + missing @ [[0.6, 0.8], [0, 0]], right, doubt)
+    column_signatures.rank_one(given)
+    assert [one.kind for one in given.findings] == ["missing_term"] * is_found
+
+
+@pytest.mark.parametrize(("step", "edge", "word"), [(1, 3, "next"), (-1, 0, "previous")])
+def test_shifted_columns_have_one_edge_without_a_source(step, edge, word):
+    right = np.random.default_rng(10).normal(size=(3, 2, 4))
+    analytic = np.roll(right, -step, axis=2)
+    analytic[..., edge] = 0.0
+    given = evidence(analytic, right)
+    column_signatures.shifted(given)
+    assert [one.kind for one in given.findings] == ["shifted"]
+    assert f"the {word} one" in given.findings[0].sentence
+    analytic[..., 3 - edge] = 0.0  # the other edge has a source
+    inner = evidence(analytic, right)
+    column_signatures.shifted(inner)
+    assert inner.findings == []
+
+
+def test_a_column_of_zeros_has_the_median_size_of_the_others():
+    found = evidence(np.zeros((1, 1, 4)), [[[1.0, 2, 9, 0]]]).deviations.scale
+    np.testing.assert_allclose(found[0, 0], [1, 2, 9, 2])
+
+
+@pytest.mark.parametrize(("off", "is_kept"), [(0.99e-6, True), (1.01e-6, False)])
+def test_a_residual_is_kept_to_a_share_of_the_deviation(off, is_kept):
+    """M = I + 0.1 y y^T moves r = x by `off`, and differs from I by 0.1."""
+    right = np.random.default_rng(11).normal(size=(1, 3, 5))
+    matrix = np.eye(3) + [[0, 0, 0], [off, 0.1, 0], [0, 0, 0]]
+    given = evidence(matrix @ right, right)
+    given.residuals = np.array([[2.0, 0, 0]])
+    assert row_signatures._keeps_residual(given, list(range(5)), 3) == is_kept
