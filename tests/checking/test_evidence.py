@@ -144,6 +144,15 @@ def test_one_matrix_is_judged_by_columns_that_others_predict(width, is_one):
     assert not row_signatures._is_one_matrix(given, right)
 
 
+@pytest.mark.parametrize(("predicted", "is_one"), [(2, False), (3, True)])
+def test_half_of_the_columns_are_predicted(predicted, is_one):
+    """Three columns have a row each; the others share the fourth and predict each other."""
+    rng = np.random.default_rng(12)
+    row = np.concatenate([np.arange(3), np.full(predicted, 3)])
+    right = rng.normal(size=(3, 1, len(row))) * (np.arange(4)[:, None] == row)
+    assert row_signatures._is_one_matrix(rng.normal(size=(4, 4)) @ right, right) == is_one
+
+
 @pytest.mark.parametrize(("off", "is_kept"), [(0.0, True), (1e-3, False)])
 def test_a_logarithm_keeps_its_residual(off, is_kept):
     """M = I + v w^T with w across r keeps r."""
@@ -243,7 +252,7 @@ def test_a_column_of_zeros_has_the_median_size_of_the_others():
 def test_a_residual_is_kept_to_a_share_of_the_deviation(off, is_kept):
     """M = I + 0.1 y y^T moves r = x by `off`, and differs from I by 0.1."""
     right = np.random.default_rng(11).normal(size=(1, 3, 5))
-    matrix = np.eye(3) + [[0, 0, 0], [off, 0.1, 0], [0, 0, 0]]
+    matrix = np.array([[1, 0, 0], [off, 1.1, 0], [0, 0, 1]])
     given = evidence(matrix @ right, right)
     given.residuals = np.array([[2.0, 0, 0]])
     assert row_signatures._keeps_residual(given, list(range(5)), 3) == is_kept
