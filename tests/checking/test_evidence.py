@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import bundle
 from bundle.checking import classify, column_signatures, row_signatures
@@ -256,3 +257,30 @@ def test_a_residual_is_kept_to_a_share_of_the_deviation(off, is_kept):
     given = evidence(matrix @ right, right)
     given.residuals = np.array([[2.0, 0, 0]])
     assert row_signatures._keeps_residual(given, list(range(5)), 3) == is_kept
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ((("left", -1),), "Exp(d) Exp(w)"),
+        ((("right", -1),), "Exp(w) Exp(d)"),
+        ((("left", -1), ("right", 1)), "the right Jacobian of SO(3) instead of the left"),
+        ((("right", -1), ("left", 1)), "the left Jacobian of SO(3) instead of the right"),
+    ],
+)
+def test_each_perturbation_of_a_rotation_is_named(changes, words):
+    """J_l(w) is the mean of Exp(s w) over s from 0 to 1, J_r(w) that of Exp(-s w)."""
+    rng = np.random.default_rng(13)
+    right, vectors = rng.normal(size=(4, 3, 3)), rng.normal(size=(4, 3))
+    nodes, weights = np.polynomial.legendre.leggauss(20)
+    analytic = right.copy()
+    for k, w in enumerate(vectors):
+        for side, power in changes:
+            turns = Rotation.from_rotvec(np.outer((nodes + 1) / 2, w))
+            turns = (turns if side == "left" else turns.inv()).as_matrix()
+            mean = np.einsum("n,nij->ij", weights / 2, turns)
+            analytic[k] = analytic[k] @ (mean if power == 1 else np.linalg.inv(mean))
+    given = evidence(analytic, right, points=vectors)
+    row_signatures.rotation_vectors(given)
+    assert [one.kind for one in given.findings] == ["perturbation"]
+    assert words in given.findings[0].sentence

@@ -107,6 +107,8 @@ def test_an_entry_is_wrong_or_undecided_but_not_both():
     assert tally.num_wrong.tolist() == [1]
     assert tally.num_undecided.tolist() == [2]
     assert not tally.is_undecided(0), "half of the entries"
+    tally.add(deviations([1.0], [0.1], [0.2]), np.arange(1))
+    assert tally.num_undecided.tolist() == [3] and tally.is_undecided(0), "three of five"
 
 
 def test_a_slope_that_only_tiny_steps_show_is_not_accused():

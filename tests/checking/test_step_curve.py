@@ -173,3 +173,13 @@ def test_small_derivatives_of_a_residual_in_single_precision_are_not_accused():
 
     for _ in range(10):
         assert bundle.check_gradients(rounded, [rng.normal(0, 0.1, 3)]).verdict != "wrong"
+
+
+def test_central_differences_are_extrapolated_by_their_squares():
+    """Of a h + h^3 at three steps; at smaller ones the residual does not change."""
+    steps = 0.5 ** np.arange(11)
+    plus = np.where(steps > 0.2, 0.7 * steps + steps**3, 0.0)[:, None]
+    line = Line(steps, np.zeros(1), plus, -plus)
+    one = np.ones(1)
+    assert acquitted(line, 0.7 * one, one, one).all()
+    assert not acquitted(line, 0.71 * one, one, one).any()
