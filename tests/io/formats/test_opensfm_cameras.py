@@ -1,9 +1,12 @@
 """Cameras of OpenSfM in pixels: portrait and landscape images, by numbers written by hand."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from bundle import InputError
+from bundle.io.formats.opensfm import _camera
 from bundle.io.formats.opensfm_cameras import SfmCamera, as_model, project
 
 TWO = {"focal_x": 0.9, "focal_y": 0.8, "c_x": 0.01, "c_y": -0.02}
@@ -54,6 +57,25 @@ def test_a_portrait_lens_with_two_focal_lengths(kind, more, model, lens):
     found = as_model(SfmCamera(kind, 600, 800, TWO | more), "here")
     assert found.model == model
     np.testing.assert_allclose(found.params, [720, 640, 308, 384, *lens])
+
+
+@pytest.mark.parametrize(
+    ("model", "params", "written"),
+    [
+        ("RADIAL", [720.0, 300, 400, 0.1, -0.02], ONE),
+        ("OPENCV", [720.0, 640, 308, 384, 0.1, 0.2, 0.3, 0.4], TWO | {"k1": 0.1, "p2": 0.4}),
+        ("OPENCV_FISHEYE", [720.0, 640, 308, 384, 0.1, 0.2, 0.3, 0.4], TWO | {"k4": 0.4}),
+    ],
+)
+def test_portrait_lenses_are_written_with_the_numbers_that_are_read(model, params, written):
+    problem = SimpleNamespace(
+        camera_models=(model,),
+        camera_sizes=np.array([[600, 800]]),
+        camera_params=np.array([params]),
+    )
+    found = _camera(problem, 0)
+    assert (found["width"], found["height"]) == (600, 800)
+    assert {name: found[name] for name in written} == pytest.approx(written)
 
 
 def test_a_portrait_fisheye():
