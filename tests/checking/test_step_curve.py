@@ -176,7 +176,7 @@ def test_small_derivatives_of_a_residual_in_single_precision_are_not_accused():
 
 
 def test_central_differences_are_extrapolated_by_their_squares():
-    """Of a h + h^3 at three steps; at smaller ones the residual does not change."""
+    """The residual is a h + h^3 at three steps, and does not change at smaller ones."""
     steps = 0.5 ** np.arange(11)
     plus = np.where(steps > 0.2, 0.7 * steps + steps**3, 0.0)[:, None]
     line = Line(steps, np.zeros(1), plus, -plus)
