@@ -26,7 +26,8 @@ _DEFERRED = {
     "georeference.alignment_result": "Alignment",
     "georeference.attitude_priors": "GravityPrior HeadingPrior OrientationPrior",
     "georeference.control_point": "GroundControlPoint",
-    "georeference.vector_priors": "PositionPrior VelocityPrior",
+    "georeference.vector_priors": "PositionPrior",
+    "georeference.velocities": "VelocityPrior",
     "graphs.factors.checks": "check_gradients check_jacobians",
     "graphs.factors.factor_graph": "DigitsLeft FactorGraph GraphResult",
     "graphs.factors.factors": (

@@ -38,7 +38,7 @@ from bundle.georeference.attitude_priors import HeadingPrior as HeadingPrior
 from bundle.georeference.attitude_priors import OrientationPrior as OrientationPrior
 from bundle.georeference.control_point import GroundControlPoint as GroundControlPoint
 from bundle.georeference.vector_priors import PositionPrior as PositionPrior
-from bundle.georeference.vector_priors import VelocityPrior as VelocityPrior
+from bundle.georeference.velocities import VelocityPrior as VelocityPrior
 from bundle.graphs.factors.checks import check_gradients as check_gradients
 from bundle.graphs.factors.checks import check_jacobians as check_jacobians
 from bundle.graphs.factors.factor_graph import DigitsLeft as DigitsLeft

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 import bundle
-from bundle.georeference.given_positions import given_gps
 from bundle.georeference.gps_positions import read_database_gps
 from bundle.georeference.local_frame import LocalFrame
+from bundle.georeference.survey_priors import given_gps
 from tests.georeference import blocks
 
 pycolmap = pytest.importorskip("pycolmap")

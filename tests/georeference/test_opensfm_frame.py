@@ -7,8 +7,8 @@ import pytest
 
 import bundle
 from bundle.cli.main import main
+from bundle.georeference.gps_positions import read_opensfm_gps
 from bundle.georeference.local_frame import LocalFrame
-from bundle.georeference.opensfm_frame import read_opensfm_gps
 from tests.georeference import blocks
 
 LLA = {"latitude": 46.8425, "longitude": -91.9942, "altitude": 198.5}

@@ -19,8 +19,8 @@ _DEFERRED = {
     "reference_system": "ReferenceSystem",
     "similarity": "Similarity",
     "survey_priors": "GcpPriors GpsPriors gcp_priors gps_priors",
-    "vector_priors": "PositionPrior VelocityPrior",
-    "velocities": "Velocities read_velocities",
+    "vector_priors": "PositionPrior",
+    "velocities": "Velocities VelocityPrior read_velocities",
 }
 """Modules with their public names, imported on first use, as in ``bundle/__init__.py``."""
 _MODULE_OF = {name: module for module, names in _DEFERRED.items() for name in names.split()}

@@ -25,8 +25,8 @@ from bundle.georeference.survey_priors import GpsPriors as GpsPriors
 from bundle.georeference.survey_priors import gcp_priors as gcp_priors
 from bundle.georeference.survey_priors import gps_priors as gps_priors
 from bundle.georeference.vector_priors import PositionPrior as PositionPrior
-from bundle.georeference.vector_priors import VelocityPrior as VelocityPrior
 from bundle.georeference.velocities import Velocities as Velocities
+from bundle.georeference.velocities import VelocityPrior as VelocityPrior
 from bundle.georeference.velocities import read_velocities as read_velocities
 
 __all__ = [

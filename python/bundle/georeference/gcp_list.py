@@ -1,4 +1,4 @@
-"""ODM's ``gcp_list.txt``: ground control points, one measurement per line.
+"""Ground control points of files: ODM's ``gcp_list.txt``, one measurement per line, and OpenSfM's.
 
     EPSG:32632
     # x y z px py image [label] [extras]
@@ -18,17 +18,23 @@ Here, as in COLMAP, this centre is (0.5, 0.5): half a pixel is added to each coo
 Extensions of ODM's format, which ignores everything after the image's name: ``sigma=H[/V]``
 (metres) and ``check`` on any line of a target apply to the target, ``pixel_sigma=PX`` to the
 measurement. The label is the first of the other words; words after it are ignored.
+
+``ground_control_points.json`` of an OpenSfM project has latitudes and longitudes, and measurements
+in normalised coordinates: pixels from the centre over max(width, height).
 """
 
 from __future__ import annotations
 
 import os
-from dataclasses import field
+from collections.abc import Iterable
+from dataclasses import field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from bundle.base.paths import as_path
+from bundle.base.arrays import at, check_distinct, check_type
+from bundle.base.paths import as_path, is_path
 from bundle.base.records import dataclass
 from bundle.base.words import plural
 from bundle.errors import InputError, brief, nearest, shown
@@ -39,12 +45,18 @@ from bundle.georeference.control_point import (
     parse_pixel_sigma,
     parse_sigma,
 )
+from bundle.georeference.image_index import ImageIndex
+from bundle.georeference.opensfm_frame import is_opensfm
 from bundle.georeference.text_lines import parse_number, read_lines
+from bundle.io.formats.file_values import Node, read_json
+from bundle.model.problem import Problem
 
 PIXEL_SHIFT = 0.5
 """Shift from pixel coordinates with origin at the centre of the first pixel to COLMAP's."""
 
 CHECK = "check"
+POINTS, LIST = "ground_control_points.json", "gcp_list.txt"
+"""Files of an OpenSfM project."""
 _KEYS = ("sigma", "pixel_sigma")
 _FIELDS = "x y z px py image [label]"
 
@@ -165,3 +177,111 @@ def _name_targets(path: Path, targets: dict[tuple[str, ...], _Target]) -> None:
                 f"in line {lines[target.name]}"
             )
         lines[target.name] = target.line
+
+
+def read_opensfm_gcps(path: Path, problem: Problem) -> tuple[GroundControlPoint, ...]:
+    """Read ground_control_points.json; of a project's folder, this file and gcp_list.txt.
+
+    Args:
+        path: path of the file or folder.
+        problem: problem with the sizes of the images. Other images are ignored, as in OpenSfM.
+
+    Raises:
+        InputError: a value is invalid, or the folder has neither file.
+        OSError: a file cannot be read.
+    """
+    if not path.is_dir():
+        return _control_points(read_json(path), problem)
+    points: tuple[GroundControlPoint, ...] = ()
+    if (path / POINTS).is_file():
+        points += _control_points(read_json(path / POINTS), problem)
+    if (path / LIST).is_file():
+        points += read_gcp_list(path / LIST)
+    if not points:
+        raise InputError(
+            f"{shown(path)}: expected {POINTS} or {LIST} in the folder, found no such file"
+        )
+    return points
+
+
+def _control_points(node: Node, problem: Problem) -> tuple[GroundControlPoint, ...]:
+    index = ImageIndex(problem, f"{node.place}: ")
+    points = []
+    for point in node.get("points").entries():
+        position = point.find("position")
+        if position is None or not position.value:
+            continue  # a tie point without coordinates
+        height = position.find("altitude")
+        x, y = position.get("longitude").number(), position.get("latitude").number()
+        z = np.nan if height is None or height.value is None else height.number()
+        measurements = {}
+        for seen in point.get("observations").entries():
+            row = index.find(seen.get("shot_id").text(), f"{seen.place}: ")
+            if row is None or seen.find("projection") is None:
+                continue
+            size = problem.camera_sizes[problem.image_camera[row]]
+            if not size.all():
+                seen.fail("an image of known size (--image-size W,H)")
+            if row in measurements:
+                seen.fail("one measurement of a point per image")
+            u, v = (seen.get("projection").numbers(2) * size.max() + size / 2).tolist()
+            measurements[row] = Measurement(problem.image_names[row], u, v)
+        role = point.find("role")
+        is_check = role is not None and "metrics" in str(role.value).lower()
+        with at(point.place):
+            found = GroundControlPoint(
+                name=str(point.get("id").value),
+                position=(x, y, z),
+                measurements=tuple(measurements.values()),
+                role="check" if is_check else "control",
+                reference_system="WGS84",
+            )
+        points.append(found)
+    if not points:
+        raise InputError(f"{node.place}: expected points with a position, found 0")
+    return tuple(points)
+
+
+def given_control_points(gcps: Any, problem: Problem) -> tuple[GroundControlPoint, ...]:
+    """Return control points from objects or from a file; an empty list for None.
+
+    Raises:
+        InputError: the argument does not contain control points, or names repeat.
+        OSError: the file cannot be read.
+    """
+    if gcps is None:
+        return ()
+    if is_path(gcps):
+        path = as_path(gcps, "gcps")
+        return read_opensfm_gcps(path, problem) if is_opensfm(path) else read_gcp_list(path)
+    try:
+        points = tuple(gcps)
+    except TypeError:
+        raise InputError(f"gcps: expected a path or control points, found {brief(gcps)}") from None
+    for point in points:
+        check_type("gcps", point, GroundControlPoint, "GroundControlPoints")
+    check_distinct("gcps: expected unique names", (point.name for point in points))
+    if not points:
+        raise InputError("gcps: expected at least one control point, found 0")
+    return points
+
+
+def with_check_points(
+    points: tuple[GroundControlPoint, ...], names: Iterable[str]
+) -> tuple[GroundControlPoint, ...]:
+    """Return the points with some of them changed to check points.
+
+    Raises:
+        InputError: a name is not the name of a point.
+    """
+    if isinstance(names, str):
+        raise InputError(f"check_points: expected a sequence of names, found {brief(names)}")
+    wanted = list(names)
+    known = [point.name for point in points]
+    for name in wanted:
+        if name not in known:
+            meant = nearest(str(name), known) or f"; expected some of {', '.join(known)}"
+            raise InputError(f"check_points: there is no control point {brief(name)}{meant}")
+    return tuple(
+        replace(point, role="check") if point.name in wanted else point for point in points
+    )

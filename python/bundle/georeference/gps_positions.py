@@ -1,4 +1,4 @@
-"""Measured positions of images: geo.txt, a COLMAP database, and their images by name."""
+"""Measured positions of images: geo.txt, COLMAP's database, OpenSfM, and their images by name."""
 
 from __future__ import annotations
 
@@ -6,17 +6,24 @@ import os
 from collections.abc import Iterable, Sequence
 from dataclasses import field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+import bundle._core as _core
 from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
 from bundle.base.words import plural
 from bundle.errors import InputError, brief, shown
+from bundle.georeference.control_point import Sigma
 from bundle.georeference.image_index import ImageIndex
+from bundle.georeference.local_frame import LocalFrame
+from bundle.georeference.opensfm_frame import frame_of
+from bundle.georeference.reference_system import ReferenceSystem
 from bundle.georeference.text_lines import parse_number, read_lines
 from bundle.io.database_images import open_database
+from bundle.io.formats.file_values import Node, parsed, read_json
 from bundle.model.problem import Problem
 
 EXIF_TAGS = "EXIF tags"
@@ -52,6 +59,22 @@ class GpsPositions(Displayed):
     def is_exif(self) -> bool:
         """True if the positions come from the images' EXIF tags and not from a table."""
         return self.source.startswith(EXIF_TAGS)
+
+    def exchanged(self) -> GpsPositions | None:
+        """Return the positions with the first two given coordinates swapped; None if invalid."""
+        if self.reference_system is None:
+            return None
+        geodetic = ReferenceSystem(self.reference_system).exchanged(self.geodetic)
+        return None if geodetic is None else replace(self, geodetic=geodetic)
+
+    def with_heights(self, factor: float) -> GpsPositions:
+        """Return the positions with scaled heights."""
+        return replace(self, geodetic=self.geodetic * [1, 1, factor])
+
+    def with_sigmas(self, default: Sigma, scale: Sigma) -> GpsPositions:
+        """Return the positions with the given or default standard deviations times a factor."""
+        own = np.where(np.isnan(self.accuracy), default, self.accuracy)
+        return replace(self, accuracy=own * scale)
 
     def _display(self) -> Display:
         heights = int(np.isfinite(self.geodetic[:, 2]).sum())
@@ -345,3 +368,68 @@ def _doubles(blob: object, count: int, place: str) -> NDArray[np.float64]:
         found = f"{len(blob)} bytes" if isinstance(blob, bytes) else brief(blob)
         raise InputError(f"{place}: expected {8 * count} bytes, found {found}")
     return np.frombuffer(blob, "<f8")
+
+
+# Positions of an OpenSfM project.
+#
+# ``gps_position`` of a shot is the measured position in the frame of its reconstruction
+# (``opensfm_frame.py``), and ``gps_dop`` the standard deviation in metres that OpenSfM gives it.
+
+RECONSTRUCTION = "reconstruction.json"
+REFERENCE = "reference_lla.json"
+_NO_POINTS = 2**31  # an entry that no file has: the reader skips all points
+_NO_FIX = 1e5
+"""gps_dop in metres from which a shot has no position; OpenSfM writes 999999."""
+
+
+def read_opensfm_gps(path: Path) -> GpsPositions:
+    """Read the GPS positions of the shots of reconstruction.json, or of the project's folder.
+
+    Raises:
+        InputError: a value is invalid, or ``reference_lla`` is missing.
+        OSError: the file cannot be read.
+    """
+    file = path / RECONSTRUCTION if path.is_dir() else path
+    node = parsed(_core.read_opensfm(file, _NO_POINTS)["rest"], file)
+    rows: dict[str, tuple[Any, float]] = {}
+    without = 0
+    for reconstruction in node.entries():
+        frame = None
+        for name, shot in reconstruction.get("shots").items():
+            position, dop = shot.find("gps_position"), shot.find("gps_dop")
+            if position is None or position.value is None:
+                continue
+            sigma = np.nan if dop is None or dop.value is None else dop.number()
+            if not sigma < _NO_FIX and not np.isnan(sigma):
+                without += 1
+                continue
+            if sigma <= 0:
+                shot.get("gps_dop").fail("metres above 0")
+            frame = frame or _reference(reconstruction, file)
+            rows[name] = (frame.to_geodetic(position.numbers(3))[0], sigma)
+    if not rows:
+        raise InputError(f"{shown(file)}: expected shots with gps_position, found 0")
+    return GpsPositions(
+        names=tuple(rows),
+        geodetic=np.array([position for position, _ in rows.values()]),
+        accuracy=np.array([(sigma, sigma) for _, sigma in rows.values()]),
+        reference_system="WGS84",
+        source=shown(file),
+        notes=(f"{plural(without, 'shot')} without a GPS fix (gps_dop above {_NO_FIX:g} m).",)
+        if without
+        else (),
+    )
+
+
+def _reference(reconstruction: Node, file: Path) -> LocalFrame:
+    """Return the frame of a reconstruction: its reference_lla, or that of the file beside it."""
+    node = reconstruction.find("reference_lla")
+    beside = file.parent / REFERENCE
+    if (node is None or node.value is None) and beside.is_file():
+        node = read_json(beside)
+    if node is None or node.value is None:
+        raise InputError(
+            f"{reconstruction.place}: expected reference_lla, the origin of gps_position, here or "
+            f"in {REFERENCE}, found no such member or file"
+        )
+    return frame_of(node)

@@ -36,11 +36,11 @@ if TYPE_CHECKING:
     from bundle.georeference.point_check import SurveyChecks
     from bundle.georeference.position_offset import PositionOffset
     from bundle.georeference.similarity import Similarity
-    from bundle.georeference.vector_priors import PositionPrior, VelocityPrior
+    from bundle.georeference.vector_priors import VectorPrior
     from bundle.graphs.factors.factors import Factor
     from bundle.model.problem import Problem
 
-    Prior: TypeAlias = PositionPrior | GroundControlPoint | AttitudePrior | VelocityPrior
+    Prior: TypeAlias = VectorPrior | GroundControlPoint | AttitudePrior
 
 
 class Solved(Protocol):
@@ -260,7 +260,7 @@ ROWS = [
         meaning="They need rolling shutters with free or tied twists, readouts and --frame-rate.",
         shared=("images", "antenna", *ROBUST),
         read="velocities.read_velocities",
-        prior="vector_priors.VelocityPrior",
+        prior="velocities.VelocityPrior",
         found="velocities.ProblemVelocities",
         entry="velocities",
         moves=False,

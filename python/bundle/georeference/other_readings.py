@@ -27,7 +27,6 @@ from numpy.typing import NDArray
 
 from bundle.errors import InputError
 from bundle.georeference.control_point import GroundControlPoint
-from bundle.georeference.gps_positions import GpsPositions
 from bundle.georeference.prior_alignment import robust_similarity
 from bundle.georeference.reference_system import ReferenceSystem
 from bundle.georeference.similarity import Similarity
@@ -36,7 +35,7 @@ from bundle.model.problem import Problem
 from bundle.model.rigid_motions import rotation_matrices
 
 if TYPE_CHECKING:  # avoids a cycle: survey calls check_readings
-    from bundle.georeference.survey import Survey
+    from bundle.georeference.survey import Readings, Survey
 
 UPRIGHT = 0.5
 """Uprightness above which a model is upright; below its negative, the model is upside down."""
@@ -57,7 +56,6 @@ EXCHANGED = "columns 1 and 2 fit when exchanged"
 FEET = "heights fit as feet"
 
 Array = NDArray[np.float64]
-Readings = tuple[tuple[GroundControlPoint, ...], GpsPositions | None]
 
 
 def check_readings(survey: Survey) -> tuple[str, ...]:
@@ -82,7 +80,7 @@ def check_readings(survey: Survey) -> tuple[str, ...]:
         better = residual > TINY and residual > BETTER * its_residual and len(given) >= FEWEST
         if better and what == FEET:
             # Scaling down heights always improves the fit if they are noise.
-            level = survey.decisive_places(*_scaled(points, positions, 0.0))
+            level = survey.decisive_places(*_scaled((points, positions), 0.0))
             if level is not None:
                 at_one_height = _judged(survey.problem, level, survey.what)[0]
                 better = _most(at_one_height[rows[whose]]) > BETTER * its_residual
@@ -145,9 +143,10 @@ def _readings(survey: Survey) -> Iterator[tuple[str, str, *Readings]]:
     by_hand = positions if positions is not None and not positions.is_exif else None
     for what in (EXCHANGED, FEET):
         if what == EXCHANGED:
-            others = _exchanged_points(points), _exchanged_positions(by_hand)
+            swapped = None if by_hand is None else by_hand.exchanged()
+            others = _exchanged_points(points), swapped
         else:
-            others = _scaled(points, by_hand, FOOT)
+            others = _scaled((points, by_hand), FOOT)
         other_points, other_positions = others
         if other_points:
             yield "gcps", what, other_points, positions
@@ -170,23 +169,11 @@ def _exchanged_points(points: tuple[GroundControlPoint, ...]) -> tuple[GroundCon
     return tuple(exchanged)
 
 
-def _exchanged_positions(positions: GpsPositions | None) -> GpsPositions | None:
-    if positions is None or positions.reference_system is None:
-        return None
-    geodetic = ReferenceSystem(positions.reference_system).exchanged(positions.geodetic)
-    return None if geodetic is None else replace(positions, geodetic=geodetic)
-
-
-def _scaled(
-    points: tuple[GroundControlPoint, ...], positions: GpsPositions | None, factor: float
-) -> Readings:
+def _scaled(given: Readings, factor: float) -> Readings:
     """Return control points and positions with scaled heights."""
+    points, positions = given
     of_points = (
         replace(point, position=(*point.position[:2], factor * point.position[2]))
         for point in points
     )
-    of_positions = None
-    if positions is not None:
-        geodetic: NDArray[np.float64] = positions.geodetic * [1, 1, factor]
-        of_positions = replace(positions, geodetic=geodetic)
-    return tuple(of_points), of_positions
+    return tuple(of_points), None if positions is None else positions.with_heights(factor)

@@ -25,9 +25,9 @@ from bundle.errors import InputError
 from bundle.georeference.vector_priors import UNKNOWN
 from bundle.graphs.factors.factors import Factor, PositionFactor
 from bundle.graphs.factors.image_factors import RotationFactor
+from bundle.interface.georeference_options import OFFSET_AXES
 from bundle.model.problem import Problem
 
-AXES = {"none": (0.0, 0.0, 0.0), "up": (0.0, 0.0, 1.0), "all": (1.0, 1.0, 1.0)}
 LARGEST_ID = 2**63 - 1
 
 HELD = 1e16
@@ -68,7 +68,7 @@ class PositionOffset:
 
     def added_to(self, problem: Problem, start: NDArray[np.float64]) -> Problem:
         """Return the problem with the pose as its last image, at a start (3,) of the offset."""
-        value = np.array(AXES[self.axes]) * start
+        value = np.array(OFFSET_AXES[self.axes]) * start
         fields = {
             "cam_from_world": [*_IDENTITY, *value],
             "image_ids": self.image_id,
@@ -121,7 +121,7 @@ class PositionOffset:
 
     def of(self, factor: PositionFactor, axes: str) -> PositionFactor:
         """Return the factor of a position that has this offset along `axes`."""
-        return dataclasses.replace(factor, offset=self.key, axes=AXES[axes])
+        return dataclasses.replace(factor, offset=self.key, axes=OFFSET_AXES[axes])
 
     def value_in(self, problem: Problem) -> NDArray[np.float64]:
         """Return the offset (3,) in a problem of :meth:`added_to`: position minus model."""

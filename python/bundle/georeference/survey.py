@@ -15,20 +15,80 @@ from bundle.base.words import plural
 from bundle.errors import InputError
 from bundle.georeference.alignment_result import ControlPointError, as_triple
 from bundle.georeference.control_point import GroundControlPoint, Sigma
-from bundle.georeference.given_positions import Frame
 from bundle.georeference.gps_positions import GpsPositions, case_notes, matched, too_few
 from bundle.georeference.image_index import ImageIndex
+from bundle.georeference.local_frame import LocalFrame
+from bundle.georeference.reference_system import ReferenceSystem
 from bundle.georeference.similarity_fit import Correspondences, SimilarityFit, fit_similarity
 from bundle.georeference.triangulated_targets import Triangulated, triangulate
 from bundle.model.problem import Problem
 from bundle.model.rigid_motions import rotation_matrices
 
 Array = NDArray[np.float64]
+Readings = tuple[tuple[GroundControlPoint, ...], GpsPositions | None]
+"""Coordinates of control points, and of images or None."""
 
 FEWEST = 3
+"""Smallest number of points for a similarity."""
 
 MOST_OUTSIDE = 5
 """Largest number of measurements outside their images to list."""
+
+
+class Frame:
+    """Frame of a georeferenced model.
+
+    Attributes:
+        reference_system: reference system of the coordinates, or None if they are Cartesian.
+        origin: origin of east, north, up: in the middle of the control points (check points have no
+            influence), or of the positions without control points.
+        control_points: (n, 3) positions of the targets; up is nan if unknown.
+        positions: (m, 3) positions of images.
+        notes: sentences on inexact data.
+
+    Raises:
+        InputError: some coordinates have a reference system and others do not.
+    """
+
+    def __init__(
+        self, points: tuple[GroundControlPoint, ...], positions: GpsPositions | None
+    ) -> None:
+        self.notes: tuple[str, ...] = positions.notes if positions is not None else ()
+        self.origin: LocalFrame | None = None
+        self.reference_system: str | None = None
+        self.control_points = np.array([point.position for point in points]).reshape(-1, 3)
+        self.positions = np.zeros((0, 3))
+        systems = list(dict.fromkeys(point.reference_system for point in points))
+        if positions is not None:
+            systems += [positions.reference_system] if not points else []
+        local = positions is not None and positions.reference_system is None
+        if None in systems or local:
+            if any(system is not None for system in systems) or (positions is not None) > local:
+                raise InputError(
+                    "gcps: expected a reference system for each control point, because other "
+                    "points or GPS positions have one, found None"
+                    if not local
+                    else "gps: expected control points in the same Cartesian frame as the "
+                    f"positions, found {', '.join(str(one) for one in systems)}"
+                )
+            if positions is not None:
+                self.positions = positions.geodetic
+            return
+        geodetic = np.empty_like(self.control_points)
+        for name in systems if points else ():
+            system = ReferenceSystem(str(name))
+            of_it = [row for row, point in enumerate(points) if point.reference_system == name]
+            geodetic[of_it] = system.to_geodetic(self.control_points[of_it])
+            notes = (*system.notes, *system.area_notes(geodetic[of_it]))
+            self.notes += tuple(note for note in notes if note not in self.notes)
+        decisive = geodetic[[point.role == "control" for point in points]] if points else geodetic
+        if not len(decisive):
+            decisive = positions.geodetic if positions is not None else geodetic
+        self.origin = LocalFrame.about(decisive)
+        self.reference_system = ", ".join(map(str, systems))
+        self.control_points = self.origin.to_enu(geodetic)
+        if positions is not None:
+            self.positions = self.origin.to_enu(positions.geodetic)
 
 
 class Survey:
@@ -310,8 +370,6 @@ def _check_count(
 
 LEVEL = 0.05
 """Probability that a block without gross errors gets a suspect."""
-
-"""Smallest number of points for a similarity."""
 
 
 @dataclass(frozen=True)

@@ -12,9 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from bundle.base.arrays import at
 from bundle.base.display import Display, Displayed
+from bundle.base.paths import as_path, is_path
 from bundle.base.records import dataclass
 from bundle.base.words import plural
-from bundle.errors import InputError
+from bundle.errors import InputError, brief
 from bundle.georeference.alignment_result import ControlPointError, ImageError
 from bundle.georeference.control_point import (
     GCP_PIXEL_SIGMA,
@@ -23,21 +24,27 @@ from bundle.georeference.control_point import (
     parse_pixel_sigma,
     parse_sigma,
 )
+from bundle.georeference.exif_gps import read_exif_gps
+from bundle.georeference.gcp_list import given_control_points, with_check_points
 from bundle.georeference.georeferenced import (
     Georeference,
     origin_text,
     rig_notes,
 )
-from bundle.georeference.given_positions import (
-    given_control_points,
-    given_gps,
-    scaled_gps,
-    with_check_points,
+from bundle.georeference.gps_positions import (
+    GpsPositions,
+    matched,
+    read_database_gps,
+    read_geo_file,
+    read_opensfm_gps,
+    too_few,
+    unmatched_notes,
+    with_fix,
 )
-from bundle.georeference.gps_positions import GpsPositions, matched, too_few, unmatched_notes
 from bundle.georeference.image_index import ImageIndex
 from bundle.georeference.local_frame import LocalFrame
 from bundle.georeference.measurements import KnownPriors, Solved
+from bundle.georeference.opensfm_frame import is_opensfm
 from bundle.georeference.other_readings import check_readings
 from bundle.georeference.point_check import SurveyChecks
 from bundle.georeference.prior_alignment import ProblemPriors, robust_similarity
@@ -45,6 +52,7 @@ from bundle.georeference.similarity_fit import fit_similarity
 from bundle.georeference.survey import Survey
 from bundle.georeference.vector_priors import PositionPrior
 from bundle.interface.georeference_options import ROBUST_SCALE
+from bundle.io.database_images import is_database
 from bundle.model.problem import Problem
 
 GPS_SIGMA = (2.0, 5.0)
@@ -403,7 +411,36 @@ def gcp_priors(
     )
 
 
-# Positions and control points from the options of a command.
+# Positions and control points from files, images and the options of a command.
+
+EXIF = "exif"
+
+
+def given_gps(
+    gps: str | os.PathLike[str] | GpsPositions | None,
+    images: str | os.PathLike[str] | None,
+    problem: Problem,
+) -> GpsPositions | None:
+    """Return positions from an object, a file or the images' EXIF tags; None for None.
+
+    Raises:
+        InputError: a file or an argument is wrong.
+        OSError: a path cannot be read.
+    """
+    if gps == EXIF:
+        if images is None:
+            raise InputError('images: expected the folder of the images for "exif", found None')
+        return read_exif_gps(images, problem.image_names)
+    if images is not None:
+        raise InputError(f'images: expected gps="exif" together with it, found {brief(gps)}')
+    if gps is None or isinstance(gps, GpsPositions):
+        return None if gps is None else with_fix(gps)
+    if is_path(gps):
+        path = as_path(gps, "gps")
+        if is_database(path):
+            return with_fix(read_database_gps(path))
+        return with_fix(read_opensfm_gps(path)) if is_opensfm(path) else read_geo_file(path)
+    raise InputError(f'gps: expected "exif", a path or GpsPositions, found {brief(gps)}')
 
 
 def survey_given(problem: Problem, **options: Any) -> GcpPriors | GpsPriors:
@@ -425,8 +462,10 @@ def survey_settings(problem: Problem, options: Mapping[str, Any]) -> dict[str, A
     settings = dict(options)
     if (scale := settings.pop("gps_sigma_scale", None)) is not None:
         images = settings.pop("images", None) if settings["gps"] == "exif" else None
-        sigma = settings.get("gps_sigma", GPS_SIGMA)
-        settings["gps"] = scaled_gps(settings["gps"], images, problem, sigma, scale)
+        default = parse_sigma("gps_sigma", settings.get("gps_sigma", GPS_SIGMA))
+        factor = parse_sigma("gps_sigma_scale", scale, unit="a factor")
+        if (positions := given_gps(settings["gps"], images, problem)) is not None:
+            settings["gps"] = positions.with_sigmas(default, factor)
     if "gcp" in settings:
         settings["gcps"] = settings.pop("gcp")
     return settings

@@ -12,10 +12,11 @@ from bundle.interface.option_fields import option
 from bundle.interface.options import LOSSES
 
 GPS_SIGMA = "2/5"
-GPS_OFFSETS = ("none", "up", "all")
 GCP_SIGMA = "0.02"
 """Default standard deviations in metres, horizontal and vertical, for files without them."""
 GCP_PIXEL_SIGMA = 0.5
+OFFSET_AXES = {"none": (0.0, 0.0, 0.0), "up": (0.0, 0.0, 1.0), "all": (1.0, 1.0, 1.0)}
+"""Coordinates in which an offset of all positions moves them."""
 ROBUST_SCALE = math.sqrt(7.814727903251179)
 """Length in sigmas below which 95 % of 3D Gaussian errors are (chi squared: 7.8147)."""
 ROBUST_SCALES = {1: math.sqrt(3.841458820694124), 2: math.sqrt(5.991464547107979), 3: ROBUST_SCALE}
@@ -62,7 +63,7 @@ class GeoreferenceOptions(Options):
         "--gps-offset",
         "estimate a common offset of all positions from the control points: up, for heights of "
         "two systems (ellipsoid and sea level), or along all axes",
-        choices=GPS_OFFSETS,
+        choices=tuple(OFFSET_AXES),
         needs=("gps",),
         late=True,
     )

@@ -40,9 +40,10 @@ from bundle.georeference.point_check import (
     SurveyChecks,
     scaled_tail,
 )
-from bundle.georeference.position_offset import AXES, PositionOffset
+from bundle.georeference.position_offset import PositionOffset
 from bundle.georeference.target_priors import TargetPriors, survey_sigmas
 from bundle.graphs.factors.factors import Factor, PositionFactor
+from bundle.interface.georeference_options import OFFSET_AXES
 from bundle.model.problem import Problem
 from bundle.model.rigid_motions import rotation_matrices
 
@@ -256,7 +257,7 @@ class _Adjusted:
         if len(self.positions) < FEWEST_POSITIONS:
             return None
         axes = "all" if self.offset is None else self.offset.axes
-        moves = np.array(AXES[axes])
+        moves = np.array(OFFSET_AXES[axes])
         # At o = 0, the covariance of the translation of the pose is that of o.
         shifted = [
             replace(one, position=one.position - self.value * moves) for one in self.positions
@@ -270,7 +271,7 @@ class _Adjusted:
             both, of_up = gradient @ full @ gradient, gradient[2] ** 2 / information[2, 2]
             value = -full @ gradient
             if scaled_tail(float(both - of_up), 2, scale2, dof) >= OffsetCheck.LEVEL:
-                axes, moves = "up", np.array(AXES["up"])
+                axes, moves = "up", np.array(OFFSET_AXES["up"])
                 full = np.diag([0, 0, 1 / information[2, 2]])
                 value = -full @ gradient
         rows = np.flatnonzero(moves)
