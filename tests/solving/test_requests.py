@@ -14,7 +14,8 @@ from bundle.solving import prepare as preparation
 from bundle.solving.executors import solve_prepared
 from bundle.solving.prepare import prepare
 from bundle.solving.ranks import divided_solve
-from bundle.solving.request import PartRequest, RunPlan, SolveRequest
+from bundle.solving.request import PartRequest, SolveRequest
+from bundle.solving.rounds.filtering import RunPlan
 from bundle.solving.rounds.solve_rounds import run
 from tests.rig_scenes import STEREO, rig_problem
 from tests.scenes import make_problem, scene

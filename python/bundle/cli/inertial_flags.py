@@ -23,9 +23,9 @@ if TYPE_CHECKING:
     from bundle.georeference.measurements import Prior
     from bundle.inertial.offline.inertial_result import InertialAdjustment
     from bundle.interface.options import SolveOptions
-    from bundle.interface.round_options import RoundOptions
     from bundle.interface.solve_record import Progress
     from bundle.model.problem import Problem
+    from bundle.solving.rounds.filtering import RunPlan
 
 ELSEWHERE = (
     *("only_images", "hold_out", "checkpoint", "resume", "loops", "rules", "constraints"),
@@ -237,10 +237,10 @@ def adjusted_with_imu(
     problem: Problem,
     options: SolveOptions,
     priors: tuple[Prior, ...],
-    rounds: RoundOptions,
+    plan: RunPlan,
     progress: Progress,
 ) -> InertialAdjustment:
-    """Adjust a problem with the samples of an IMU, with priors, and in rounds if requested."""
+    """Adjust a problem with the samples of an IMU, with priors, and by a plan."""
     from bundle.inertial.offline.image_intervals import read_image_times
     from bundle.inertial.offline.imu_adjustment import adjust_with_imu
     from bundle.inertial.offline.inertial_result import ImuSamples
@@ -271,7 +271,7 @@ def adjusted_with_imu(
             imu_noise_scale=given.noise_scale,
             imu_samples=given.samples,
             priors=priors,
-            rounds=rounds,
+            plan=plan,
             progress=progress,
             place=table.place,
         )

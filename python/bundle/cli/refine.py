@@ -14,10 +14,8 @@ from bundle.cli.carried_georeference import (
     write_georeference,
 )
 from bundle.cli.error_lines import EXIT_DONE, EXIT_NO_SOLUTION
-from bundle.cli.georeference_flags import prior_flags
 from bundle.cli.inertial_flags import adjusted_with_imu
 from bundle.cli.on_disk import on_disk, with_disk_use
-from bundle.cli.option_flags import naming_flags
 from bundle.cli.output import Progress, publish
 from bundle.cli.problem_edits import loops_closed
 from bundle.cli.refine_input import Opened, open_input
@@ -26,16 +24,13 @@ from bundle.cli.refinement import Refinement
 from bundle.cli.standard_streams import complain
 from bundle.errors import InputError, shown
 from bundle.georeference.measurements import place_of
-from bundle.interface.judging_options import HoldOutOptions
-from bundle.interface.options import SolveOptions
 from bundle.interface.pose_graph_options import LoopOptions
-from bundle.interface.round_options import CheckpointOptions, LocalOptions, RoundOptions
 from bundle.io.open import save
 from bundle.reports.terminal.refine import refinement
 from bundle.reports.terminal.solve_data import WallTime
 from bundle.solving.kept_errors import Edit
-from bundle.solving.request import PartRequest, RunPlan, SolveRequest
-from bundle.solving.rounds import solve_rounds
+from bundle.solving.request import PartRequest, SolveRequest
+from bundle.solving.rounds.solve_rounds import run as run_plan
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -102,14 +97,11 @@ def _close_loops(given: LoopOptions, opened: Opened, progress: Progress) -> Loop
 def _solve(
     asked: Refinement, opened: Opened, closed: LoopClosing | None, progress: Progress
 ) -> Result:
-    """Refine the problem with its priors, rules and loops, in rounds if requested."""
+    """Refine the problem with its priors, rules and loops, by the plan of the run."""
     progress.stage("building the problem")
-    checkpoints = asked.checkpoints.asdict()
-    classes = (SolveOptions, RoundOptions, LocalOptions, CheckpointOptions, HoldOutOptions)
-    with naming_flags(*classes, **prior_flags(asked.georeference)):
+    with asked.naming_flags():
         if opened.sliced is not None:
-            return opened.sliced.solve(opened.options, progress.iteration, **checkpoints)
-        plan = RunPlan(rounds=asked.rounds, held_out=asked.held_out, **checkpoints)
+            return opened.sliced.solve(opened.options, progress.iteration, asked.plan)
         request = SolveRequest(
             problem=opened.problem if closed is None else closed.problem,
             options=opened.options,
@@ -119,7 +111,7 @@ def _solve(
             constraints=asked.constraints,
             part=PartRequest.of(asked.local.only_images, asked.local.rest),
         )
-        return solve_rounds.run(request, plan, progress.iteration)
+        return run_plan(request, asked.plan, progress.iteration)
 
 
 def _adjusted_with_imu(
@@ -131,9 +123,9 @@ def _adjusted_with_imu(
     if opened.place is not None:
         raise InputError("--imu: expected a model without georeference.json, which it would move")
     progress.stage("adjusting with the IMU")
-    with naming_flags(SolveOptions, RoundOptions, **prior_flags(asked.georeference)):
+    with asked.naming_flags():
         return adjusted_with_imu(
-            asked.inertial, opened.problem, opened.options, opened.known.priors, asked.rounds,
+            asked.inertial, opened.problem, opened.options, opened.known.priors, asked.plan,
             progress.iteration,
         )  # fmt: skip
 

@@ -8,15 +8,16 @@ from __future__ import annotations
 import argparse
 import dataclasses
 from collections.abc import Set
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bundle.base.records import dataclass
 from bundle.cli.declarations import read_options
-from bundle.cli.georeference_flags import georeference_given
+from bundle.cli.georeference_flags import georeference_given, prior_flags
 from bundle.cli.inertial_flags import InertialFiles, inertial_given
 from bundle.cli.next_run import repeated_flags
-from bundle.cli.option_flags import options_given
+from bundle.cli.option_flags import naming_flags, options_given
 from bundle.cli.problem_edits import rules_as_options, rules_of
 from bundle.cli.standard_streams import complain
 from bundle.errors import InputError, shown
@@ -32,6 +33,7 @@ from bundle.interface.round_options import (
     RoundOptions,
 )
 from bundle.io.formats.read_options import ReadOptions
+from bundle.solving.rounds.filtering import RunPlan
 
 if TYPE_CHECKING:
     from bundle.solving.constraints.rule_list import Constraints
@@ -151,6 +153,16 @@ class Refinement:
             disk=options_given(arguments, OutOfCoreOptions),
             given=repeated_flags(arguments),
         )
+
+    @property
+    def plan(self) -> RunPlan:
+        """Rounds of the run, its checkpoints, and its held-out observations."""
+        return RunPlan(rounds=self.rounds, held_out=self.held_out, **self.checkpoints.asdict())
+
+    def naming_flags(self) -> AbstractContextManager[None]:
+        """Return a context whose errors about options name their flags."""
+        classes = (SolveOptions, RoundOptions, LocalOptions, CheckpointOptions, HoldOutOptions)
+        return naming_flags(*classes, **prior_flags(self.georeference))
 
     @property
     def is_plain(self) -> bool:

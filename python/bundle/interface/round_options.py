@@ -1,4 +1,4 @@
-"""Options of rounds: their number, the limits of their filter, and scratch files."""
+"""Options of rounds (their number, the limits of their filter) and of files; record of a round."""
 
 from __future__ import annotations
 
@@ -129,3 +129,42 @@ class OutOfCoreOptions(Options):
         metavar="DIR",
         value="path",
     )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Round:
+    """One round: an adjustment, then a filter. Costs of different rounds cannot be compared.
+
+    Attributes:
+        round: number of the round, from 1.
+        initial_cost: cost at the start of the adjustment, 1/2 sum rho(||r||^2).
+        cost: cost after the adjustment, before the filter.
+        termination_type: Ceres' name of the adjustment's termination type.
+        num_iterations: steps of the adjustment, including rejected steps.
+        num_points: number of adjusted points.
+        num_observations: number of adjusted observations.
+        num_observations_removed: observations that the filter removed after the adjustment,
+            including those of removed points.
+        num_points_removed: points that the filter removed after the adjustment.
+        num_observations_beyond_max_error: removed because of their own error, because they are
+            behind the camera, or because they have no projection.
+        num_observations_with_short_track: removed with points whose track became too short.
+        num_observations_below_min_angle: removed with points of a small triangulation angle.
+        max_error: largest error that the filter keeps [px].
+        min_angle: smallest triangulation angle that the filter keeps [degrees].
+    """
+
+    round: int
+    initial_cost: float
+    cost: float
+    termination_type: str
+    num_iterations: int
+    num_points: int
+    num_observations: int
+    num_observations_removed: int
+    num_points_removed: int
+    num_observations_beyond_max_error: int = 0
+    num_observations_with_short_track: int = 0
+    num_observations_below_min_angle: int = 0
+    max_error: float = 0.0
+    min_angle: float = 0.0

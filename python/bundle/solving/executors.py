@@ -18,7 +18,7 @@ from bundle.solving.result import Result
 
 if TYPE_CHECKING:
     from bundle.model.problem import Problem
-    from bundle.solving.rounds.run_state import State
+    from bundle.solving.rounds.filtering import State
 
 
 class ThisProcess:

@@ -79,9 +79,7 @@ def is_at_minimum(result: Result) -> bool:
     changed = any(name.edit != "alignment" for name in result.edits)
     if summary.termination_type != "CONVERGENCE" or changed or result.deleted.num_observations:
         return False
-    if _is_far(result):
-        return False
-    if len(result.rounds) > 1 or "No non-constant" in summary.message:
+    if _is_far(result) or "No non-constant" in summary.message:
         return False
     radius = float(np.asarray(result.iterations["trust_region_radius"])[-1])
     decrease = summary.initial_cost - summary.final_cost
@@ -96,7 +94,7 @@ def is_at_minimum(result: Result) -> bool:
 
 def _verdict(result: Result) -> str:
     """Return the outcome with the errors before and after."""
-    kept, done = result.kept, _work(result)
+    kept, done = result.kept, result.work
     if is_at_minimum(result):
         outcome = f"Already at its minimum ({done}, {_stillness(result)})"
     else:
@@ -118,17 +116,6 @@ def _distance(result: Result) -> list[str]:
         return []
     left = rounded(result.summary.largest_camera_step_in_sigmas or 0.0)
     return [f"The minimum is about {left} standard deviations of the cameras away."]
-
-
-def _work(result: Result) -> str:
-    """Return the numbers of rounds and of steps in all of them."""
-    rounds, steps = result.rounds, len(result.iterations["iteration"]) - 1
-    if not rounds:
-        return plural(steps, "step")
-    if not rounds[-1].num_observations_removed:  # the last round is the last adjustment
-        steps = 0
-    steps += sum(done.num_iterations for done in rounds)
-    return f"{plural(len(rounds), 'round')}, {plural(steps, 'step')}"
 
 
 def _stillness(result: Result) -> str:
@@ -159,31 +146,10 @@ def _deletions(result: Result) -> list[str]:
     things += [plural(deleted.num_points, "point", grouped=True)] * (deleted.num_points > 0)
     things += [f"all of {plural(deleted.num_images, 'image')}"] * (deleted.num_images > 0)
     listed = " and ".join([", ".join(things[:-1]), things[-1]] if len(things) > 1 else things)
-    causes = _causes(result)
+    causes = f" ({result.causes})" if result.causes else ""
     before, after = result.reprojection_error_before, result.kept.before
     alone = f"RMSE {_change(before.rmse, after.rmse)} px at the input"
     return [f"Deleted {listed}{causes}: this alone changes {alone}."]
-
-
-def _causes(result: Result) -> str:
-    """Return the numbers of observations that the filters of the rounds deleted, by limit."""
-    if not result.rounds:
-        return ""
-    error, track, angle = (
-        sum(getattr(done, f"num_observations_{name}") for done in result.rounds)
-        for name in ("beyond_max_error", "with_short_track", "below_min_angle")
-    )
-    limits = result.rounds[-1]
-    told = [
-        f"{count:,} {cause}"
-        for count, cause in (
-            (error, f"above {limits.max_error:g} px"),
-            (angle, f"of points below {limits.min_angle:g} degrees"),
-            (track, "of short tracks"),
-        )
-        if count
-    ]
-    return f" ({', '.join(told)})" if told else ""
 
 
 def _held_out(result: Result) -> list[str]:

@@ -32,7 +32,7 @@ from bundle.solving.request import SolveRequest
 from bundle.solving.result import Result
 
 if TYPE_CHECKING:
-    from bundle.solving.rounds.run_state import State
+    from bundle.solving.rounds.filtering import State
 
 FEWEST_OF_IMAGE = 6
 """Number of observations that remain in each image: twice as many as a pose needs."""
@@ -153,8 +153,8 @@ def choose(
 ROBUST_LOSS = "cauchy"
 """Loss of removed points after a least-squares fit: outliers are a reason for removal."""
 
-Fit = Callable[[Prepared], "tuple[Result, State | None]"]
-"""Solve of a prepared problem: the result for its start, and the state of its rounds."""
+Fit = Callable[[Prepared], "tuple[Result, State]"]
+"""Run of a prepared problem: the result for its start, and the state at its end."""
 
 
 class HeldOutFit:
@@ -175,26 +175,25 @@ class HeldOutFit:
             prepared.start, options.hold_out, options.hold_out_seed, self._among, name="hold_out"
         )
 
-    def measured(self, finished: Result, last: Result, state: State | None, fit: Fit) -> Result:
+    def measured(self, finished: Result, last: Result, state: State, fit: Fit) -> Result:
         """Return the finished result with the errors of the held-out observations.
 
         Args:
             finished: result of the fit to all observations.
             last: the same result for the start of that fit.
-            state: its rounds; None without rounds.
-            fit: function that solves a prepared problem, with rounds if there are any.
+            state: state at its end.
+            fit: function that runs a prepared problem in the same way.
         """
         if not _is_usable(last):
             return finished
         start = with_values(self._prepared.start, last.problem, state)
         kept = start.select(observations=~self._held).problem
-        result, rounds = fit(self._prepared.at(kept))
+        result, end = fit(self._prepared.at(kept))
         if not _is_usable(result):
             return finished
         options = self._prepared.options
-        predicted = with_values(start, result.problem, rounds)
-        if rounds is not None:
-            predicted = self._triangulated(predicted, ~rounds.point_mask)
+        predicted = with_values(start, result.problem, end)
+        predicted = self._triangulated(predicted, ~end.point_mask)
         errors = errors_or_nan(predicted, options.cheirality, options.num_threads)
         held = summarize_clipped(errors[self._held])
         record = HeldOut(
@@ -233,7 +232,7 @@ def with_values(problem: Problem, refined: Problem, state: State | None = None) 
     Args:
         problem: the problem.
         refined: the same cameras, images and points with other values; observations may differ.
-        state: rounds that removed points of `refined`; these points keep their values.
+        state: state of a run that removed points of `refined`; these points keep their values.
     """
     values = estimates(refined)
     if state is not None and refined.num_points != problem.num_points:

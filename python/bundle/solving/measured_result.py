@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import field
+from dataclasses import field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bundle.base.records import dataclass
+from bundle.base.words import plural
 from bundle.interface.solve_record import SolveRecord
 from bundle.model.cameras import param_kinds
 from bundle.model.problem import Problem
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
     from bundle.georeference.point_check import SurveyChecks
     from bundle.georeference.similarity import Similarity
     from bundle.graphs.factors.factors import Factor
+    from bundle.interface.round_options import Round
     from bundle.model.reprojection import HeldOut
     from bundle.solving.constraints.ends import RuleEnd
     from bundle.solving.constraints.restrictions import ActiveBound
@@ -153,6 +155,66 @@ class MeasuredResult(SolveRecord):
         return gauge_freedom(
             self.initial_problem, self.options, factors=self.factors, priors=self.priors
         )
+
+    @property
+    def work(self) -> str:
+        """Numbers of rounds and of steps in all of them, such as "2 rounds, 31 steps"."""
+        rounds, steps = self.rounds, len(self.iterations["iteration"]) - 1
+        if not rounds:
+            return plural(steps, "step")
+        if not rounds[-1].num_observations_removed:  # the last round is the last adjustment
+            steps = 0
+        steps += sum(done.num_iterations for done in rounds)
+        return f"{plural(len(rounds), 'round')}, {plural(steps, 'step')}"
+
+    @property
+    def causes(self) -> str:
+        """Numbers of observations that the filters of the rounds deleted, by limit; "": none."""
+        if not self.rounds:
+            return ""
+        error, track, angle = (
+            sum(getattr(done, f"num_observations_{name}") for done in self.rounds)
+            for name in ("beyond_max_error", "with_short_track", "below_min_angle")
+        )
+        limits = self.rounds[-1]
+        told = [
+            f"{count:,} {cause}"
+            for count, cause in (
+                (error, f"above {limits.max_error:g} px"),
+                (angle, f"of points below {limits.min_angle:g} degrees"),
+                (track, "of short tracks"),
+            )
+            if count
+        ]
+        return ", ".join(told)
+
+    @property
+    def cost_name(self) -> str:
+        """Name of the cost; those of different rounds cannot be compared."""
+        return "last adjustment's cost" if self.rounds else "cost"
+
+    def _round_facts(self) -> tuple[tuple[str, str], ...]:
+        if not self.rounds:
+            return ()
+        observations = sum(done.num_observations_removed for done in self.rounds)
+        points = sum(done.num_points_removed for done in self.rounds)
+        removed = f"{plural(observations, 'observation')} and {plural(points, 'point')} removed"
+        return (("rounds", f"{len(self.rounds)}; {removed}"),)
+
+    def without_last_points(self, count: int) -> Self:
+        """Return the result without points that were added to the input and have no track."""
+        problem, left = self.problem, self.problem.num_points - count
+        return replace(
+            self,
+            problem=problem.replace(
+                points=problem.points[:left], point_ids=problem.point_ids[:left]
+            ),
+            rounds=tuple(replace(done, num_points=done.num_points - count) for done in self.rounds),
+        )
+
+    def following(self, earlier: Self) -> Self:
+        """Return the result of an adjustment that follows the rounds of an earlier result."""
+        return replace(self, rounds=earlier.rounds, observation_mask=earlier.observation_mask)
 
     def measure(self) -> None:
         """Measure all statistics now; later access takes no time.
@@ -290,45 +352,6 @@ def _size(points: NDArray[np.float64]) -> float:
 def _median(values: NDArray[np.float64]) -> float:
     """Return the median; nan without values, which are reordered."""
     return quantiles(values, [0.5])[0] if len(values) else float("nan")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Round:
-    """One round: an adjustment, then a filter. Costs of different rounds cannot be compared.
-
-    Attributes:
-        round: number of the round, from 1.
-        initial_cost: cost at the start of the adjustment, 1/2 sum rho(||r||^2).
-        cost: cost after the adjustment, before the filter.
-        termination_type: Ceres' name of the adjustment's termination type.
-        num_iterations: steps of the adjustment, including rejected steps.
-        num_points: number of adjusted points.
-        num_observations: number of adjusted observations.
-        num_observations_removed: observations that the filter removed after the adjustment,
-            including those of removed points.
-        num_points_removed: points that the filter removed after the adjustment.
-        num_observations_beyond_max_error: removed because of their own error, because they are
-            behind the camera, or because they have no projection.
-        num_observations_with_short_track: removed with points whose track became too short.
-        num_observations_below_min_angle: removed with points of a small triangulation angle.
-        max_error: largest error that the filter keeps [px].
-        min_angle: smallest triangulation angle that the filter keeps [degrees].
-    """
-
-    round: int
-    initial_cost: float
-    cost: float
-    termination_type: str
-    num_iterations: int
-    num_points: int
-    num_observations: int
-    num_observations_removed: int
-    num_points_removed: int
-    num_observations_beyond_max_error: int = 0
-    num_observations_with_short_track: int = 0
-    num_observations_below_min_angle: int = 0
-    max_error: float = 0.0
-    min_angle: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)

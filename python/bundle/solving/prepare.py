@@ -37,9 +37,9 @@ if TYPE_CHECKING:
     from bundle.solving.constraints.applied import Applied
     from bundle.solving.constraints.ends import RuleEnd
     from bundle.solving.request import Rules
+    from bundle.solving.rounds.filtering import State
     from bundle.solving.rounds.local_part import LocalPart
     from bundle.solving.rounds.rest_prior import RestPrior
-    from bundle.solving.rounds.run_state import State
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -125,9 +125,8 @@ class Prepared:
 
         Args:
             result: result for the start, or for the start after filtering.
-            state: state of the rounds before this result; None without rounds.
+            state: state of the run before this result; None: nothing was filtered.
         """
-        rounds = () if state is None else state.rounds
         last, given, placed = result.problem, self.request.problem, self.placed
         ends = _rule_ends(self.applied, placed.problem, last)
         if self.part is not None:
@@ -141,7 +140,6 @@ class Prepared:
                 problem=self.part.merge(last, state),
                 initial_problem=given,
                 options=_as_asked(result.options, self.request.options),
-                rounds=rounds,
                 constraints=ends,
                 part=record,
                 observation_mask=self.part.observation_mask(state),
@@ -154,7 +152,6 @@ class Prepared:
             result,
             problem=refined,
             initial_problem=given,
-            rounds=rounds,
             constraints=ends,
             similarity=placed.similarity,
             control_points=placed.control_points(refined),

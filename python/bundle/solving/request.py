@@ -1,21 +1,17 @@
-"""Request of a solve as data: problem, factors, priors and rules, and the plan of the run."""
+"""Request of a solve as data: problem, factors, priors and rules."""
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable, Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 from numpy.typing import ArrayLike
 
-from bundle.base.paths import as_path
 from bundle.base.records import dataclass
 from bundle.errors import InputError
-from bundle.interface.judging_options import HoldOutOptions
-from bundle.interface.option_fields import choice, number
+from bundle.interface.option_fields import choice
 from bundle.interface.options import SolveOptions
-from bundle.interface.round_options import CHECKPOINT_INTERVAL, RESTS, RoundOptions
+from bundle.interface.round_options import RESTS
 from bundle.model.problem import Problem
 from bundle.model.problem_keys import ImageSelection
 
@@ -119,49 +115,3 @@ def _listed(name: str, things: str, given: Iterable[T]) -> tuple[T, ...]:
     from bundle.graphs.factors.variables import as_list  # rare, and slow to import
 
     return as_list(name, things, given)
-
-
-@dataclass(frozen=True, init=False)
-class RunPlan:
-    """Rounds of a run, its checkpoints, and its held-out observations.
-
-    Attributes:
-        rounds: number of rounds of adjusting and filtering, and the limits of the filter.
-        checkpoint: file that is written after each round and each ``checkpoint_interval``
-            iterations; None: the file of ``resume``, if given.
-        resume: checkpoint from which the run continues, if the file exists.
-        checkpoint_interval: iterations from one checkpoint to the next.
-        held_out: share of the observations that a second fit holds out; no checkpoint has this fit.
-
-    Raises:
-        InputError: an interval is below 1, or a value cannot be a path.
-    """
-
-    rounds: RoundOptions
-    checkpoint: Path | None
-    resume: Path | None
-    checkpoint_interval: int
-    held_out: HoldOutOptions
-
-    def __init__(
-        self,
-        *,
-        rounds: RoundOptions | None = None,
-        checkpoint: str | os.PathLike[str] | None = None,
-        resume: str | os.PathLike[str] | None = None,
-        checkpoint_interval: int = CHECKPOINT_INTERVAL,
-        held_out: HoldOutOptions | None = None,
-    ) -> None:
-        interval = number("checkpoint_interval", checkpoint_interval, whole=True, minimum=1)
-        vars(self).update(  # frozen
-            rounds=RoundOptions() if rounds is None else rounds,
-            checkpoint=None if checkpoint is None else as_path(checkpoint, "checkpoint"),
-            resume=None if resume is None else as_path(resume, "resume"),
-            checkpoint_interval=interval,
-            held_out=HoldOutOptions() if held_out is None else held_out,
-        )
-
-    @property
-    def file(self) -> Path | None:
-        """Path of the checkpoint to write; None: write no checkpoint."""
-        return self.resume if self.checkpoint is None else self.checkpoint

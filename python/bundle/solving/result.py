@@ -98,19 +98,6 @@ class Result(MeasuredResult):
             )
         return (("constraints", words),)
 
-    def _round_facts(self) -> tuple[tuple[str, str], ...]:
-        if not self.rounds:
-            return ()
-        observations = sum(done.num_observations_removed for done in self.rounds)
-        points = sum(done.num_points_removed for done in self.rounds)
-        return (
-            (
-                "rounds",
-                f"{len(self.rounds)}; {plural(observations, 'observation')} and "
-                f"{plural(points, 'point')} removed",
-            ),
-        )
-
     def _display(self) -> Display:
         summary = self.summary
         verdict, *others = headline(self)
@@ -118,10 +105,7 @@ class Result(MeasuredResult):
         facts = [
             *(("", sentence) for sentence in others),
             *edit_facts(self),
-            (
-                "last adjustment's cost" if self.rounds else "cost",
-                change(summary.initial_cost, summary.final_cost),
-            ),
+            (self.cost_name, change(summary.initial_cost, summary.final_cost)),
             *held_facts(summary),
             ("time", f"{seconds(self.build_time_in_seconds + self.solve_time_in_seconds)} s"),
             ("solver", f"{solver} on {plural(summary.num_threads_used, 'thread')}"),

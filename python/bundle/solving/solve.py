@@ -201,31 +201,21 @@ def solve(
 
         return solve_pose_graph(problem, options, progress=progress, **changes)  # type: ignore[arg-type]
     from bundle.interface.judging_options import HoldOutOptions
-    from bundle.solving.executors import finished, solve_prepared
-    from bundle.solving.prepare import prepare
     from bundle.solving.request import SolveRequest
+    from bundle.solving.rounds.filtering import RunPlan
+    from bundle.solving.rounds.solve_rounds import run
 
     problem = as_problem(problem)
     options = SolveOptions.of(options, changes, "solve")
     check_function("progress", progress)
-    share = HoldOutOptions(hold_out=hold_out, hold_out_seed=hold_out_seed)
-    prepared = prepare(
-        SolveRequest(
-            problem=problem,
-            options=options,
-            factors=factors,
-            priors=priors,
-            align=align,
-            bounds=bounds,
-            constraints=constraints,
-        )
+    held_out = HoldOutOptions(hold_out=hold_out, hold_out_seed=hold_out_seed)
+    request = SolveRequest(
+        problem=problem,
+        options=options,
+        factors=factors,
+        priors=priors,
+        align=align,
+        bounds=bounds,
+        constraints=constraints,
     )
-    if not share.hold_out:
-        return finished(prepared, solve_prepared(prepared, progress))
-    from bundle.solving.hold_out import HeldOutFit
-
-    held_out = HeldOutFit(prepared, share)
-    last = solve_prepared(prepared, progress)
-    return held_out.measured(
-        finished(prepared, last), last, None, lambda kept: (solve_prepared(kept, progress), None)
-    )
+    return run(request, RunPlan(held_out=held_out), progress)

@@ -47,12 +47,12 @@ def test_scale_vertical_and_shape_are_within_their_sigmas(monkeypatch, kind):
     """Samples are those at their stamps, or means of the intervals that follow."""
     solves = []
 
-    def solve_rounds(problem, options, **settings):
-        solves.append((imu_solve(problem, options, **settings), settings["factors"]))
+    def run(request, *others):
+        solves.append((imu_solve(request, *others), request.factors))
         return solves[-1][0]
 
-    imu_solve = motion_solve.solve_rounds
-    monkeypatch.setattr(motion_solve, "solve_rounds", solve_rounds)
+    imu_solve = motion_solve.run
+    monkeypatch.setattr(motion_solve, "run", run)
     scales, tilts, squares = [], [], []
     for seed in range(6):
         flight = bundle.synthesize_flight(

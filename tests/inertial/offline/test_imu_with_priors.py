@@ -13,7 +13,9 @@ from bundle.georeference.similarity import Similarity, moved
 from bundle.inertial.offline.motion_solve import ImuBodies
 from bundle.inertial.offline.upright_start import to_priors
 from bundle.inertial.vio.trajectory_comparison import states_at
+from bundle.interface.judging_options import HoldOutOptions
 from bundle.interface.round_options import RoundOptions
+from bundle.solving.rounds.filtering import RunPlan
 from tests.inertial.offline.models import model_of
 from tests.inertial.offline.test_imu_adjustment import adjusted, error_of
 from tests.inertial.offline.test_imu_consistency import true_poses
@@ -44,9 +46,9 @@ def test_rounds_remove_planted_outliers_and_end_at_the_clean_minimum(flight, mod
         [-1, 1], (problem.num_observations, 2)
     )
     wrong = problem.replace(observation_xy=problem.observation_xy + planted[:, None] * shift)
-    rounds = RoundOptions(num_rounds=5, max_error=8.0)
+    plan = RunPlan(rounds=RoundOptions(num_rounds=5, max_error=8.0))
     options = OPTIONS.replace(loss="cauchy", loss_scale=2.0, function_tolerance=1e-10)
-    found = adjusted(flight.sequence, wrong, stamps, options, rounds=rounds, **SETTINGS)
+    found = adjusted(flight.sequence, wrong, stamps, options, plan=plan, **SETTINGS)
     mask = found.result.observation_mask
     assert not mask[planted].any()
     # a planted one may take a right one of its short track along
@@ -68,8 +70,8 @@ def test_rounds_remove_planted_outliers_and_end_at_the_clean_minimum(flight, mod
 
 def test_rounds_without_anything_to_remove_change_nothing(flight, model):
     problem, stamps = model
-    rounds = RoundOptions(num_rounds=3, max_error=500.0, min_angle=0.0)
-    found = adjusted(flight.sequence, problem, stamps, OPTIONS, rounds=rounds, **SETTINGS)
+    plan = RunPlan(rounds=RoundOptions(num_rounds=3, max_error=500.0, min_angle=0.0))
+    found = adjusted(flight.sequence, problem, stamps, OPTIONS, plan=plan, **SETTINGS)
     alone = adjusted(flight.sequence, problem, stamps, OPTIONS, **SETTINGS)
     assert len(found.result.rounds) == 1
     assert found.result.observation_mask is None
@@ -107,9 +109,9 @@ def control_points(flight, problem, stamps, count, sigma, yaw):
 def test_control_points_give_place_and_heading(flight, model):
     problem, stamps = model
     points, turn = control_points(flight, problem, stamps, 4, (0.01, 0.01), 0.9)
-    rounds = RoundOptions(num_rounds=2, max_error=8.0)
+    plan = RunPlan(rounds=RoundOptions(num_rounds=2, max_error=8.0))
     found = adjusted(
-        flight.sequence, problem, stamps, OPTIONS, priors=points, rounds=rounds, **SETTINGS
+        flight.sequence, problem, stamps, OPTIONS, priors=points, plan=plan, **SETTINGS
     )
     rotation, shift = true_poses(flight, stamps)
     expected = turn.apply(-rotation.inv().apply(shift))
@@ -163,13 +165,13 @@ def test_the_minimum_with_attitudes_is_that_of_a_dense_system(monkeypatch, fligh
     )
     solves = []
 
-    def solve_rounds(extended, options, **settings):
-        result = original(extended, options, **settings)
-        solves.append((result.problem, settings["factors"]))
+    def run(request, *others):
+        result = original(request, *others)
+        solves.append((result.problem, request.factors))
         return result
 
-    original = motion_solve.solve_rounds
-    monkeypatch.setattr(motion_solve, "solve_rounds", solve_rounds)
+    original = motion_solve.run
+    monkeypatch.setattr(motion_solve, "run", run)
     options = OPTIONS.replace(function_tolerance=1e-16, parameter_tolerance=1e-14)
     found = adjusted(flight.sequence, problem, stamps, options, priors=priors, **SETTINGS)
     end, factors = solves[found.num_solves - 1]
@@ -295,3 +297,12 @@ def test_one_position_gives_no_heading(model):
     for priors in ([one], [one, flat]):
         with pytest.raises(InputError, match="found 1"):
             to_priors(problem, priors)
+
+
+@pytest.mark.parametrize(
+    "more", [{"checkpoint": "c.npz"}, {"resume": "c.npz"}, {"held_out": HoldOutOptions(hold_out=5)}]
+)
+def test_a_plan_has_rounds_only(flight, model, more):
+    problem, stamps = model
+    with pytest.raises(InputError, match=r"^plan: "):
+        adjusted(flight.sequence, problem, stamps, plan=RunPlan(**more))

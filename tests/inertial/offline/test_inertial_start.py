@@ -270,7 +270,7 @@ class Solved(adjustment._Adjusted):
     def motions(self, case):
         return [case.motion]
 
-    def solved(self, case, motions, rounds):  # noqa: ARG002
+    def solved(self, case, motions):  # noqa: ARG002
         return self._replace(results=[*self.results, case.result])
 
 

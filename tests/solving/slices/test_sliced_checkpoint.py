@@ -8,6 +8,7 @@ import pytest
 
 import bundle
 from bundle.solving.ranks.partition import divide, part_of
+from bundle.solving.rounds.filtering import RunPlan
 from bundle.solving.rounds.input_digest import digest, digest_of_parts, sums_of_rows
 from bundle.solving.slices.sliced_refinement import AllSlices, SlicedRefinement
 from tests.rig_scenes import rig_problem
@@ -38,7 +39,7 @@ def refined(source, output, num_ranks, keep=None, **given):
 
     flags = {name: given.pop(name) for name in ("checkpoint", "resume") if name in given}
     options = bundle.SolveOptions(**OPTIONS | given)
-    result = sliced.solve(options, progress, checkpoint_interval=2, **flags)
+    result = sliced.solve(options, progress, RunPlan(checkpoint_interval=2, **flags))
     sliced.save(output)
     sliced.measure(result)
     return result
@@ -95,7 +96,7 @@ def test_an_interrupted_run_goes_on(source, tmp_path):
     crew = ThreadCrew(2)
     sliced = SlicedRefinement(crew, source)
     options = bundle.SolveOptions(**OPTIONS)
-    stopped = sliced.solve(options, stop, checkpoint=file, checkpoint_interval=2)
+    stopped = sliced.solve(options, stop, RunPlan(checkpoint=file, checkpoint_interval=2))
     assert stopped.summary.interrupted and stopped.summary.is_solution_usable
     crew.barrier.abort()
     with np.load(file) as archive:
@@ -160,9 +161,7 @@ def test_checkpoints_of_something_else(source, tmp_path):
         with pytest.raises(bundle.InputError, match="damaged"):
             refined(source, tmp_path / "no" / name, 2, resume=file)
     with pytest.raises(bundle.InputError, match="checkpoint_interval"):
-        SlicedRefinement(ThreadCrew(1), source).solve(
-            bundle.SolveOptions(), None, checkpoint=tmp_path / "new.npz", checkpoint_interval=0
-        )
+        RunPlan(checkpoint=tmp_path / "new.npz", checkpoint_interval=0)
 
 
 def test_parts_add_up_to_the_digest_of_the_whole(source):

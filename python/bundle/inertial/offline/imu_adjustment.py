@@ -54,7 +54,6 @@ from bundle.inertial.preintegration.preintegration import Preintegration
 from bundle.inertial.vio.window_frame import ImuInterval
 from bundle.interface.option_fields import choice, number
 from bundle.interface.options import SolveOptions
-from bundle.interface.round_options import RoundOptions
 from bundle.interface.solve_record import Progress
 from bundle.model.problem import Problem
 from bundle.model.rigid_motions import inverse_poses, multiply_poses, rotation_matrices
@@ -62,8 +61,10 @@ from bundle.model.sequence.calibration import ImuNoise
 from bundle.model.sequence.sequence_findings import bad_stretches
 from bundle.solving.gauge_freedom import gauge_freedom
 from bundle.solving.kept_errors import Edit
+from bundle.solving.request import SolveRequest
 from bundle.solving.result import Result
-from bundle.solving.rounds.solve_rounds import solve_rounds
+from bundle.solving.rounds.filtering import RunPlan
+from bundle.solving.rounds.solve_rounds import run
 
 if TYPE_CHECKING:
     from bundle.georeference.measurements import Prior
@@ -91,7 +92,7 @@ def adjust_with_imu(
     imu_noise_scale: float | None = None,
     imu_samples: str = "auto",
     priors: tuple[Prior, ...] = (),
-    rounds: RoundOptions | None = None,
+    plan: RunPlan | None = None,
     progress: Progress | None = None,
     place: Callable[[int], str] | None = None,
 ) -> InertialAdjustment:
@@ -114,8 +115,8 @@ def adjust_with_imu(
             kind with the lower cost.
         priors: measured positions of images and control points in metres with z up, and attitudes;
             the result is in their frame.
-        rounds: rounds of adjusting and filtering, as in :func:`bundle.solve_rounds`; None: no
-            filter.
+        plan: rounds of adjusting and filtering, without checkpoints and held-out observations;
+            None: no filter.
         progress: as for :func:`bundle.solve`.
         place: function that converts a row of the samples to text; None: "IMU sample 7".
 
@@ -123,6 +124,8 @@ def adjust_with_imu(
         InputError: an argument is wrong, the samples do not cover the images, axes or units are
             not those of camera_from_imu, or the motion does not determine the scale.
     """
+    if plan is not None and (plan.file is not None or plan.held_out.hold_out):
+        raise InputError("plan: expected neither checkpoints nor held-out observations")
     bodies = ImuBodies.of(problem, image_times_ns, camera_from_imu)
     given = options or SolveOptions()
     options = _checked(bodies, options)
@@ -142,8 +145,8 @@ def adjust_with_imu(
         (_adjusted(case, video, clock) for video, clock in _videos(case, samples, imu_samples)),
         key=lambda found: found.cost,
     )
-    if rounds is not None and rounds.num_rounds:
-        best = _filtered(case, best, rounds)
+    if plan is not None and plan.filters:
+        best = _filtered(case, best, plan)
     kept = best.state.problem
     if kept.num_observations < problem.num_observations:
         case = case._replace(images=_images_alone(kept, given, tuple(priors), progress))
@@ -228,11 +231,13 @@ class _Adjusted(NamedTuple):
         summary = self.results[-1].summary
         return summary.interrupted or not summary.is_solution_usable
 
-    def solved(self, case: _Case, motions: list[Preintegration], rounds: RoundOptions) -> _Adjusted:
-        """Return the adjustment after a solve with motions, in rounds if requested."""
+    def solved(
+        self, case: _Case, motions: list[Preintegration], plan: RunPlan | None = None
+    ) -> _Adjusted:
+        """Return the adjustment after a run with motions; by default a single solve."""
         result, state = solved_with_motions(
             self.state, case.bodies, motions, case.noise, case.priors, case.options,
-            rounds, case.progress,
+            plan or RunPlan(), case.progress,
         )  # fmt: skip
         return self._replace(state=state, results=[*self.results, result])
 
@@ -251,7 +256,7 @@ class _Adjusted(NamedTuple):
         found = self
         for _ in range(MOST_SOLVES):
             motions = found.motions(case)
-            found = found.solved(case, motions, RoundOptions())
+            found = found.solved(case, motions)
             if found.has_ended or not found.moved_far(motions):
                 break
         return found
@@ -310,7 +315,8 @@ def _images_alone(
 ) -> Result:
     """Return the adjustment without the IMU, at its minimum, with which costs are compared."""
     options = options.replace(max_num_iterations=max(options.max_num_iterations, MOST_STEPS))
-    found = solve_rounds(problem, options, num_rounds=0, priors=priors, progress=progress)
+    request = SolveRequest(problem=problem, options=options, priors=priors)
+    found = run(request, RunPlan(), progress)
     if found.summary.interrupted:
         raise KeyboardInterrupt
     return found
@@ -354,7 +360,7 @@ def _force_scale(case: _Case, found: _Adjusted, agreement: Agreement) -> ForceSc
     shortly = case._replace(options=few_steps(case.options), progress=None)
 
     def least(forces: float) -> LeastCost:
-        end = found.solved(shortly, found.motions(case, forces), RoundOptions())
+        end = found.solved(shortly, found.motions(case, forces))
         result = end.results[-1]
         if result.summary.interrupted:
             raise KeyboardInterrupt
@@ -411,20 +417,17 @@ def _evidence(
     )
 
 
-def _filtered(case: _Case, found: _Adjusted, rounds: RoundOptions) -> _Adjusted:
+def _filtered(case: _Case, found: _Adjusted, plan: RunPlan) -> _Adjusted:
     """Return the adjustment after rounds of filtering; biases may then move far once more."""
     if found.has_ended:
         return found
     motions = found.motions(case)
-    found = found.solved(case, motions, rounds)
+    found = found.solved(case, motions, plan)
     last = found.results[-1]
     if found.has_ended or not found.moved_far(motions):
         return found
     found = found.settled(case)
-    end = dataclasses.replace(
-        found.results[-1], rounds=last.rounds, observation_mask=last.observation_mask
-    )
-    return found._replace(results=[*found.results[:-1], end])
+    return found._replace(results=[*found.results[:-1], found.results[-1].following(last)])
 
 
 def _gauge_freedom(case: _Case, problem: Problem) -> int:

@@ -3,12 +3,11 @@
 The cost gains, for consecutive images, the factors of ``cpp/core/factors/image_imu_factor.h`` and
 random walks of the biases. Velocities and biases are three numbers each, and additional points of
 the problem without observations; the result does not have them. A filter between adjustments (see
-:func:`bundle.solve_rounds`) keeps them, because factors name them.
+``solving/rounds``) keeps them, because factors name them.
 """
 
 from __future__ import annotations
 
-import dataclasses
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -22,13 +21,14 @@ from bundle.graphs.factors.factors import BetweenFactor, Factor, PriorFactor
 from bundle.inertial.preintegration.imu_factors import ImageImuFactor
 from bundle.inertial.preintegration.preintegration import Preintegration
 from bundle.interface.options import SolveOptions
-from bundle.interface.round_options import RoundOptions
 from bundle.interface.solve_record import Progress
 from bundle.model.problem import Problem
 from bundle.model.rigid_motions import rotation_matrices
 from bundle.model.sequence.calibration import ImuNoise
+from bundle.solving.request import SolveRequest
 from bundle.solving.result import Result
-from bundle.solving.rounds.solve_rounds import solve_rounds
+from bundle.solving.rounds.filtering import RunPlan
+from bundle.solving.rounds.solve_rounds import run
 
 if TYPE_CHECKING:
     from bundle.georeference.measurements import Prior
@@ -56,13 +56,10 @@ def solved_with_motions(
     noise: ImuNoise,
     priors: tuple[Prior, ...],
     options: SolveOptions,
-    rounds: RoundOptions,
+    plan: RunPlan,
     progress: Progress | None,
 ) -> tuple[Result, MotionState]:
-    """Solve from a state with the motions between consecutive bodies, and with priors.
-
-    The result has no points of motions, neither in its problem nor in the counts of its rounds.
-    """
+    """Run a plan from a state with the motions between consecutive bodies, and with priors."""
     problem, count = state.problem, len(bodies)
     first_id = int(problem.point_ids.max(initial=0)) + 1
     ids = first_id + np.arange(3 * count)
@@ -72,21 +69,13 @@ def solved_with_motions(
         point_ids=np.concatenate([problem.point_ids, ids]),
     )
     factors = _factors(bodies, problem, ids.reshape(3, count).tolist(), motions, noise)
-    result = solve_rounds(
-        extended, options, factors=factors, priors=priors, align=False, progress=progress,
-        **rounds.asdict(),
-    )  # fmt: skip
-    solved = result.problem
-    num_points = solved.num_points - len(ids)
-    velocities, gyro, accel = solved.points[num_points:].reshape(3, count, 3)
-    refined = solved.replace(
-        points=solved.points[:num_points], point_ids=solved.point_ids[:num_points]
+    request = SolveRequest(
+        problem=extended, options=options, factors=factors, priors=priors, align=False
     )
-    done = tuple(
-        dataclasses.replace(one, num_points=one.num_points - len(ids)) for one in result.rounds
-    )
-    result = dataclasses.replace(result, rounds=done)
-    return result, MotionState(refined, velocities, np.hstack([gyro, accel]))
+    result = run(request, plan, progress)
+    velocities, gyro, accel = result.problem.points[-len(ids) :].reshape(3, count, 3)
+    result = result.without_last_points(len(ids))
+    return result, MotionState(result.problem, velocities, np.hstack([gyro, accel]))
 
 
 def _factors(

@@ -43,8 +43,7 @@ from bundle.reports.terminal.inputs import (
     solved_data,
     solved_sentences,
 )
-from bundle.reports.terminal.refine import before_and_after
-from bundle.reports.terminal.solve_data import ERRORS, ROUNDS
+from bundle.reports.terminal.solve_data import ERRORS, before_and_after, round_tables
 from bundle.solving.headline import edit_facts
 from bundle.solving.result import Result
 
@@ -93,7 +92,7 @@ def solve_sections(result: Result) -> list[Section]:
     facts += edit_facts(result)
     facts += [(name, _value(value)) for name, value in used.items() if value != usual.get(name)]
     rest = [(name, _value(value)) for name, value in used.items() if value == usual.get(name)]
-    rounds = [Table(ROUNDS, result.rounds)] if result.rounds else []
+    tables = round_tables(result)
     costs = np.asarray(result.iterations.get("cost", ()), float)
     figures = [iteration_figure(costs)] if len(costs) > 1 else []
     return [
@@ -103,7 +102,7 @@ def solve_sections(result: Result) -> list[Section]:
             facts=facts,
             figures=figures,
         ),
-        *([Section(title="Rounds", tables=rounds, is_joined=True)] if rounds else []),
+        *([Section(title="Rounds", tables=tables, is_joined=True)] if tables else []),
         Section(title=f"{plural(len(rest), 'option')} at the default", facts=rest, is_detail=True),
     ]
 

@@ -26,12 +26,12 @@ from bundle.reports.terminal.inputs import (
     written,
 )
 from bundle.reports.terminal.solve_data import (
-    ERRORS,
-    ROUNDS,
     WallTime,
+    before_and_after,
     environment_data,
     factor_fact,
     result_data,
+    round_tables,
     wall_section,
 )
 from bundle.solving.headline import edit_facts, headline
@@ -47,6 +47,8 @@ if TYPE_CHECKING:
     from bundle.interface.summary import ProcessRecord
     from bundle.solving.measured_result import RestRecord
 
+OPTIONAL = ("rounds", "held_out", "part", "constraints")
+"""Entries of the JSON report that exist if the result has such records."""
 MOST_CAMERAS = 5
 """Number of cameras whose changes are shown."""
 
@@ -92,7 +94,7 @@ def refinement(
     details = [
         Section(facts=_facts(path, problem, solved, edits)),
         *([] if closed is None else _loops(closed)),
-        *([Section(tables=[Table(ROUNDS, solved.rounds)])] if solved.rounds else []),
+        *(Section(tables=[table]) for table in round_tables(solved)),
         Section(tables=[before_and_after(solved)]),
         *_held_out(solved),
         *(section for errors in measured for section in displayed(errors.displays)),
@@ -109,10 +111,7 @@ def refinement(
         **edit_data(edits),
         **({} if closed is None else {"loops": closed.asdict()}),
         **about,
-        **({"rounds": solved.rounds} if solved.rounds else {}),
-        **({"held_out": solved.held_out} if solved.held_out else {}),
-        **({"part": solved.part} if solved.part else {}),
-        **({"constraints": solved.constraints} if solved.constraints else {}),
+        **{name: known for name in OPTIONAL if (known := getattr(solved, name))},
         "held_cost": summary.held_cost,
         "convergence": {
             "distance_in_sigmas": summary.distance_in_sigmas,
@@ -352,23 +351,3 @@ def _ordering(summary: Summary) -> str:
     if summary.schur_structure_used:
         words += f"; Schur structure {summary.schur_structure_used}"
     return words
-
-
-def before_and_after(solved: Result) -> Table:
-    """Return the table of costs, errors and counts before and after a solve."""
-    before, after = solved.reprojection_error_before, solved.reprojection_error_after
-    rows = [
-        *(
-            [("cost", f"{solved.summary.initial_cost:.9e}", f"{solved.summary.final_cost:.9e}")]
-            if not solved.rounds  # costs of different rounds are not comparable
-            else []
-        ),
-        *([("held cost", "-", f"{held:.9e}")] if (held := solved.summary.held_cost) else []),
-        *(
-            (title, pixels(getattr(before, name)), pixels(getattr(after, name)))
-            for name, title in ERRORS.items()
-        ),
-        ("observations", str(before.num_observations), str(after.num_observations)),
-        ("behind camera", str(before.num_behind_camera), str(after.num_behind_camera)),
-    ]
-    return Table.of(("", "before", "after"), rows)

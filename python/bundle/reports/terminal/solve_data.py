@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from bundle.base.own_process import Waiting
 from bundle.base.records import dataclass
-from bundle.base.words import change, format_size, number, plural, seconds
+from bundle.base.words import change, format_size, number, pixels, plural, seconds
 from bundle.errors import shown
 from bundle.interface.environment import Environment
 from bundle.interface.options import SolveOptions
@@ -41,6 +41,31 @@ ERRORS = {
     "p95": "95th percentile [px]",
     "max": "max error [px]",
 }
+
+
+def round_tables(solved: Result) -> list[Table]:
+    """Return the table of the rounds; empty without any."""
+    return [Table(ROUNDS, solved.rounds)] if solved.rounds else []
+
+
+def before_and_after(solved: Result) -> Table:
+    """Return the table of costs, errors and counts before and after a solve."""
+    before, after = solved.reprojection_error_before, solved.reprojection_error_after
+    rows = [
+        *(
+            [("cost", f"{solved.summary.initial_cost:.9e}", f"{solved.summary.final_cost:.9e}")]
+            if not solved.rounds  # costs of different rounds are not comparable
+            else []
+        ),
+        *([("held cost", "-", f"{held:.9e}")] if (held := solved.summary.held_cost) else []),
+        *(
+            (title, pixels(getattr(before, name)), pixels(getattr(after, name)))
+            for name, title in ERRORS.items()
+        ),
+        ("observations", str(before.num_observations), str(after.num_observations)),
+        ("behind camera", str(before.num_behind_camera), str(after.num_behind_camera)),
+    ]
+    return Table.of(("", "before", "after"), rows)
 
 
 def result_data(solved: Result) -> dict[str, Any]:

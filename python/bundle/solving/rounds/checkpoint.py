@@ -18,7 +18,7 @@ import json
 import zipfile
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,14 +29,10 @@ from bundle.interface.summary import ProcessRecord, Summary
 from bundle.io.atomic import atomic_write as atomic
 from bundle.model.estimates import estimates, with_estimates
 from bundle.model.problem import Problem
-from bundle.solving.measured_result import Round
 from bundle.solving.prepare import Prepared
 from bundle.solving.result import Result
+from bundle.solving.rounds.filtering import RunPlan, State
 from bundle.solving.rounds.input_digest import fingerprint_of_options, fingerprint_of_run
-from bundle.solving.rounds.run_state import State
-
-if TYPE_CHECKING:
-    from bundle.solving.request import RunPlan
 
 SCHEMA = "bundle checkpoint 3"
 
@@ -96,8 +92,7 @@ def write(path: Path, state: State, fingerprint: Mapping[str, Any]) -> None:
     meta = {
         "schema": SCHEMA,
         "fingerprint": dict(fingerprint),
-        "rounds": [dataclasses.asdict(done) for done in state.rounds],
-        "has_ended": state.end is not None,
+        **state.record(),
         "so_far": None if done is None else _record(done),
     }
     kept: dict[str, Any] = {**estimates(state.problem)}
@@ -169,13 +164,7 @@ def _state(
     done = meta["so_far"]
     if done is not None:
         done = result_of_record(done, arrays, problem, options)
-    return State(
-        problem=problem,
-        observation_mask=masks[0],
-        point_mask=masks[1],
-        rounds=tuple(Round(**done) for done in meta["rounds"]),
-        **{"end" if meta["has_ended"] else "so_far": done},
-    )
+    return State.of_record(meta, problem, masks, done)
 
 
 def _record(result: Result) -> dict[str, Any]:

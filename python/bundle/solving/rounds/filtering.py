@@ -1,7 +1,7 @@
-"""Removal of outlier observations and badly determined points, by COLMAP's rules.
+"""Removal of outlier observations and badly determined points; plan and state of rounds of it.
 
-The rules are those of ``ObservationManager::FilterAllPoints3D``. Observations are removed first,
-so that an outlier cannot make a point look well triangulated:
+The rules are COLMAP's, of ``ObservationManager::FilterAllPoints3D``. Observations are removed
+first, so that an outlier cannot make a point look well triangulated:
 
 1. Remove an observation if its reprojection error exceeds ``max_error`` pixels, if the point is
    behind the camera, or if the point has no projection.
@@ -12,21 +12,30 @@ so that an outlier cannot make a point look well triangulated:
 
 from __future__ import annotations
 
+import dataclasses
+import os
 from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bundle.base.arrays import as_integers
 from bundle.base.display import Display, Displayed
+from bundle.base.paths import as_path
 from bundle.base.records import dataclass
 from bundle.base.words import contents, plural
 from bundle.errors import InputError
-from bundle.interface.round_options import RoundOptions
+from bundle.interface.judging_options import HoldOutOptions
+from bundle.interface.option_fields import number
+from bundle.interface.round_options import CHECKPOINT_INTERVAL, Round, RoundOptions
 from bundle.io.files import Source, as_problem
 from bundle.model.problem import Problem
-from bundle.model.ray_angles import enclose_angle
 from bundle.model.reprojection import reprojection_errors
+
+if TYPE_CHECKING:
+    from bundle.solving.result import Result
 
 _Mask = NDArray[np.bool_]
 
@@ -134,6 +143,8 @@ def _filtered(problem: Problem, good: _Mask, limits: RoundOptions, always: _Mask
     short = (track < limits.min_track_length) & ~always
     stays = ~short
     if limits.min_angle > 0:
+        from bundle.model.ray_angles import enclose_angle  # a run without rounds needs none
+
         stays &= always | enclose_angle(problem, left, limits.min_angle)
     observations = good & stays[point]
     num_observations = int(observations.sum())
@@ -158,3 +169,136 @@ def _mask_of(name: str, problem: Problem, point_ids: Iterable[int]) -> _Mask:
     if not found.all():
         raise InputError(f"{name}: there is no point {ids[~found].flat[0]} in the problem")
     return np.isin(problem.point_ids, ids) if ids.size else np.zeros(problem.num_points, bool)
+
+
+# Run of rounds: its plan, and its state after each filter.
+
+
+@dataclass(frozen=True, init=False)
+class RunPlan:
+    """Rounds of a run, its checkpoints, and its held-out observations.
+
+    Attributes:
+        rounds: number of rounds of adjusting and filtering, and the limits of the filter.
+        checkpoint: file that is written after each round and each ``checkpoint_interval``
+            iterations; None: the file of ``resume``, if given.
+        resume: checkpoint from which the run continues, if the file exists.
+        checkpoint_interval: iterations from one checkpoint to the next.
+        held_out: share of the observations that a second fit holds out; no checkpoint has this fit.
+
+    Raises:
+        InputError: an interval is below 1, or a value cannot be a path.
+    """
+
+    rounds: RoundOptions
+    checkpoint: Path | None
+    resume: Path | None
+    checkpoint_interval: int
+    held_out: HoldOutOptions
+
+    def __init__(
+        self,
+        *,
+        rounds: RoundOptions | None = None,
+        checkpoint: str | os.PathLike[str] | None = None,
+        resume: str | os.PathLike[str] | None = None,
+        checkpoint_interval: int = CHECKPOINT_INTERVAL,
+        held_out: HoldOutOptions | None = None,
+    ) -> None:
+        interval = number("checkpoint_interval", checkpoint_interval, whole=True, minimum=1)
+        vars(self).update(  # frozen
+            rounds=RoundOptions() if rounds is None else rounds,
+            checkpoint=None if checkpoint is None else as_path(checkpoint, "checkpoint"),
+            resume=None if resume is None else as_path(resume, "resume"),
+            checkpoint_interval=interval,
+            held_out=HoldOutOptions() if held_out is None else held_out,
+        )
+
+    @property
+    def filters(self) -> bool:
+        """True if adjustments and filters take turns; otherwise there is one adjustment."""
+        return self.rounds.num_rounds > 0
+
+    def decisive(self) -> dict[str, Any]:
+        """Return the options of the plan that affect the result."""
+        return {**self.rounds.asdict(), "checkpoint_interval": self.checkpoint_interval}
+
+    @property
+    def file(self) -> Path | None:
+        """Path of the checkpoint to write; None: write no checkpoint."""
+        return self.resume if self.checkpoint is None else self.checkpoint
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class State:
+    """State of a run of rounds.
+
+    Attributes:
+        problem: start of the next solve, or the end of the run.
+        observation_mask: mask of the remaining observations of the first round's problem.
+        point_mask: mask of the remaining points of the first round's problem.
+        rounds: completed rounds.
+        so_far: result of the current adjustment so far; None at its start.
+        end: result of the last adjustment of a complete run; None before.
+    """
+
+    problem: Problem
+    observation_mask: _Mask
+    point_mask: _Mask
+    rounds: tuple[Round, ...] = ()
+    so_far: Result | None = None
+    end: Result | None = None
+
+    def record(self) -> dict[str, Any]:
+        """Return the completed rounds, and whether the run has ended, as JSON values."""
+        done = [dataclasses.asdict(one) for one in self.rounds]
+        return {"rounds": done, "has_ended": self.end is not None}
+
+    @staticmethod
+    def of_record(
+        record: dict[str, Any], problem: Problem, masks: list[_Mask], done: Result | None
+    ) -> State:
+        """Return the state of a record.
+
+        Args:
+            record: record of :meth:`record`.
+            problem: start of the next solve.
+            masks: masks of the observations and of the points that remain.
+            done: result so far, or of the run that has ended.
+        """
+        return State(
+            problem=problem,
+            observation_mask=masks[0],
+            point_mask=masks[1],
+            rounds=tuple(Round(**one) for one in record["rounds"]),
+            **{"end" if record["has_ended"] else "so_far": done},
+        )
+
+    @staticmethod
+    def first(problem: Problem) -> State:
+        """Return the state at the start; its masks take no memory."""
+        return State(
+            problem=problem,
+            observation_mask=np.broadcast_to(True, problem.num_observations),
+            point_mask=np.broadcast_to(True, problem.num_points),
+        )
+
+    def left(self, filtered: Filtered, done: Round) -> State:
+        """Return the state after the filter of a round."""
+        return State(
+            problem=filtered.problem,
+            observation_mask=_left_of(self.observation_mask, filtered.observation_mask),
+            point_mask=_left_of(self.point_mask, filtered.point_mask),
+            rounds=(*self.rounds, done),
+        )
+
+    def ended(self, result: Result) -> State:
+        """Return the state at the end of the run."""
+        return dataclasses.replace(self, end=result)
+
+
+def _left_of(mask: _Mask, left: _Mask) -> _Mask:
+    """Return a mask reduced by `left`, which has one entry per True entry of the mask."""
+    out = mask.copy()
+    out[mask] = left
+    return out

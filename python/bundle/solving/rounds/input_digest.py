@@ -24,12 +24,11 @@ from numpy.typing import NDArray
 
 from bundle.errors import InputError, first_line
 from bundle.interface.options import SolveOptions
-from bundle.interface.round_options import RoundOptions
 from bundle.model.problem import Problem
 
 if TYPE_CHECKING:
     from bundle.solving.prepare import Prepared
-    from bundle.solving.request import RunPlan
+    from bundle.solving.rounds.filtering import RunPlan
 
 NOT_DECISIVE = ("num_threads", "check_solution")
 
@@ -47,15 +46,12 @@ def fingerprint_of_options(options: SolveOptions) -> dict[str, Any]:
     return plain
 
 
-def plain_fingerprint(
-    input_digest: str, options: SolveOptions, checkpoint_interval: int
-) -> dict[str, Any]:
-    """Return the fingerprint of a run without rounds, parts, factors, bounds and rules."""
+def plain_fingerprint(input_digest: str, options: SolveOptions, plan: RunPlan) -> dict[str, Any]:
+    """Return the fingerprint of a run without parts, factors, bounds and rules."""
     return {
         "input": input_digest,
         **fingerprint_of_options(options),
-        **RoundOptions().asdict(),
-        "checkpoint_interval": checkpoint_interval,
+        **plan.decisive(),
         "only_images": None,
         "factors and bounds": digest_of_fields(((), None)),
     }
@@ -72,12 +68,10 @@ def fingerprint_of_run(prepared: Prepared, plan: RunPlan) -> dict[str, Any]:
     rules = None if rules is None else dataclasses.replace(rules, rules=())
     more = [known for known in (placed.targets, rules) if known is not None]
     given = request.problem
-    plain = plain_fingerprint(digest(given), request.options, plan.checkpoint_interval)
-    return plain | {
-        **plan.rounds.asdict(),
+    return plain_fingerprint(digest(given), request.options, plan) | {
         "only_images": None if part is None else part.named_ids,
         **({} if part is None or not part.is_marginal else {"rest": "marginal"}),
-        **({"order": digest_of_order(given)} if plan.rounds.num_rounds > 0 else {}),
+        **({"order": digest_of_order(given)} if plan.filters else {}),
         "factors and bounds": digest_of_fields((placed.factors, request.bounds, *more)),
     }
 

@@ -33,7 +33,7 @@ from bundle.solving.request import Bounds
 
 if TYPE_CHECKING:
     from bundle.graphs.factors.factors import Factor
-    from bundle.solving.rounds.run_state import State
+    from bundle.solving.rounds.filtering import State
 
 _Indices = NDArray[np.int64]
 _Mask = NDArray[np.bool_]

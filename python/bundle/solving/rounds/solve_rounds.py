@@ -11,15 +11,15 @@ from bundle.errors import InputError
 from bundle.interface.judging_options import HoldOutOptions
 from bundle.interface.option_class import takes_options
 from bundle.interface.options import SolveOptions
-from bundle.interface.round_options import CHECKPOINT_INTERVAL, RoundOptions
+from bundle.interface.round_options import CHECKPOINT_INTERVAL, Round, RoundOptions
 from bundle.interface.solve_record import Progress
 from bundle.io.files import Source, as_problem
 from bundle.model.problem_keys import ImageSelection, touched_ids
 from bundle.solving.executors import finished, solve_prepared
 from bundle.solving.prepare import Prepared, prepare
-from bundle.solving.request import Bounds, PartRequest, RunPlan, SolveRequest
+from bundle.solving.request import Bounds, PartRequest, SolveRequest
 from bundle.solving.result import Result
-from bundle.solving.rounds.run_state import State
+from bundle.solving.rounds.filtering import Filtered, RunPlan, State, filter_observations
 
 if TYPE_CHECKING:
     from typing import Unpack
@@ -31,9 +31,7 @@ if TYPE_CHECKING:
     from bundle.solving.constraints.rule_list import Constraints
     from bundle.solving.constraints.rules import Rule
     from bundle.solving.hold_out import HeldOutFit
-    from bundle.solving.measured_result import Round
     from bundle.solving.rounds.checkpoint import Checkpoint
-    from bundle.solving.rounds.filtering import Filtered
 
 SMALLEST_CHANGE = 5e-4
 """Smallest fraction of observations removed in a round for which another round follows, as in
@@ -166,7 +164,7 @@ def solve_rounds(
 
 
 def run(request: SolveRequest, plan: RunPlan, progress: Progress | None = None) -> Result:
-    """Adjust and filter in turns; see :func:`solve_rounds`.
+    """Run a plan: adjust once, or adjust and filter in turns; see :func:`solve_rounds`.
 
     The filter changes the objective. Therefore the remaining problem is adjusted once more after
     the last filter, unless this filter removed nothing. The run then ends at a minimum.
@@ -187,7 +185,7 @@ def run(request: SolveRequest, plan: RunPlan, progress: Progress | None = None) 
     return result if held_out is None else held_out.measured(result, last, state, fit)
 
 
-# Most runs need no held-out fit, no checkpoint and no filter, whose imports would delay them.
+# Most runs need no held-out fit and no checkpoint, whose imports would delay them.
 
 
 def _held_out_fit(prepared: Prepared, plan: RunPlan) -> HeldOutFit | None:
@@ -217,11 +215,12 @@ def _run(
     while state.end is None:
         result = _adjust(prepared, state, checkpoint, progress)
         if result.summary.interrupted or not result.summary.is_solution_usable:
-            return result, state  # a checkpoint keeps the earlier state
+            # a checkpoint keeps the earlier state
+            return dataclasses.replace(result, rounds=state.rounds), state
         state = _next(prepared, state, result, limits)
         if checkpoint is not None:
             checkpoint.write(state)
-    return state.end, state
+    return dataclasses.replace(state.end, rounds=state.rounds), state
 
 
 def _adjust(
@@ -276,8 +275,6 @@ def _filter(prepared: Prepared, problem: Problem, limits: RoundOptions) -> Filte
 
     Points that are fixed or named by a factor stay. Control points stay with all observations.
     """
-    from bundle.solving.rounds.filtering import filter_observations
-
     rules = prepared.applied
     known = touched_ids((*prepared.factors, *(() if rules is None else rules.factors)))["point"]
     return filter_observations(
@@ -293,7 +290,6 @@ def _filter(prepared: Prepared, problem: Problem, limits: RoundOptions) -> Filte
 
 def _round_of(number: int, result: Result, filtered: Filtered, limits: RoundOptions) -> Round:
     """Return the record of a round."""
-    from bundle.solving.measured_result import Round
     from bundle.solving.rounds.segments import num_steps
 
     summary, adjusted = result.summary, result.problem

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import os
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -14,7 +13,6 @@ from bundle.base.arrays import freeze
 from bundle.base.records import dataclass
 from bundle.errors import InputError, shown
 from bundle.interface.options import SolveOptions
-from bundle.interface.round_options import CHECKPOINT_INTERVAL
 from bundle.interface.solve_record import Progress
 from bundle.io import bal, colmap
 from bundle.io.atomic import atomic_write as atomic
@@ -29,11 +27,11 @@ from bundle.solving.kept_errors import outlier_limit
 from bundle.solving.prepare import Executor, Prepared, prepare
 from bundle.solving.ranks.crew import Crew
 from bundle.solving.ranks.divided_solve import heeding, process_record
-from bundle.solving.request import RunPlan, SolveRequest
+from bundle.solving.request import SolveRequest
 from bundle.solving.result import Result
 from bundle.solving.rounds.checkpoint import check_target, read_by, result_of_record, write
+from bundle.solving.rounds.filtering import RunPlan, State
 from bundle.solving.rounds.input_digest import digest_of_parts, plain_fingerprint
-from bundle.solving.rounds.run_state import State
 from bundle.solving.rounds.segments import solve_in_segments
 from bundle.solving.slices.slice_process import Process
 from bundle.solving.slices.slice_reading import Meeting, Survey, survey
@@ -130,20 +128,15 @@ class SlicedRefinement:
         self,
         options: SolveOptions,
         progress: Progress | None,
-        *,
-        checkpoint: str | os.PathLike[str] | None = None,
-        resume: str | os.PathLike[str] | None = None,
-        checkpoint_interval: int = CHECKPOINT_INTERVAL,
+        plan: RunPlan | None = None,
     ) -> Result:
         """Refine the model. The initial problem of the result has cameras only.
 
         Args:
             options: options of the solve.
             progress: function called after each iteration.
-            checkpoint: as in :func:`bundle.solve_rounds`; the file holds the entire model and can
-                be resumed with any number of processes.
-            resume: as in :func:`bundle.solve_rounds`.
-            checkpoint_interval: as in :func:`bundle.solve_rounds`.
+            plan: checkpoints, which hold the entire model and can be resumed with any number of
+                processes; rounds and held-out observations are not served. None: no checkpoint.
 
         Raises:
             InputError, OSError: for the reasons of :func:`bundle.solve_rounds`.
@@ -154,22 +147,15 @@ class SlicedRefinement:
         unknown = self._survey.unknown(np.asarray(settled.fixed_point_ids, np.int64))
         if unknown.size:
             raise InputError(f"fixed_point_ids: expected ids in the problem, found {unknown[0]}")
-        plan = RunPlan(
-            checkpoint=checkpoint,
-            resume=resume,
-            checkpoint_interval=checkpoint_interval,
-        )
 
         def solve(problem: Problem, used: SolveOptions, told: Progress | None) -> Result:
             return solve_prepared(prepared.laid_out_at(problem, used), told, self._executor)
 
-        if plan.file is None:
+        if plan is None or plan.file is None:
             return self._finished(solve(self._model, settled, progress))
-        resume, interval = plan.resume, plan.checkpoint_interval
+        resume = plan.resume
         sums = self._process.run_on_all("digest")
-        keeper = SlicedCheckpoint(
-            plan.file, self._slice.cameras, sums, self._survey, options, interval
-        )
+        keeper = SlicedCheckpoint(plan, self._slice.cameras, sums, self._survey, options)
         start, so_far, has_ended = self._model, None, False
         if resume is not None and resume.exists():
             kept = keeper.read(resume, settled)
@@ -184,7 +170,7 @@ class SlicedRefinement:
                 solve,
                 start,
                 settled,
-                interval,
+                plan.checkpoint_interval,
                 so_far=so_far,
                 progress=progress,
                 save=keeper.write,
@@ -286,12 +272,11 @@ class SlicedCheckpoint:
     """The checkpoint of a run.
 
     Args:
-        path: path of the file.
+        plan: plan of the run, with a file.
         cameras: images and cameras of the model as it was read.
         sums: sums over the model's rows (``input_digest.sums_of_rows``).
         found: survey of the model.
         options: options of the run, as the caller gave them.
-        interval: iterations from one checkpoint to the next.
 
     Raises:
         InputError, OSError: for the reasons of ``checkpoint.check_target``.
@@ -299,16 +284,16 @@ class SlicedCheckpoint:
 
     def __init__(
         self,
-        path: Path,
+        plan: RunPlan,
         cameras: Problem,
         sums: NDArray[np.uint64],
         found: Survey,
         options: SolveOptions,
-        interval: int,
     ) -> None:
-        check_target(path)
-        self._path, self._cameras, self._found = path, cameras, found
-        self._fingerprint = plain_fingerprint(digest_of_parts(cameras, sums), options, interval)
+        assert plan.file is not None
+        check_target(plan.file)
+        self._path, self._cameras, self._found = plan.file, cameras, found
+        self._fingerprint = plain_fingerprint(digest_of_parts(cameras, sums), options, plan)
 
     def write(self, result: Result, *, has_ended: bool = False) -> None:
         """Replace the checkpoint by the state after a result, from which the next solve starts.
