@@ -131,17 +131,15 @@ def residuals(problem, w=None, t=None, params=None, points=None):
     params = problem.camera_params if params is None else np.asarray(params)
     points = problem.points if points is None else np.asarray(points)
     starts = Rotation.from_quat(problem.cam_from_world[:, :4]).as_matrix()
-    dtype = np.result_type(w, t, params, points)
-    result = np.empty((problem.num_observations, 2), dtype)
-    rotations = [exp(w[i]) @ starts[i] for i in range(num_images)]
-    for n, (i, p) in enumerate(
-        zip(problem.observation_image, problem.observation_point, strict=True)
-    ):
-        camera = problem.image_camera[i]
-        in_camera = rotations[i] @ points[p] + t[i]
-        xy = project(problem.camera_models[camera], params[camera], in_camera[None])[0]
-        result[n] = xy - problem.observation_xy[n]
-    return result
+    rotations = np.array([exp(w[i]) @ starts[i] for i in range(num_images)])
+    image = problem.observation_image
+    turned = np.einsum("nij,nj->ni", rotations[image], points[problem.observation_point])
+    in_camera = turned + t[image]
+    result = np.empty((problem.num_observations, 2), np.result_type(in_camera, params))
+    for camera in np.unique(problem.image_camera[image]):
+        of = problem.image_camera[image] == camera
+        result[of] = project(problem.camera_models[camera], params[camera], in_camera[of])
+    return result - problem.observation_xy
 
 
 def exp(w):
@@ -151,4 +149,6 @@ def exp(w):
     for k in range(1, 40):
         term = term @ skew / k
         total = total + term
+        if np.abs(term).max() < 1e-50:  # a complex step is 1e-30
+            break
     return total

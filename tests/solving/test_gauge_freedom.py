@@ -35,20 +35,27 @@ def moved(problem, frames, arms):
 def image_derivatives(problem):
     """(num_images, 6, unknowns of frames, images and sensors) by central differences."""
     count = problem.num_frames + problem.num_images
-    width = 6 * (count + problem.num_sensors)
-    result = np.zeros((problem.num_images, 6, width))
-    start = moved(problem, np.zeros((count, 6)), np.zeros((problem.num_sensors, 6)))
-    for column in range(width):
-        sides = []
-        for step in (STEP, -STEP):
-            delta = np.zeros((width // 6, 6))
-            delta.flat[column] = step
-            sides.append(moved(problem, delta[:count], delta[count:]))
-        for image, ((r0, _), (ra, ta), (rb, tb)) in enumerate(zip(start, *sides, strict=True)):
-            back = r0.inv()
-            turn = (ra * back).as_rotvec() - (rb * back).as_rotvec()
-            result[image, :, column] = np.hstack([turn, ta - tb]) / (2 * STEP)
-    return result
+    blocks = count + problem.num_sensors
+    result = np.zeros((problem.num_images, 6, blocks, 6))
+    start = moved(problem, *np.split(np.zeros((blocks, 6)), [count]))
+    frame = problem.image_frame if problem.num_frames else np.full(problem.num_images, -1)
+    own = np.where(frame >= 0, frame, problem.num_frames + np.arange(problem.num_images))
+    arm = np.where(frame >= 0, problem.image_sensor, -1) if problem.num_frames else frame
+    # An image depends on one frame, or on itself, and on one sensor: all of them move at once.
+    for moving, block in ((slice(count), own), (slice(count, None), count + arm)):
+        for k in range(6):
+            sides = []
+            for step in (STEP, -STEP):
+                delta = np.zeros((blocks, 6))
+                delta[moving, k] = step
+                sides.append(moved(problem, *np.split(delta, [count])))
+            for image, ((r0, _), (ra, ta), (rb, tb)) in enumerate(zip(start, *sides, strict=True)):
+                if moving.start is not None and arm[image] < 0:
+                    continue
+                back = r0.inv()
+                turn = (ra * back).as_rotvec() - (rb * back).as_rotvec()
+                result[image, :, block[image], k] = np.hstack([turn, ta - tb]) / (2 * STEP)
+    return result.reshape(problem.num_images, 6, 6 * blocks)
 
 
 def nullity(problem, *, fixed=(), points=(), arms=False, focal=False, priors=(), attitudes=()):

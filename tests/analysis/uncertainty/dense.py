@@ -43,17 +43,42 @@ class Dense:
                 if (kind, i) in poses:
                     self.starts[kind, i] = Rotation.from_quat(row[:4]).as_matrix(), row[4:]
         self.residual = self.residuals(np.zeros(len(self.names)))
-        self.jacobian = np.empty((self.residual.size, len(self.names)))
-        for j in range(len(self.names)):
-            step = np.zeros(len(self.names), complex)
-            step[j] = 1e-30j
-            self.jacobian[:, j] = self.residuals(step).imag / 1e-30
+        self.jacobian = self.derivatives()
         s = (self.residual.reshape(-1, 2) ** 2).sum(axis=1)
         sigma = 1.0 if problem.observation_sigma is None else problem.observation_sigma
         self.rho_prime = np.broadcast_to(rho_prime(loss, loss_scale, s / sigma**2), s.shape)
         self.weigh(np.repeat(np.broadcast_to(np.sqrt(self.rho_prime) / sigma, s.shape), 2))
         # Along the residual a loss counts as rho' + 2 rho'' s, here beside rho'.
         self.along = along_residual(loss, s / (loss_scale * sigma) ** 2)
+
+    def derivatives(self):
+        """By complex steps, one for a coordinate of all poses, sensors, cameras or points.
+
+        An observation depends on one of each.
+        """
+        problem, image = self.problem, self.problem.observation_image
+        padded = np.append(problem.image_sensor, np.full(problem.num_images, -1))
+        frame, sensor = self.frame[image], padded[image]
+        of = {
+            ("image", "frame"): [
+                ("image", i) if f < 0 else ("frame", f) for i, f in zip(image, frame, strict=True)
+            ],
+            ("sensor",): [
+                ("sensor", s) if f >= 0 and s >= 0 else None
+                for f, s in zip(frame, sensor, strict=True)
+            ],
+            ("camera",): [("camera", c) for c in problem.image_camera[image]],
+            ("point",): [("point", p) for p in problem.observation_point],
+        }
+        jacobian = np.zeros((len(image), 2, len(self.names)))
+        for kinds, seen in of.items():
+            for k in {name[2] for name in self.names if name[0] in kinds}:
+                step = np.array([(n[0] in kinds and n[2] == k) * 1e-30j for n in self.names])
+                slopes = self.residuals(step).imag.reshape(-1, 2) / 1e-30
+                for row, name in enumerate(seen):
+                    if name is not None:
+                        jacobian[row, :, self.column[(*name, k)]] = slopes[row]
+        return jacobian.reshape(-1, len(self.names))
 
     def weigh(self, weight):
         self.residual = self.residual * weight
