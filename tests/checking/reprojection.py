@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -11,6 +12,9 @@ import bundle
 from tests.scenes import PARAMS
 
 MANIFOLDS = ["angle_axis", None, None, None]
+
+check_few = partial(bundle.check_gradients, num_samples=3)
+"""A check at as many points as a factor graph checks by default, a third of those of a function."""
 
 
 class Blocks(NamedTuple):

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 import bundle
 from bundle import _core
-from tests.checking.reprojection import left_jacobian, skew
+from tests.checking.reprojection import check_few, left_jacobian, skew
 from tests.checking.test_gradients import POINT, UNIT, rotate, transform
 
 
@@ -36,8 +36,8 @@ CHANGES = {
 @pytest.mark.parametrize("words", CHANGES)
 def test_a_perturbation_is_named_in_a_block_that_is_not_split(words, order):
     start = [np.array([0.3, -0.2, 0.5, 0.4, 0.7, -0.6, 1.5]), np.array([0.5, -0.4, 2.0])]
-    assert bundle.check_gradients(lambda b: six(b, lambda _: np.eye(3), order), start)
-    report = bundle.check_gradients(lambda b: six(b, CHANGES[words], order), start)
+    assert check_few(lambda b: six(b, lambda _: np.eye(3), order), start)
+    report = check_few(lambda b: six(b, CHANGES[words], order), start)
     first = 0 if order == "rotation first" else 3
     assert [(f.kind, f.columns) for f in report.findings] == [
         ("perturbation", tuple(f"block 0 [{first + j}]" for j in range(3)))
@@ -61,7 +61,7 @@ def test_a_perturbation_of_a_twist_is_named(turn, move):
         jacobian[:, turn], jacobian[:, move] = -skew(moved), np.eye(3)
         return moved, [jacobian]
 
-    report = bundle.check_gradients(function, [[0.3, -0.2, 0.5, 0.4, 0.7, -0.6]])
+    report = check_few(function, [[0.3, -0.2, 0.5, 0.4, 0.7, -0.6]])
     assert report.kinds == {"perturbation"}
     assert len(report.findings[0].columns) == 6
 
@@ -77,11 +77,11 @@ def test_a_tangent_jacobian_with_a_zero_column_is_named(place, scale):
         return residual, [by_pose, by_point]
 
     start = [np.append(UNIT, [1.0, 2.0, -3.0]), POINT]
-    report = bundle.check_gradients(function, start, ["se3", None])
+    report = check_few(function, start, ["se3", None])
     assert [f.kind for f in report.findings] == ["padded"]
     names = ["qx", "qy", "qz", "qw", "tx", "ty", "tz"]
     assert report.findings[0].columns == tuple(f"block 0 {name}" for name in names)
-    assert bundle.check_gradients(lambda b: function(b, pad=False), start, ["se3", None])
+    assert check_few(lambda b: function(b, pad=False), start, ["se3", None])
 
 
 def test_a_padded_quaternion_and_one_that_lacks_a_column_are_told_apart():
@@ -92,9 +92,9 @@ def test_a_padded_quaternion_and_one_that_lacks_a_column_are_told_apart():
         return residual, [by_q, by_point]
 
     manifolds = ["quaternion_wxyz", None]
-    padded = bundle.check_gradients(lambda b: function(b, True), [UNIT, POINT], manifolds)
+    padded = check_few(lambda b: function(b, True), [UNIT, POINT], manifolds)
     assert padded.kinds == {"padded"}
-    lacking = bundle.check_gradients(lambda b: function(b, False), [UNIT, POINT], manifolds)
+    lacking = check_few(lambda b: function(b, False), [UNIT, POINT], manifolds)
     assert lacking.kinds == {"zero"}
 
 
@@ -103,7 +103,7 @@ def test_a_padded_quaternion_hides_no_mistake_of_another_block():
         residual, (_, by_point) = rotate(blocks)
         return residual, [np.hstack([-skew(residual), np.zeros((3, 1))]), -by_point]
 
-    report = bundle.check_gradients(function, [UNIT, POINT], ["quaternion_wxyz", None])
+    report = check_few(function, [UNIT, POINT], ["quaternion_wxyz", None])
     assert "sign" in report.kinds
 
 
@@ -123,7 +123,7 @@ def test_rows_in_a_wrong_order_are_named(order, words):
         residual, (jacobian,) = curve(blocks)
         return residual, [jacobian[order]]
 
-    report = bundle.check_gradients(function, [[1.0, 0.7, 2.0]])
+    report = check_few(function, [[1.0, 0.7, 2.0]])
     assert [f.kind for f in report.findings] == ["swapped_rows"]
     assert words in report.findings[0].sentence
 
@@ -137,7 +137,7 @@ def weighed(weights, of_residual):
             return weights @ residual, [jacobian]
         return residual, [weights @ jacobian]
 
-    return bundle.check_gradients(function, [[1.0, 0.7, 2.0]])
+    return check_few(function, [[1.0, 0.7, 2.0]])
 
 
 @pytest.mark.parametrize("of_residual", [True, False])
@@ -157,7 +157,7 @@ def test_weights_on_one_side_alone_are_named(of_residual):
         residual, (jacobian,) = curve(blocks)
         return residual, [(np.eye(4) + 0.1 * rng.standard_normal((4, 4))) @ jacobian]
 
-    assert "whitening" not in bundle.check_gradients(changing, [[1.0, 0.7, 2.0]]).kinds
+    assert "whitening" not in check_few(changing, [[1.0, 0.7, 2.0]]).kinds
 
 
 def test_a_derivative_of_a_logarithm_without_its_jacobian_is_named():
@@ -210,7 +210,7 @@ def relative_pose(mode):
     graph.add_variable("a", a, "se3")
     graph.add_variable("b", b, "se3")
     graph.add_factor(bundle.FunctionFactor(["a", "b"], function))
-    (report,) = graph.check_gradients().reports.values()
+    (report,) = graph.check_gradients(num_samples=2).reports.values()
     return report
 
 
@@ -254,7 +254,7 @@ def test_a_matrix_that_any_square_jacobian_has_is_no_weight():
     """Every square Jacobian of a linear function is a constant matrix times the right Jacobian."""
     matrix = np.array([[1.0, 2, 3], [4, 5.5, 6], [7, 8, 9.7]])
     wrong = matrix @ [[1, 0.3, 0], [0.2, 1, 0.5], [0.1, 0, 1]]
-    report = bundle.check_gradients(lambda b: (matrix @ b[0], [wrong]), [np.array([1.0, 2, 3])])
+    report = check_few(lambda b: (matrix @ b[0], [wrong]), [np.array([1.0, 2, 3])])
     assert report.verdict == "wrong" and "whitening" not in report.kinds
 
 
@@ -270,7 +270,7 @@ def test_a_residual_in_degrees_is_named(row):
         jacobian = np.array([by_angle, by_length])[order]  # the first lacks 180 / pi
         return np.array([angle, length])[order], [-jacobian, jacobian]
 
-    report = bundle.check_gradients(bearing, [np.array([1.0, 2]), np.array([9.0, 5])])
+    report = check_few(bearing, [np.array([1.0, 2]), np.array([9.0, 5])])
     assert report.kinds == {"degrees"} and f"residual {row}" in report.findings[0].sentence
 
 
@@ -280,7 +280,7 @@ def test_a_block_stored_by_columns_is_named_where_it_has_zeros():
         right = f * np.array([[1 / z, 0, -x / z**2], [0, 1 / z, -y / z**2]])
         return f * np.array([x / z, y / z]), [right.T.reshape(2, 3), np.array([[x / z], [y / z]])]
 
-    report = bundle.check_gradients(projection, [np.array([0.3, -0.4, 2.0]), np.array([500.0])])
+    report = check_few(projection, [np.array([0.3, -0.4, 2.0]), np.array([500.0])])
     assert report.kinds == {"transposed"}
 
 
@@ -294,7 +294,7 @@ def seen(blocks, spoil):
 @pytest.mark.parametrize("power", [1, 2, -1])
 def test_a_missing_depth_is_a_factor_that_varies(power):
     start = [np.array([0.3, -0.4, 1.5]), np.array([0.2, 0.1, 2.5])]
-    report = bundle.check_gradients(lambda b: seen(b, lambda j, z: j * z**power), start)
+    report = check_few(lambda b: seen(b, lambda j, z: j * z**power), start)
     (finding,) = report.findings
     assert (finding.kind, finding.factor) == ("factor", None)
     assert finding.columns == tuple(f"block 1 [{j}]" for j in range(3))
@@ -303,11 +303,11 @@ def test_a_missing_depth_is_a_factor_that_varies(power):
 def test_other_mistakes_of_a_block_are_no_varying_factor():
     """Rows with factors of their own, and a single number per point."""
     start = [np.array([0.3, -0.4, 1.5]), np.array([0.2, 0.1, 2.5])]
-    rows = bundle.check_gradients(lambda b: seen(b, lambda j, z: np.diag([z, 1 + z**2]) @ j), start)
+    rows = check_few(lambda b: seen(b, lambda j, z: np.diag([z, 1 + z**2]) @ j), start)
     assert rows.verdict == "wrong"
     assert "factor" not in rows.kinds
 
     def one(blocks):
         return np.sin(blocks[0]), [np.cos(blocks[0] ** 2)[None]]
 
-    assert bundle.check_gradients(one, [np.array([0.7])]).kinds == {"small_part"}
+    assert check_few(one, [np.array([0.7])]).kinds == {"small_part"}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-import bundle
+from tests.checking.reprojection import check_few
 
 BLOCKS = [[1.3, 2.1], [0.2, -0.4]]
 
@@ -71,7 +71,7 @@ def other_formula(jacobian, x, y, r):
 )
 def test_a_mistake_in_one_row_has_its_name(change, kind, row, count):
     for seed in range(3):
-        report = bundle.check_gradients(bearing_and_range(change), BLOCKS, seed=seed)
+        report = check_few(bearing_and_range(change), BLOCKS, seed=seed)
         assert {finding.kind for finding in report.findings} == {kind}
         assert len(report.findings) == count  # exchanged entries once per block
         assert {finding.rows for finding in report.findings} == {(row,)}
@@ -87,7 +87,7 @@ def test_exchanged_rows_are_no_mistake_of_one_row():
     def exchanged(jacobian, _x, _y, _r):
         jacobian[[0, 1]] = jacobian[[1, 0]]
 
-    report = bundle.check_gradients(bearing_and_range(exchanged), BLOCKS)
+    report = check_few(bearing_and_range(exchanged), BLOCKS)
     assert {finding.kind for finding in report.findings} == {"swapped_rows"}
 
 
@@ -96,7 +96,7 @@ def test_two_rows_are_no_mistake_of_one_row():
         root_for_square(jacobian, x, y, r)
         jacobian[2] += 0.3 * np.array([x, y])
 
-    report = bundle.check_gradients(bearing_and_range(both), BLOCKS)
+    report = check_few(bearing_and_range(both), BLOCKS)
     assert not {"row_factor", "row_swapped", "one_row"} & {f.kind for f in report.findings}
 
 
@@ -104,5 +104,5 @@ def test_a_mistake_of_rank_one_in_several_rows_is_a_term_of_the_chain_rule():
     def term(jacobian, x, y, _r):
         jacobian += np.outer([0.2, 0.5 * x, y], [y, 0.3 * x])
 
-    report = bundle.check_gradients(bearing_and_range(term), BLOCKS)
+    report = check_few(bearing_and_range(term), BLOCKS)
     assert {finding.kind for finding in report.findings} == {"missing_term"}

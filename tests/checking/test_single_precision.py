@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-import bundle
 from bundle.checking.classify import rounds_to_single
+from tests.checking.reprojection import check_few
 
 FOCAL = 500.0
 
@@ -41,9 +41,9 @@ def test_a_projection_in_single_precision_is_right(depth, seed):
         pixels, (by_translation, by_point) = project(rotation, [blocks[0], *moved])
         return pixels, [by_translation, by_point * [factor, 1, 1]]
 
-    report = bundle.check_gradients(function, blocks[1:], seed=seed)
+    report = check_few(function, blocks[1:], seed=seed)
     assert report.verdict == "correct", report
-    report = bundle.check_gradients(lambda b: function(b, 1.01), blocks[1:], seed=seed)
+    report = check_few(lambda b: function(b, 1.01), blocks[1:], seed=seed)
     assert report.verdict == "wrong"
 
 
@@ -59,8 +59,8 @@ def test_a_number_in_single_precision_inside_is_no_mistake():
     for seed in range(12):
         rng = np.random.default_rng(seed)
         start = [rng.uniform(0.5, 1.2, 2), rng.uniform(1, 10, 2)]
-        verdicts.append(bundle.check_gradients(mixed, start, seed=seed).verdict)
-        wrong = bundle.check_gradients(lambda b: mixed(b, 1.001), start, seed=seed)
+        verdicts.append(check_few(mixed, start, seed=seed).verdict)
+        wrong = check_few(lambda b: mixed(b, 1.001), start, seed=seed)
         assert [(f.kind, f.columns) for f in wrong.findings if f.kind != "undecided"] == [
             ("factor", ("block 1 [0]", "block 1 [1]"))
         ]
@@ -90,5 +90,5 @@ def test_large_constants_leave_the_tolerance_of_double_precision():
         return np.array([x * y + 1e3, y]), [np.array([[factor * y, x], [0, 1.0]])]
 
     start = [np.array([1.5, -2.5])]
-    assert bundle.check_gradients(function, start)
-    assert bundle.check_gradients(lambda b: function(b, 1 + 1e-5), start).verdict == "wrong"
+    assert check_few(function, start)
+    assert check_few(lambda b: function(b, 1 + 1e-5), start).verdict == "wrong"

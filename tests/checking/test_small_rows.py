@@ -7,6 +7,7 @@ import pytest
 
 import bundle
 from bundle.checking.jacobian_deviation import ALIKE, JacobianDeviation
+from tests.checking.reprojection import check_few
 
 SCALES = (1e-3, 1e-6, 1e-7, 1e-9, 1e-12)
 START = [1.3, -0.7, 0.5, 2.0]
@@ -28,7 +29,7 @@ def check(change, start=START, **settings):
         residual, jacobian = change(*plain(blocks[0]))
         return residual, [jacobian]
 
-    return bundle.check_gradients(function, [start], **settings)
+    return check_few(function, [start], **settings)
 
 
 def in_units(row, scale, spoil=None):
@@ -96,7 +97,7 @@ def test_a_column_of_the_small_row_alone_does_not_hide_the_others():
         jacobian = np.array([[b, a, 0], [-1e-9 * b, 1e-9 * a, 1e-9 * np.cos(own)]])
         return [a * b, 1e-9 * (a * b + np.sin(own))], [jacobian]
 
-    assert bundle.check_gradients(function, [[1.0, 2.0, 0.3]]).verdict == "wrong"
+    assert check_few(function, [[1.0, 2.0, 0.3]]).verdict == "wrong"
 
 
 def test_a_robust_loss_that_is_flat_here_is_right():
@@ -138,7 +139,7 @@ def test_rows_of_noise_are_not_accused(size):
         residual[1], jacobian[1] = size * hashed(blocks[0]), 0
         return residual, [jacobian]
 
-    assert bundle.check_gradients(function, [START]).verdict != "wrong"
+    assert check_few(function, [START]).verdict != "wrong"
 
 
 @pytest.mark.parametrize("constant", [1.0, 1e3, 1e6])
@@ -162,7 +163,7 @@ def test_a_slope_below_the_last_digit_of_its_row_is_no_mistake():
         small = 1e-8 * x + 1e-10 * y
         return [x * y, np.round(small, 9)], [np.array([[y, x], [1e-8, 1e-10]])]
 
-    assert bundle.check_gradients(function, [[3.0, 0.5]]).verdict != "wrong"
+    assert check_few(function, [[3.0, 0.5]]).verdict != "wrong"
 
 
 def test_single_precision_of_a_small_row_is_not_accused():
