@@ -132,9 +132,8 @@ def test_an_exact_block_returns_to_its_place():
     assert all(p.pixels < 1e-6 and p.num_images == 9 for p in aligned.control_points)
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_a_clean_block_has_no_suspect_and_a_wrong_target_is_one(seed):
-    flight = block(8, seed=seed, pixel_noise=0.3, survey_noise=0.02)
+def test_a_clean_block_has_no_suspect_and_a_wrong_target_is_one():
+    flight = block(8, pixel_noise=0.3, survey_noise=0.02)
     assert align(flight.problem, gcps=flight.gcps).suspects == ()
     x, y, z = flight.gcps[5].position
     wrong = with_gcp(flight.gcps, "t5", position=(x + 1.0, y, z))

@@ -15,7 +15,7 @@ from tests.georeference.test_attitude_priors import rotations, upright_and_turne
 from tests.rig_scenes import STEREO, rig_problem
 
 AXIS = (1, 0.3, 0.2)
-TRIALS = 200
+TRIALS = 120
 
 
 def measured(problem, kind, sigma, rng):
@@ -50,8 +50,14 @@ def error_of(turn, kind):
     return np.degrees(Rotation.from_matrix(turn).magnitude())
 
 
-@pytest.mark.parametrize("kind", [GravityPrior, OrientationPrior, HeadingPrior])
-@pytest.mark.parametrize("count", [1, 3, 5, 8])
+@pytest.mark.parametrize(
+    ("kind", "count"),
+    [
+        *((GravityPrior, 1), (GravityPrior, 4), (GravityPrior, 8)),
+        *((OrientationPrior, 1), (OrientationPrior, 3)),
+        *((HeadingPrior, 3), (HeadingPrior, 5)),
+    ],
+)
 def test_the_bound_holds_with_its_probability(kind, count):
     """Models that follow their measurements: their error is that of the robust mean."""
     truth, _ = upright_and_turned(num_images=count)
@@ -63,7 +69,7 @@ def test_the_bound_holds_with_its_probability(kind, count):
         found = AttitudeErrors.of(known.groups[0], moved(truth, similarity))
         held += error_of(similarity.rotation, kind) < found.within
         assert found.off < 0.01
-    assert held > 0.91 * TRIALS  # 95 % less 2.6 standard errors
+    assert held > 0.9 * TRIALS  # 95 % less 2.5 standard errors
 
 
 def test_images_without_observations_do_not_count():

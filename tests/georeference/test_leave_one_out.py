@@ -45,7 +45,7 @@ def test_predicted_sigmas_are_those_of_repeated_surveys():
 def test_clean_blocks_seldom_have_a_suspect(stated):
     """Also where the stated sigmas are forty times too small."""
     rng = np.random.default_rng(2)
-    blocks = 120
+    blocks = 50
     wrong = sum(everything(survey(rng, 7, stated=stated)).suspect.any() for _ in range(blocks))
     assert wrong <= stats.binom.ppf(0.999, blocks, LEVEL)
 

@@ -137,10 +137,11 @@ def test_the_covariance_is_that_of_repeated_surveys():
     covariances, in_model = spd(rng, 6, 0.05), spd(rng, 6, 0.02)
     exact = fit_similarity(Correspondences(source, target, covariances, in_model))
     truth = exact.similarity
+    roots = np.linalg.cholesky([covariances, in_model])
     samples = []
     for _ in range(500):
-        noisy = target + np.array([rng.multivariate_normal(np.zeros(3), c) for c in covariances])
-        seen = source + np.array([rng.multivariate_normal(np.zeros(3), c) for c in in_model])
+        noise, blur = np.einsum("knij,knj->kni", roots, rng.normal(size=(2, 6, 3)))
+        noisy, seen = target + noise, source + blur
         found = fit_similarity(Correspondences(seen, noisy, covariances, in_model)).similarity
         turn = Rotation.from_matrix(found.rotation @ truth.rotation.T).as_rotvec()
         shift = found.apply(exact.center[None])[0] - truth.apply(exact.center[None])[0]
