@@ -20,14 +20,21 @@ CREEPS = {
 }
 
 
-@pytest.fixture(scope="module", params=CREEPS)
-def named_problem(request, bundle_data):
-    return request.param, bundle.load(bundle_data / request.param)
+SOLVERS = ("dense_schur", "sparse_schur", "iterative_schur")
+SMALL = {"colmap/bartoszek", "colmap/batmo_rigs", "colmap/crane_mast"}
 
 
-@pytest.mark.parametrize("solver", ["dense_schur", "sparse_schur", "iterative_schur"])
-def test_same_first_ten_steps(named_problem, solver):
-    _, problem = named_problem
+@pytest.mark.parametrize(
+    ("name", "solver"),
+    [
+        (name, solver)
+        for i, name in enumerate(CREEPS)
+        for k, solver in enumerate(SOLVERS)
+        if name in SMALL or i % 3 == k
+    ],
+)
+def test_same_first_ten_steps(bundle_data, name, solver):
+    problem = bundle.load(bundle_data / name)
     options = {"linear_solver_type": solver, "max_num_iterations": 10}
     if solver == "iterative_schur":
         options["preconditioner_type"] = "schur_jacobi"  # Ceres' automatic one
@@ -35,15 +42,19 @@ def test_same_first_ten_steps(named_problem, solver):
     # now and then a conjugate gradient more.
     theirs = bundle.solve(problem, backend="ceres", num_threads=1, **options)
     ours = bundle.solve(problem, backend="fused", **options)
-    for name, tolerance in (("cost", 1e-8), ("step_is_successful", 0), ("iteration", 0)):
+    for column, tolerance in (("cost", 1e-8), ("step_is_successful", 0), ("iteration", 0)):
         np.testing.assert_allclose(
-            ours.iterations[name], theirs.iterations[name], rtol=tolerance, err_msg=name
+            ours.iterations[column], theirs.iterations[column], rtol=tolerance, err_msg=column
         )
     assert ours.summary.termination_type == theirs.summary.termination_type
 
 
-def test_same_end(named_problem):
-    name, problem = named_problem
+# One that creeps is enough: where it ends is known to 1e-5 only.
+@pytest.mark.parametrize(
+    "name", [name for name in CREEPS if name != "bal/problem-49-7776-pre.txt.bz2"]
+)
+def test_same_end(bundle_data, name):
+    problem = bundle.load(bundle_data / name)
     options = {"function_tolerance": 1e-12, "max_num_iterations": 60}
     theirs = bundle.solve(problem, backend="ceres", **options).summary
     ours = bundle.solve(problem, backend="fused", **options).summary

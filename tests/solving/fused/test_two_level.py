@@ -43,7 +43,7 @@ def test_a_longer_drive_takes_no_more_conjugate_gradients(cameras):
 
 @pytest.mark.parametrize("gauge", ["none", "two_cameras", "three_points"])
 def test_fewer_conjugate_gradients_and_no_worse_an_end(gauge):
-    problem = drive(100, cameras="individual")
+    problem = drive(60, cameras="individual")
     theirs, end = conjugate_gradients(problem, "schur_jacobi", gauge=gauge)
     ours, our_end = conjugate_gradients(problem, "two_level", gauge=gauge)
     exact = bundle.solve(

@@ -14,16 +14,22 @@ REFERENCE = {
 CONVERGED = {"function_tolerance": 1e-10, "max_num_iterations": 200}
 
 
-@pytest.fixture(scope="module", params=REFERENCE)
-def reference(request, bundle_data):
-    problem = bundle.load(bundle_data / "bal" / f"{request.param}.txt.bz2")
-    return problem, *REFERENCE[request.param]
+# Every two of backend, solver and problem.
+CASES = [
+    ("problem-16-22106-pre", "ceres", "sparse_schur"),
+    ("problem-16-22106-pre", "fused", "dense_schur"),
+    ("problem-16-22106-pre", "fused", "iterative_schur"),
+    ("problem-21-11315-pre", "ceres", "dense_schur"),
+    ("problem-21-11315-pre", "ceres", "iterative_schur"),
+    ("problem-21-11315-pre", "fused", "sparse_schur"),
+]
 
 
-@pytest.mark.parametrize("solver", ["dense_schur", "sparse_schur", "iterative_schur"])
-def test_schur_solvers_reach_the_reference_cost(solve, reference, solver):
-    problem, initial_cost, final_cost, ordering = reference
-    summary = solve(problem, linear_solver_type=solver, **CONVERGED).summary
+@pytest.mark.parametrize(("name", "backend", "solver"), CASES)
+def test_schur_solvers_reach_the_reference_cost(bundle_data, name, backend, solver):
+    problem = bundle.load(bundle_data / "bal" / f"{name}.txt.bz2")
+    initial_cost, final_cost, ordering = REFERENCE[name]
+    summary = bundle.solve(problem, backend=backend, linear_solver_type=solver, **CONVERGED).summary
     assert summary.initial_cost == pytest.approx(initial_cost, rel=1e-9)
     assert summary.final_cost == pytest.approx(final_cost, rel=1e-7)
     assert summary.linear_solver_ordering_given == ordering
