@@ -180,7 +180,6 @@ def test_the_command_names_them(tmp_path, capsys):
     [
         ("intel", 10, "gnc_tls"),
         ("intel", 100, "gnc_tls"),
-        ("M3500", 50, "gnc_tls"),
         ("smallGrid3D", 50, "gnc_tls"),
     ],
 )

@@ -32,6 +32,12 @@ def files(mav: Path) -> list[Path]:
     return [mav.parent / name for name in ("camchain-imucam.yaml", "imu.yaml")]
 
 
+@pytest.fixture(scope="module")
+def expected(mav: Path) -> bundle.TrackedImages:
+    """The tracks of the folder."""
+    return bundle.track_images(mav, calibration=files(mav))
+
+
 @pytest.mark.parametrize(
     ("ros", "settings"),
     [
@@ -45,10 +51,9 @@ def files(mav: Path) -> list[Path]:
     ],
 )
 def test_a_bag_gives_the_tracks_of_the_folder(
-    mav: Path, tmp_path: Path, ros: int, settings: dict[str, Any]
+    mav: Path, expected: bundle.TrackedImages, tmp_path: Path, ros: int, settings: dict[str, Any]
 ) -> None:
     path = write_bag(mav, tmp_path / ("flight.bag" if ros == 1 else "flight"), ros, **settings)
-    expected = bundle.track_images(mav, calibration=files(mav))
     tracked = bundle.track_images(path, calibration=files(mav))
     for name in ("gyro", "accel", "imu_timestamps_ns", "track_timestamps_ns", "track_ids"):
         np.testing.assert_array_equal(
@@ -103,8 +108,9 @@ def video(mav: Path) -> Path:
     return write_video(mav)
 
 
-def test_a_video_gives_nearly_the_tracks_of_the_folder(mav: Path, video: Path) -> None:
-    expected = bundle.track_images(mav, calibration=files(mav)).tracking
+def test_a_video_gives_nearly_the_tracks_of_the_folder(
+    mav: Path, expected: bundle.TrackedImages, video: Path
+) -> None:
     seconds = bundle.track_images(video, calibration=files(mav), imu=mav.parent / "flight_imu.csv")
     absolute = bundle.track_images(
         video, calibration=files(mav), imu=mav / "imu0/data.csv",
@@ -112,8 +118,8 @@ def test_a_video_gives_nearly_the_tracks_of_the_folder(mav: Path, video: Path) -
     )  # fmt: skip
     for tracked in (seconds, absolute):
         found = tracked.tracking
-        assert found.num_images == expected.num_images
-        assert found.num_tracks == pytest.approx(expected.num_tracks, rel=0.1)
+        assert found.num_images == expected.tracking.num_images
+        assert found.num_tracks == pytest.approx(expected.tracking.num_tracks, rel=0.1)
         assert found.check.unexplained < 0.1
     first = absolute.sequence.track_timestamps_ns[0]
     assert first == frames(mav)[0][0]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import sys
 from collections.abc import Callable
 from dataclasses import fields
@@ -25,10 +26,16 @@ from tests.inertial.images.rendered_flight import CAMERA_FROM_IMU, NOISE, SMALL,
 Capture = pytest.CaptureFixture[str]
 
 
-@pytest.fixture
-def mav(tmp_path: Path) -> Path:
+@pytest.fixture(scope="module")
+def rendered(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A second of a flight."""
-    return render(Flight(duration=1.2, **SMALL), tmp_path)
+    return render(Flight(duration=1.2, **SMALL), tmp_path_factory.mktemp("flight"))
+
+
+@pytest.fixture
+def mav(rendered: Path, tmp_path: Path) -> Path:
+    """A copy of the flight, to change."""
+    return Path(shutil.copytree(rendered, tmp_path / rendered.name))
 
 
 def rows(mav: Path, table: str = "cam0") -> list[str]:
