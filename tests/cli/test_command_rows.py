@@ -203,6 +203,21 @@ def test_a_failure_is_told_once(run, monkeypatch):
         assert "no saw here" in done.out
 
 
+@pytest.mark.usefixtures("here")
+def test_what_is_not_there_is_no_keyword(run, monkeypatch):
+    seen = []
+
+    def look(problem, *, georeference="none", constraints="none", source="none"):
+        seen.append((problem.num_images, georeference, constraints, source))
+        return Planks((), "oak")
+
+    way = Way(call=look, gives="georeference constraints source", report=sawn, tells=TELLS)
+    row = Command(help="look", arguments=lambda a: (a.INPUT,), ways={Kind.RECONSTRUCTION: way})
+    monkeypatch.setitem(COMMANDS, "saw", row)
+    assert run("saw", "in", "--quiet").code == 0
+    assert seen == [(4, "none", (), "in")]
+
+
 def test_flags_of_a_run_name_its_rigs_positions_and_rules():
     given = SimpleNamespace(
         arguments=SimpleNamespace(
