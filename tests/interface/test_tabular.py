@@ -92,6 +92,7 @@ def test_values(results) -> None:
     expected = np.sqrt(np.diag(covariance.pose(2)))
     np.testing.assert_allclose(sigmas.iloc[2, 1:].to_numpy(float), expected)
     relative = covariance.to_dataframe("relative")
+    assert [*relative][:3] == ["pose_id_a", "pose_id_b", "sigma_x"]
     with pytest.raises(bundle.InputError, match=r"^block: expected one of poses, relative"):
         covariance.to_dataframe("points")
     assert relative.iloc[0, :2].tolist() == [0, 2]

@@ -113,6 +113,14 @@ def test_the_command(tmp_path, capsys):
     assert not (tmp_path / "x.html").exists()
 
 
+def test_a_pose_graph_is_counted_as_the_factor_graph_that_it_is():
+    found = bundle.inspect(chain(6, 2, dimension=2))
+    assert (found.num_variables, found.num_factors, found.num_edges) == (6, 7, 7)
+    assert found.manifolds == {"se2": 6} and found.kinds == {"BetweenFactor": 7}
+    assert (found.num_columns, found.num_free_variables, found.largest_clique) == (15, 5, 2)
+    assert bundle.inspect(chain(2, 0)).largest_clique == 1
+
+
 def test_pickles_of_the_former_class_are_read():
     found = bundle.inspect(chain(6, 2, dimension=2))
     state = dict(vars(found))
