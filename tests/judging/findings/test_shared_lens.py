@@ -105,9 +105,10 @@ def test_what_is_advised_on_both_sides_of_each_threshold(monkeypatch):
         unsure = advised(monkeypatch, problem, ratio)
         assert unsure.command == "bundle validate INPUT" and "differ" in unsure.sentence
     assert advised(monkeypatch, problem, 4 + 1e-9) is None
-    joint = {"is_jointed": True}  # limits are three times as high
-    assert "share" in advised(monkeypatch, problem, 6 - 1e-9, **joint).command
-    assert "validate" in advised(monkeypatch, problem, 6 + 1e-9, **joint).command
+    joint = {"is_jointed": True}  # only the limit of the finding is three times as high
+    assert "share" in advised(monkeypatch, problem, 2 - 1e-9, **joint).command
+    assert "validate" in advised(monkeypatch, problem, 2 + 1e-9, **joint).command
+    assert "validate" in advised(monkeypatch, problem, 12 - 1e-9, **joint).command
     assert advised(monkeypatch, problem, 12 + 1e-9, **joint) is None
     evidence = share.evidence
     assert evidence["joint_chi2"] == pytest.approx(20) and evidence["joint_dof"] == 10

@@ -24,7 +24,7 @@ lenses that are not determined, or that drift by half of the limit below, are no
 Drift. In the weighted regression f_i = a + b t_i on the order t of the images, from -1 to 1, the
 gain b^2 / var b must exceed 30, and 30 times the Q / d that is left, and the change 2 b must be 2 %
 of f. If the model has a weak joint, whose parts have errors of their own, all limits of Q are 3
-times as high.
+times as high, except that of the advice to share: lenses that drift would bend the parts.
 """
 
 from __future__ import annotations
@@ -138,7 +138,7 @@ def shared_lens(measured: Measured, groups: Groups, *, is_jointed: bool = False)
             continue
         joint = joint_statistic(measured, group)
         if joint is not None and joint[0] < PAYS * factor * joint[1]:
-            return _shared(measured, group, joint, is_equal=joint[0] < EQUAL * factor * joint[1])
+            return _shared(measured, group, joint, is_equal=joint[0] < EQUAL * joint[1])
     return None
 
 
