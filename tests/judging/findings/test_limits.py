@@ -220,7 +220,7 @@ def test_limits_of_weak_images():
         assert weak([1.0] * 8 + [2.0], medians=np.array([1.0] * 8 + [last])) == expected
 
 
-def systematic_images(chi2, sizes, *, scale=1.0, is_general=False):
+def systematic_images(chi2, sizes, *, scale=1.0, is_general=False, is_jointed=False):
     num = len(chi2)
     problem = SimpleNamespace(
         num_images=num, image_ids=np.arange(num), image_names=("",) * num,
@@ -232,7 +232,8 @@ def systematic_images(chi2, sizes, *, scale=1.0, is_general=False):
     )  # fmt: skip
     fits = SimpleNamespace(chi2=np.array(chi2), sizes=np.array(sizes), medians=np.ones(num))
     found = SimpleNamespace(images=images_of(num))
-    return image_residuals(measured, found, fits, is_general=is_general)
+    which = {"is_general": is_general, "is_jointed": is_jointed}
+    return image_residuals(measured, found, fits, **which)
 
 
 def test_limits_of_images_with_systematic_residuals():
@@ -240,6 +241,8 @@ def test_limits_of_images_with_systematic_residuals():
     found = systematic_images([limit + 0.1, *[0.0] * 8], [0.51] * 9, scale=0.8)
     assert found.evidence["systematic"] == [0]
     assert found.command.endswith("--loss huber --loss-scale 2")
+    beside = systematic_images([limit + 0.1, *[0.0] * 8], [0.51] * 9, is_jointed=True)
+    assert beside.evidence["systematic"] == [0] and not beside.command
     assert systematic_images([limit - 0.1, *[0.0] * 8], [0.51] * 9) is None
     assert systematic_images([limit + 0.1, *[0.0] * 8], [0.49] * 9) is None
     assert systematic_images([limit + 0.1, *[0.0] * 8], [0.51] * 9, is_general=True) is None

@@ -100,6 +100,22 @@ def test_outliers_beside_positions_are_named_although_least_squares_doubles_them
     assert "outliers" in kinds and "positions" not in kinds
 
 
+def test_outliers_beside_wrong_sigmas_get_one_command_for_both():
+    scene = make(59_106)
+    assert scene.planted == {"outliers", "positions"}
+    known = {"priors": scene.priors, "align": True}
+    result = bundle.solve(scene.start, num_threads=1, max_num_iterations=200, **known)
+    given = ("--loss-scale", "3", "--gps-sigma-scale", "2")
+    judged = find(result.problem, options=result.options, priors=scene.priors, given=given)
+    found = {one.kind: one for one in judged}
+    words = [shlex.split(found[kind].command)[5:] for kind in ("outliers", "positions")]
+    for flags in words:
+        assert dict(zip(flags[::2], flags[1::2], strict=True)).keys() == {
+            "--loss", "--loss-scale", "--gps-sigma-scale",
+        }  # fmt: skip
+    assert sorted(words[0]) == sorted(words[1])
+
+
 def judged(errors, *, loss="cauchy", loss_scale=1.0, scale=1.0, sigma=None):
     """Return the finding about these errors, in surroundings of this scale."""
     errors = np.asarray(errors, float)

@@ -9,7 +9,7 @@ import bundle
 from bundle.judging.findings.find import find
 from bundle.judging.findings.measured import Measured
 from bundle.judging.findings.next_command import NextCommand
-from bundle.judging.findings.positions import sigma_factors
+from bundle.judging.findings.positions import _shrinking, sigma_factors
 from tests.campaigns.findings import make
 
 HORIZONTAL, VERTICAL = 0.3, 3.0
@@ -126,15 +126,31 @@ def test_a_bent_model_is_judged_without_its_bends():
 
 def test_smaller_sigmas_are_advised_until_the_positions_hold_the_scale():
     scene = make(20_000, ("scale_drift",))
-    priors = scene.priors
-    for tighter in (1, 1 / 3, 1 / 9, 1 / 27, 1 / 81):
-        tight = [bundle.PositionPrior(p.image, p.position, p.sigma * tighter) for p in priors]
+    tighter, steps = 1.0, 0
+    while steps < 4:
+        tight = [bundle.PositionPrior(p.image, p.position, p.sigma * tighter) for p in scene.priors]
         result = bundle.solve(scene.start, priors=tight, align=True, num_threads=1)
         found = [one for one in find(result.problem, options=result.options, priors=tight)
                  if one.kind == "scale_drift"]  # fmt: skip
         if not found or not found[0].command:
             break
         assert abs(found[0].evidence["left"]) > 0.029
-    else:
-        pytest.fail("the advice does not end")
-    assert tighter < 1 or found
+        steps += 1
+        tighter *= float(shlex.split(found[0].command)[-1])  # --gps-sigma-scale
+    assert 1 <= steps <= 2
+
+
+@pytest.mark.parametrize(
+    ("left", "factor"),
+    [
+        (0.15, np.sqrt(1 / 19)),  # 0.3 / 0.15 - 1 of 0.3 / 0.015 - 1
+        (0.24, np.sqrt(0.25 / 19)),
+        (0.31, 1 / 30),  # larger than without positions
+        (0.299, 1 / 30),  # no more than thirty times
+        (0.3, 1 / 30),
+        (0.031, 1 / 3),  # no less than three times
+    ],
+)
+def test_sigmas_shrink_by_what_is_left_of_a_drift(left, factor):
+    assert _shrinking(0.3, left) == pytest.approx(factor)
+    assert _shrinking(-0.3, -left) == pytest.approx(factor)

@@ -147,21 +147,24 @@ def _findings(measured: Measured) -> Iterator[Finding | None]:
         held = repaired(measured, with_priors=True)
         if 2 * _num_outliers(free, measured) < _num_outliers(held or measured, measured):
             far = None  # positions that bend the model have made most of them
-    yield far
     drift = places = None
     if is_tensed:
         straight = free or measured
         repairs, is_moving = _repairs(straight)
         if any(repairs) and can_repair:
             straight = repaired(straight, *repairs) or straight
-        placed = measured if far is None else held or measured
+        placed = measured
+        if far is not None:
+            placed = (held or measured).of_command(measured.command.with_flags_of(far.command))
         if any(repairs) and can_repair:
             placed = repaired(placed, *repairs, with_priors=True) or placed
         is_open = can_repair and free is None
         drift = scale_drift(placed, straight.whole)
         if drift is None:
             places = measured_positions(placed, is_open=is_open, is_moving=is_moving)
-    yield from (drift, places)
+    if far is not None and places is not None and places.command:
+        far = dataclasses.replace(far, command=places.command)  # one without the other bends
+    yield from (far, drift, places)
     if free is not None:
         command = measured.command if far is None else free.command
         for one in (turned, places):  # a bend is repaired beside the measurements that bend
@@ -188,11 +191,12 @@ def _findings(measured: Measured) -> Iterator[Finding | None]:
         moves = moves or moved
     if rolling is None:
         yield moves
-    yield image_residuals(measured, found, fits, is_general=moves is not None)
+    near = {"is_jointed": joint is not None}
+    yield image_residuals(measured, found, fits, is_general=moves is not None, **near)
     groups = list(focal_lengths(measured))
     yield undetermined_intrinsics(measured, groups)
-    yield focal_drift(measured, groups, is_jointed=joint is not None)
-    shared = shared_lens(measured, groups, is_jointed=joint is not None)
+    yield focal_drift(measured, groups, **near)
+    shared = shared_lens(measured, groups, **near)
     if shared is not None and drift is not None:
         # A lens per image hides the drift; a shared lens pulls the images from the positions.
         shared = dataclasses.replace(

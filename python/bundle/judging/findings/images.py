@@ -38,7 +38,8 @@ Single images. Without motion in general, an image has systematic residuals if b
 1.75 times the median of all, which is 3 times the spread of the logarithms and 5 times their
 standard error, 0.72 / sqrt(n), and if its errors without the linear field are 1.5 times as large.
 Huber's loss at 2.5 times the noise reduces the weight of such images and costs the good ones
-nearly nothing; cauchy's at 1 px costs them more than weak images do.
+nearly nothing; cauchy's at 1 px costs them more than weak images do. The few points of a weak joint
+make most of the errors of positions, which the loss changes by chance: then there is no command.
 """
 
 from __future__ import annotations
@@ -168,8 +169,9 @@ def price_of(gain: float) -> str:
 
 
 def image_residuals(
-    measured: Measured, found: SystematicResiduals, fits: ImageFits, *, is_general: bool
-) -> Finding | None:
+    measured: Measured, found: SystematicResiduals, fits: ImageFits, *, is_general: bool,
+    is_jointed: bool,
+) -> Finding | None:  # fmt: skip
     """Return the finding about single images, which motion in general hides, or None."""
     problem, images = measured.problem, found.images
     limit = 3.0 + 6.0 * np.sqrt(6.0) + 20.0 + 2.0 * np.log(max(len(images), 1))
@@ -185,14 +187,14 @@ def image_residuals(
         for image in order[:NAMED]
     )
     more = f" and {len(order) - NAMED} more" if len(order) > NAMED else ""
-    is_plain = measured.options.loss == "trivial"
+    has_effect = measured.options.loss == "trivial" and not is_jointed
     loss_scale = f"{HUBER * measured.scale:.2g}"
     return Finding(
         kind="image_residuals",
         sentence=f"{len(order)} {noun(len(order), 'image has', 'images have')} larger or "
         f"systematic residuals (noise against the median image): {words}{more}.",
         command=measured.command.refine("--loss", "huber", "--loss-scale", loss_scale)
-        if is_plain
+        if has_effect
         else "",
         evidence={
             "image_ids": [int(problem.image_ids[image]) for image in order],

@@ -245,27 +245,32 @@ def scale_drift(measured: Measured, free: Problem) -> Finding | None:
     if not (abs(free_drift) > DRIFT and abs(free_drift) > DRIFT_ERRORS * error):
         return None
     left, _ = _drift(measured.whole, measured, rows, priors)
-    follows = not abs(left) > LEFT
-    advice = (
-        "The positions correct it."
-        if follows
-        else "Give the positions smaller sigmas, or close loops."
-    )
-    third = [1 / 3, 1 / 3]
+    command, advice = "", "The positions correct it."
+    if abs(left) > LEFT:
+        advice = "Give the positions smaller sigmas, or close loops."
+        sigmas, factors = [_sigma(priors, axis) for axis in (0, 2)], [_shrinking(free_drift, left)]
+        command = _sigma_command(measured, sigmas, 2 * factors)
     return Finding(
         kind="scale_drift",
         sentence="The scale drifts: from the first to the second half of the images, the scale of "
         f"the measured positions relative to the model changes by {100 * np.expm1(free_drift):+.1f}"
         f" % (standard error {100 * error:.1f} %). {advice}",
-        command=""
-        if follows
-        else _sigma_command(measured, [_sigma(priors, axis) for axis in (0, 2)], third),
+        command=command,
         evidence={
             "change": float(np.expm1(free_drift)),
             "standard_error": error,
             "left": float(np.expm1(left)),
         },
     )
+
+
+def _shrinking(free: float, left: float) -> float:
+    """Return the factor on sigmas with which half of LEFT is left of a drift.
+
+    Positions leave the share 1 / (1 + k / sigma^2), with k from the present share.
+    """
+    now, wanted = (max(abs(free / drift) - 1.0, 1e-3) for drift in (left, LEFT / 2))
+    return float(np.clip(np.sqrt(now / wanted), 1 / 30, 1 / 3))
 
 
 def _drift(
