@@ -10,7 +10,7 @@ import bundle
 from bundle.judging.findings.measured import Measured
 from bundle.judging.findings.next_command import NextCommand
 from bundle.judging.validation import judgement, rolling_fits
-from bundle.judging.validation.decision import DecisionRule
+from bundle.judging.validation.decision import DecisionRule, decide
 from bundle.judging.validation.rolling_fits import motion_test
 from tests.judging.validation.test_validate import QUICK, photographs
 
@@ -71,6 +71,19 @@ def test_a_lens_lacks_a_term_if_it_predicts_clearly_and_relevantly_worse(
     image = np.repeat(np.arange(10), 3)
     found = rolling_fits.are_clearly_worse(np.ones((2, 30)), image, DecisionRule())
     assert found.tolist() == [False, lacks]
+
+
+def test_few_images_need_no_significance_beyond_that_of_the_row_test():
+    image = np.repeat(np.arange(4), 30)
+    errors = np.random.default_rng(0).uniform(0.5, 1.5, len(image))
+    varied = errors * np.array([1.2, 0.9, 1.1, 0.95])[image]  # 1.1 standard errors above
+    for factor, explains in ((1.0, True), (0.96, False)):
+        plain = np.stack([factor * varied, errors])
+        decision = decide(np.stack([errors, factor * varied]), image, [1, 0])
+        assert decision.differences[1] < 2 * decision.standard_errors[1]
+        found = motion_test(plain, errors[None], image, [0], DecisionRule())
+        assert (found.explains, found.is_motion) == (explains, explains)
+        assert (found.gain > 0.01) == explains
 
 
 @pytest.mark.parametrize(("order", "gain"), [(ROWS, 2.77), (COLUMNS, 1.63)])
