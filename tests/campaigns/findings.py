@@ -3,7 +3,7 @@
 python -m tests.campaigns.findings COUNT [SEED]
 
 A scene is synthesised, spoiled, solved with default options, and judged as `bundle refine` judges
-its result. Seeds below 40,000 were used to choose thresholds; docs/findings.md cites 400 scenes
+its result. Seeds below 40,000 were used to choose thresholds; docs/findings.md cites scenes
 from seed 40,000. Planted faults are large enough to matter; the functions below say how large.
 Faults about the same numbers, such as motion and a lens per image, are not planted together
 (EXCLUSIVE).
