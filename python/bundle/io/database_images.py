@@ -1,7 +1,11 @@
-"""COLMAP's database: access, and image sizes from the tables images and cameras.
+"""COLMAP's database: access, image sizes, and keypoints with their matches.
 
 Formats such as Bundler's and NVM have no image sizes. A database of the same photographs has them,
 by the name of the image.
+
+The id of a pair of images is ``image_id1 * MOST_IMAGES + image_id2`` with image_id1 < image_id2.
+Matrices are stored by rows: keypoints as float32 (x, y, and their shape), matches as uint32 pairs
+of keypoint indices in the order of the pair.
 
 Source: src/colmap/scene/database_sqlite.cc of COLMAP.
 """
@@ -11,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +24,9 @@ from bundle.errors import InputError, brief, shown
 
 if TYPE_CHECKING:
     import sqlite3
+
+MOST_IMAGES = 2**31 - 1
+"""COLMAP's ``kMaxNumImages``."""
 
 
 def is_database(path: Path) -> bool:
@@ -34,13 +41,18 @@ def is_database(path: Path) -> bool:
 def open_database(path: Path) -> Iterator[sqlite3.Connection]:
     """Open a COLMAP database for reading.
 
+    COLMAP's databases have a write-ahead log, which even a reader creates. Without one, nothing
+    writes to the database, and it is read as an immutable file.
+
     Raises:
         InputError: the database is damaged, or lacks what the context asks for.
     """
     import sqlite3  # late: few inputs are databases
 
+    is_written = path.with_name(f"{path.name}-wal").exists()
+    place = f"{path.absolute().as_uri()}?{'mode=ro' if is_written else 'immutable=1'}"
     try:
-        with closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True)) as database:
+        with closing(sqlite3.connect(place, uri=True)) as database:
             yield database
     except sqlite3.Error as error:
         raise InputError(
@@ -82,3 +94,90 @@ def database_sizes(path: Path, names: Sequence[str]) -> NDArray[np.int64]:
             )
         sizes[index] = size
     return sizes
+
+
+class DatabaseMatches(NamedTuple):
+    """Keypoints of images, and their verified matches.
+
+    Attributes:
+        keypoints: for each image, (n, 2) pixels, rounded to float32 by COLMAP.
+        pairs: for each matched pair, two rows of images and (m, 2) indices of their keypoints.
+    """
+
+    keypoints: list[NDArray[np.float64]]
+    pairs: list[tuple[int, int, NDArray[np.uint32]]]
+
+
+FEWEST_MATCHES = 15
+"""Number of matches below which COLMAP's mapper ignores a pair (``min_num_matches``)."""
+
+
+def database_matches(path: Path, names: Sequence[str]) -> DatabaseMatches:
+    """Return the keypoints of images by name, and the matches among them.
+
+    The matches are the inliers of two-view geometries, in pairs of at least ``FEWEST_MATCHES``.
+
+    Raises:
+        InputError: the file is no database, is damaged, or lacks an image or all matches.
+        OSError: the file cannot be read.
+    """
+    place = shown(path)
+    if not is_database(path):
+        path.open("rb").close()  # an OSError names the cause
+        raise InputError(f"{place}: expected COLMAP's database, found another file")
+    with open_database(path) as database:
+        ids = {
+            str(name): key for key, name in database.execute("SELECT image_id, name FROM images")
+        }
+        missing = [name for name in names if name not in ids]
+        if missing:
+            first = f", which has images such as {shown(next(iter(ids)))}" if ids else ""
+            raise InputError(
+                f"{place}: expected the images of the model{first}, found no {shown(missing[0])} "
+                f"({len(missing)} of {len(names)} are missing)"
+            )
+        keypoints = [
+            _table(database, place, "keypoints", "image_id", ids[name], "<f4")[:, :2]
+            for name in names
+        ]
+        rows = {ids[name]: row for row, name in enumerate(names)}
+        pairs = []
+        for (pair_id,) in database.execute(
+            "SELECT pair_id FROM two_view_geometries WHERE rows >= ? ORDER BY pair_id",
+            (FEWEST_MATCHES,),
+        ).fetchall():
+            pair = [rows.get(key, -1) for key in divmod(pair_id, MOST_IMAGES)]
+            if min(pair) < 0:
+                continue
+            found = _table(database, place, "two_view_geometries", "pair_id", pair_id, "<u4")
+            counts = [len(keypoints[row]) for row in pair]
+            if found.shape[1] != 2 or (found >= counts).any():
+                raise InputError(
+                    f"{place}: two_view_geometries: pair {pair_id}: expected 2 columns with "
+                    f"indices of {counts[0]} and {counts[1]} keypoints, found {found.shape[1]} "
+                    f"columns and index {found.max()}"
+                )
+            pairs.append((pair[0], pair[1], found))
+    if not pairs:
+        raise InputError(
+            f"{place}: expected two-view geometries of at least {FEWEST_MATCHES} matches between "
+            "images of the model, found 0"
+        )
+    return DatabaseMatches([xy.astype(np.float64) for xy in keypoints], pairs)
+
+
+def _table(
+    database: sqlite3.Connection, place: str, table: str, column: str, key: int, dtype: str
+) -> NDArray[Any]:
+    """Return the (rows, cols) matrix of a record; (0, 2) without a record."""
+    found = database.execute(
+        f"SELECT rows, cols, data FROM {table} WHERE {column} = ?", (key,)
+    ).fetchone() or (0, 2, b"")
+    rows, cols, data = found[0], found[1], found[2] or b""
+    sizes = all(isinstance(size, int) and size >= 0 for size in (rows, cols))
+    if not sizes or not isinstance(data, bytes) or cols < 2 or len(data) != 4 * rows * cols:
+        raise InputError(
+            f"{place}: {table}: expected {rows} x {cols} numbers of 4 bytes for {column} {key}, "
+            f"found {len(data)} bytes"
+        )
+    return np.frombuffer(data, dtype).reshape(rows, cols)
