@@ -103,6 +103,7 @@ _DEFERRED = {
     "solving.hold_out": "hold_out",
     "solving.result": "Result",
     "solving.rounds.filtering": "Filtered filter_observations",
+    "solving.refine_tracks": "refine_tracks",
     "solving.rounds.solve_rounds": "solve_rounds",
     "solving.solve": "solve",
     "solving.solver": "Solver",

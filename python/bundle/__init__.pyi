@@ -160,6 +160,7 @@ from bundle.solving.constraints.rule_list import Constraints as Constraints
 from bundle.solving.gauge_freedom import GaugeFreedom as GaugeFreedom
 from bundle.solving.gauge_freedom import gauge_freedom as gauge_freedom
 from bundle.solving.hold_out import hold_out as hold_out
+from bundle.solving.refine_tracks import refine_tracks as refine_tracks
 from bundle.solving.result import Result as Result
 from bundle.solving.rounds.filtering import Filtered as Filtered
 from bundle.solving.rounds.filtering import filter_observations as filter_observations
@@ -320,6 +321,7 @@ __all__ = [
     "project",
     "propagate",
     "read_comparison",
+    "refine_tracks",
     "report",
     "reprojection_errors",
     "run_odometry",

@@ -36,7 +36,8 @@ WITH_DATA: dict[str, Callable[[Path, Path], None]] = {
     "docs/vio.md": workspace.sequence,
     "docs/drone_block.md": workspace.flights,
     "docs/align.md": workspace.one_flight,
-    "docs/rounds.md": workspace.photographs,
+    "docs/rounds.md": workspace.tracked,
+    "docs/faster_mapping.md": workspace.tracked,
     "docs/evaluate.md": workspace.photographs,
 }
 

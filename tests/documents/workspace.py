@@ -26,6 +26,7 @@ from tests.inertial.images.other_forms import write_bag, write_kalibr, write_vid
 from tests.inertial.images.rendered_flight import SMALL, Flight, render
 from tests.io.formats import foreign_files as foreign
 from tests.io.formats import learned_exports
+from tests.track_scenes import write_database
 
 REPOSITORY = Path(__file__).parents[2]
 FRAME = LocalFrame(45.15, 9.0, 100.0)
@@ -190,6 +191,16 @@ def images(folder: Path) -> None:
 def photographs(folder: Path, data: Path) -> None:
     """Eight photographs of a crane."""
     (folder / "crane_mast").symlink_to(data / "colmap" / "crane_mast")
+
+
+def tracked(folder: Path, data: Path) -> None:
+    """The crane; a database of the model's matches; the model with two thirds of its tracks."""
+    photographs(folder, data)
+    problem = bundle.load(folder / "sparse" / "0")
+    write_database(problem, folder / "database.db")
+    (folder / "cut").mkdir()
+    some = np.arange(problem.num_observations) % 3 > 0
+    bundle.save(problem.select(observations=some).problem, folder / "cut" / "0", "colmap")
 
 
 def one_flight(folder: Path, data: Path) -> None:

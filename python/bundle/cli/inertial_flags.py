@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 ELSEWHERE = (
     *("only_images", "hold_out", "checkpoint", "resume", "loops", "rules", "constraints"),
-    *("fixed_image_ids", "fixed_point_ids"),
+    *("fixed_image_ids", "fixed_point_ids", "database"),
 )
 """Arguments of other ways to refine, which are not valid with an IMU."""
 

@@ -111,7 +111,14 @@ def _solve(
             constraints=asked.constraints,
             part=PartRequest.of(asked.local.only_images, asked.local.rest),
         )
-        return run_plan(request, asked.plan, progress.iteration)
+        if asked.rounds.database is None:
+            return run_plan(request, asked.plan, progress.iteration)
+        from bundle.solving import refine_tracks  # for --database only
+
+        return refine_tracks.run(
+            request, asked.plan, progress.iteration,
+            is_share_given="--hold-out" in asked.given, tell=progress.stage,
+        )  # fmt: skip
 
 
 def _adjusted_with_imu(

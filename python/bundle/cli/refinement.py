@@ -27,6 +27,8 @@ from bundle.interface.judging_options import HoldOutOptions
 from bundle.interface.options import SolveOptions
 from bundle.interface.pose_graph_options import LoopOptions
 from bundle.interface.round_options import (
+    DEFAULT_SHARE,
+    NUM_TRACK_ROUNDS,
     CheckpointOptions,
     LocalOptions,
     OutOfCoreOptions,
@@ -112,7 +114,7 @@ class Refinement:
         take_colmap_options(arguments)
         options = options_given(arguments, SolveOptions, names_follow=True)
         local = options_given(arguments, LocalOptions)
-        rounds = options_given(arguments, RoundOptions)
+        rounds = _rounds_given(arguments)
         georeference = georeference_given(
             arguments,
             options.refine,
@@ -141,7 +143,7 @@ class Refinement:
             fixed_images=arguments.fixed_image_ids,
             local=local,
             rounds=rounds,
-            held_out=options_given(arguments, HoldOutOptions),
+            held_out=_share_given(arguments),
             georeference=georeference,
             loops=loops,
             lenses=options_given(arguments, LensOptions),
@@ -195,6 +197,25 @@ class Refinement:
             **self.disk.changed(),
             **rules_as_options(self.rules),
         }
+
+
+def _rounds_given(arguments: argparse.Namespace) -> RoundOptions:
+    """Return the rounds; a database has rounds without --rounds."""
+    if arguments.database is None:
+        return options_given(arguments, RoundOptions)
+    limits = ("max_error", "min_angle", "min_track_length")
+    given = options_given(arguments, RoundOptions, beside=limits)
+    is_default = arguments.num_rounds is None
+    return dataclasses.replace(given, num_rounds=NUM_TRACK_ROUNDS) if is_default else given
+
+
+def _share_given(arguments: argparse.Namespace) -> HoldOutOptions:
+    """Return the held-out share; with a database there is one without --hold-out."""
+    given = options_given(arguments, HoldOutOptions, beside=("hold_out_seed",))
+    if arguments.database is None:
+        return options_given(arguments, HoldOutOptions)
+    is_default = arguments.hold_out is None
+    return dataclasses.replace(given, hold_out=DEFAULT_SHARE) if is_default else given
 
 
 def _checkpoints_given(arguments: argparse.Namespace) -> CheckpointOptions:

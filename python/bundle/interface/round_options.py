@@ -9,6 +9,12 @@ from bundle.interface.option_fields import option
 CHECKPOINT_INTERVAL = 20
 """Iterations from one checkpoint to the next within a round."""
 
+NUM_TRACK_ROUNDS = 6
+"""Default number of rounds that also extend tracks: COLMAP's 5, after one of the input alone."""
+
+DEFAULT_SHARE = 10.0
+"""Default share of the observations in percent that a run with these rounds holds out."""
+
 RESTS = ("fixed", "marginal")
 """Treatments of the variables that a local adjustment does not refine."""
 
@@ -52,6 +58,16 @@ class RoundOptions(Options):
         minimum=0,
         metavar="N",
         needs=("num_rounds",),
+    )
+    database: str | None = option(
+        None,
+        "--database",
+        "complete, merge and triangulate tracks before each round but the first, with the verified "
+        "matches of this COLMAP database, which has the images and keypoints of INPUT; at most "
+        f"{NUM_TRACK_ROUNDS} rounds without --rounds, and {DEFAULT_SHARE:g} % held out without "
+        "--hold-out. It is only read",
+        metavar="FILE",
+        value="path",
     )
 
 
@@ -168,3 +184,29 @@ class Round:
     num_observations_below_min_angle: int = 0
     max_error: float = 0.0
     min_angle: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrackRound:
+    """One round of :func:`bundle.refine_tracks`, in numbers of observations.
+
+    Attributes:
+        round: number of the round, from 1. Round 1 adjusts the input with its own tracks.
+        triangulated: observations that continued a track or made a new point.
+        completed: observations that joined a track over matches of several images.
+        merged: observations of points that became one point.
+        deleted: observations that the filter removed after the adjustment.
+        num_observations: observations after the filter.
+        num_points: points after the filter.
+        held_out_rmse: RMSE in pixels, of errors clipped as in ``held_out``, at the held-out
+            observations after the same round of the second run; None without any.
+    """
+
+    round: int
+    triangulated: int
+    completed: int
+    merged: int
+    deleted: int
+    num_observations: int
+    num_points: int
+    held_out_rmse: float | None = None

@@ -93,8 +93,8 @@ _REPORTS = {
     "merge": "other:dict merge:dict output",
     "refine": "solving.result.Result graphs.pose_graphs.pose_graph_result.PoseGraphResult "
     "options:SolveOptions+PoseGraphOptions summary iterations:tuple[dict,...] "
-    "held_cost:float convergence:dict edits rounds cameras:list worst_images movement:dict|None "
-    "held_out part deleted:dict[str,int] "
+    "held_cost:float convergence:dict edits rounds tracks cameras:list worst_images "
+    "movement:dict|None held_out part deleted:dict[str,int] "
     "certificate structure:dict|None chi2_by_kind:list left_out_edges:list "
     "rejected_edges:list camera_edits:dict|None output wall_time environment",
     "report": "output notes wall_time",

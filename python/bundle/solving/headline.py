@@ -54,6 +54,7 @@ def headline(result: Result) -> list[str]:
     return [
         _verdict(result),
         *_distance(result),
+        *_tracks(result),
         *_deletions(result),
         *_held_out(result),
         *_outliers(result),
@@ -131,9 +132,25 @@ def _observations(result: Result, kept: KeptErrors) -> str:
     count, compared = kept.num_observations, kept.before.num_observations
     if compared < count:
         return f"the {compared:,} of {count:,} observations with a projection before and after"
+    if result.tracks:
+        return f"the {count:,} observations in INPUT and OUTPUT"
     if result.deleted.num_observations:
         return f"the {count:,} observations kept"
     return f"all {count:,} observations" if count > 1 else "its only observation"
+
+
+def _tracks(result: Result) -> list[str]:
+    """Return what the rounds added, merged and deleted."""
+    if not result.tracks:
+        return []
+    first, last = result.source_problem, result.problem
+    names = ("triangulated", "completed", "merged", "deleted")
+    sums = [sum(getattr(done, name) for done in result.tracks) for name in names]
+    told = ", ".join(f"{count:,} {name}" for count, name in zip(sums, names, strict=True))
+    return [
+        f"Tracks: {first.num_observations:,} -> {last.num_observations:,} observations of "
+        f"{first.num_points:,} -> {last.num_points:,} points ({told})."
+    ]
 
 
 def _deletions(result: Result) -> list[str]:
@@ -158,6 +175,12 @@ def _held_out(result: Result) -> list[str]:
     if held is None:
         return []
     doubt = "" if held.is_converged else "; the second fit did not converge"
+    alone = result.tracks[0].held_out_rmse if result.tracks else None
+    if alone is not None:
+        return [
+            f"Held out {held.percent:g} %: RMSE {_change(alone, held.clipped_rmse)} px from "
+            f"adjusting alone to these tracks (errors clipped at {held.clip:g} px){doubt}."
+        ]
     return [
         f"Held out {held.percent:g} %: RMSE {_px(held.clipped_rmse)} px against "
         f"{_px(held.fitted.clipped_rmse)} px fitted (errors clipped at {held.clip:g} px){doubt}."

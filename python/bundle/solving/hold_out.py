@@ -193,7 +193,7 @@ class HeldOutFit:
             return finished
         options = self._prepared.options
         predicted = with_values(start, result.problem, end)
-        predicted = self._triangulated(predicted, ~end.point_mask)
+        predicted = triangulated(predicted, ~end.point_mask, self._held, options)
         errors = errors_or_nan(predicted, options.cheirality, options.num_threads)
         held = summarize_clipped(errors[self._held])
         record = HeldOut(
@@ -205,25 +205,34 @@ class HeldOutFit:
         )
         return replace(finished, held_out=record)
 
-    def _triangulated(self, problem: Problem, removed: NDArray[np.bool_]) -> Problem:
-        """Return the problem with removed points at the minimum of their fitted observations."""
-        rows = removed[problem.observation_point] & ~self._held
-        if not rows.any():
-            return problem
-        options = self._prepared.options
-        part = problem.select(points=removed, observations=rows)
-        alone = SolveOptions(
-            refine=("points",),
-            loss=ROBUST_LOSS if options.loss == "trivial" else options.loss,
-            loss_scale=options.loss_scale,
-            cheirality=options.cheirality,
-            num_threads=options.num_threads,
-            check_solution=False,
-        )
-        prepared = prepare(SolveRequest(problem=part.problem, options=alone))
-        points = problem.points.copy()
-        points[removed] = solve_prepared(prepared, None).problem.points
-        return problem._moved(points=freeze(points))
+
+def triangulated(
+    problem: Problem, removed: NDArray[np.bool_], held: NDArray[np.bool_], options: SolveOptions
+) -> Problem:
+    """Return the problem with removed points at the minimum of their fitted observations.
+
+    Args:
+        problem: the problem with the cameras of a fit.
+        removed: mask of the points that the fit lacks.
+        held: mask of the observations that it did not see.
+        options: options of the fit.
+    """
+    rows = removed[problem.observation_point] & ~held
+    if not rows.any():
+        return problem
+    part = problem.select(points=removed, observations=rows)
+    alone = SolveOptions(
+        refine=("points",),
+        loss=ROBUST_LOSS if options.loss == "trivial" else options.loss,
+        loss_scale=options.loss_scale,
+        cheirality=options.cheirality,
+        num_threads=options.num_threads,
+        check_solution=False,
+    )
+    prepared = prepare(SolveRequest(problem=part.problem, options=alone))
+    points = problem.points.copy()
+    points[removed] = solve_prepared(prepared, None).problem.points
+    return problem._moved(points=freeze(points))
 
 
 def with_values(problem: Problem, refined: Problem, state: State | None = None) -> Problem:

@@ -111,6 +111,20 @@ class Deleted:
             num_images=int(seen[0] - seen[1]),
         )
 
+    @staticmethod
+    def of_mask(before: Problem, kept: NDArray[np.bool_] | None) -> Deleted:
+        """Return the numbers from the problem before and the mask of its kept observations.
+
+        A point whose observations were all deleted counts.
+        """
+        if kept is None:
+            return Deleted()
+        lost = []
+        for rows in (before.observation_point, before.observation_image):
+            seen, still = np.bincount(rows), np.bincount(rows[kept], minlength=rows.max() + 1)
+            lost.append(int(((seen > 0) & (still == 0)).sum()))
+        return Deleted(num_observations=int((~kept).sum()), num_points=lost[0], num_images=lost[1])
+
 
 @dataclass(frozen=True, eq=False)
 class Edit:
@@ -152,9 +166,9 @@ class PixelErrors(NamedTuple):
         """Mask of the errors that count."""
         return counted_errors(self.errors, self.behind, self.cheirality)
 
-    def chosen(self, mask: NDArray[np.bool_]) -> PixelErrors:
-        """Return copies of the errors in a mask."""
-        return PixelErrors(self.errors[mask], self.behind[mask], self.cheirality)
+    def chosen(self, rows: NDArray[np.bool_] | NDArray[np.intp]) -> PixelErrors:
+        """Return copies of the errors in a mask, or of rows."""
+        return PixelErrors(self.errors[rows], self.behind[rows], self.cheirality)
 
 
 def outlier_limit(problem: Problem, options: SolveOptions) -> float | None:
@@ -213,6 +227,7 @@ def measure(
     kept: NDArray[np.bool_] | None,
     limit: float | None,
     totals: Totals | None = None,
+    rows: NDArray[np.intp] | None = None,
 ) -> Measured | None:
     """Return all statistics; the errors are reordered.
 
@@ -223,11 +238,13 @@ def measure(
         limit: error of an outlier in pixels; None: do not separate outliers.
         totals: the processes that hold parts of the observations; None: this one holds all. Only
             the first process gets the statistics.
+        rows: rows in the output of the kept observations; None: all, in order.
     """
     totals = Totals() if totals is None else totals
-    start, end, is_all = _on_both(before, after, kept)
-    behind = (before.behind if kept is None else before.behind[kept]).sum(), after.behind.sum()
-    numbers = totals.add_up(np.array([not is_all, len(after.errors), *behind]))
+    left = after if rows is None else after.chosen(rows)
+    start, end, is_all = _on_both(before, left, kept)
+    behind = (before.behind if kept is None else before.behind[kept]).sum(), left.behind.sum()
+    numbers = totals.add_up(np.array([not is_all, len(left.errors), *behind]))
     sums = totals.add_up(inlier_sums(start.errors, end.errors, limit)) if limit else None
     is_all = totals.tell(None if numbers is None else not numbers[0])
     joint = None if is_all else (totals.summarize(start), totals.summarize(end))

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from bundle.georeference.point_check import SurveyChecks
     from bundle.georeference.similarity import Similarity
     from bundle.graphs.factors.factors import Factor
-    from bundle.interface.round_options import Round
+    from bundle.interface.round_options import Round, TrackRound
     from bundle.model.reprojection import HeldOut
     from bundle.solving.constraints.ends import RuleEnd
     from bundle.solving.constraints.restrictions import ActiveBound
@@ -63,7 +63,9 @@ class MeasuredResult(SolveRecord):
     part: PartRecord | None = None
     held_out: HeldOut | None = None
     edits: tuple[Edit, ...] = ()
+    tracks: tuple[TrackRound, ...] = ()
     observation_mask: NDArray[np.bool_] | None = None
+    observation_rows: NDArray[np.intp] | None = None
     factors: tuple[Factor, ...] = ()
     priors: tuple[Prior, ...] = ()
     _survey: Callable[[], SurveyChecks | None] | None = field(default=None, repr=False)
@@ -129,6 +131,8 @@ class MeasuredResult(SolveRecord):
     @cached_property
     def deleted(self) -> Deleted:
         """Numbers of deleted observations, points and images."""
+        if self.observation_rows is not None:
+            return Deleted.of_mask(self.initial_problem, self.observation_mask)
         return Deleted.of(self.initial_problem, self.problem)
 
     @cached_property
@@ -170,7 +174,7 @@ class MeasuredResult(SolveRecord):
     @property
     def causes(self) -> str:
         """Numbers of observations that the filters of the rounds deleted, by limit; "": none."""
-        if not self.rounds:
+        if not self.rounds or self.tracks:  # the filters also deleted added observations
             return ""
         error, track, angle = (
             sum(getattr(done, f"num_observations_{name}") for done in self.rounds)
@@ -231,7 +235,10 @@ class MeasuredResult(SolveRecord):
             for problem in (source, self.problem)
         )
         values["worst_images"] = worst_of_errors(self.problem, *after)
-        self.measured(measure(before, after, self.observation_mask, outlier_limit(source, options)))
+        limit = outlier_limit(source, options)
+        self.measured(
+            measure(before, after, self.observation_mask, limit, rows=self.observation_rows)
+        )
 
     def measured(self, found: Measured | None) -> None:
         """Store statistics that the processes of a solve found together."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from numpy.typing import ArrayLike
 
@@ -107,6 +107,10 @@ class SolveRequest:
             constraints=constraints,
             part=part,
         )
+
+    def at(self, problem: Problem, **changes: Any) -> SolveRequest:
+        """Return a copy for another problem, with other attributes by name."""
+        return SolveRequest(**(vars(self) | {"problem": problem} | changes))
 
 
 def _listed(name: str, things: str, given: Iterable[T]) -> tuple[T, ...]:

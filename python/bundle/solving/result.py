@@ -47,7 +47,10 @@ class Result(MeasuredResult):
             describe the fit to all observations. None: not requested, or the solve was interrupted
             or has no usable solution.
         edits: changes of the input before the solve, in order.
+        tracks: rounds of :func:`bundle.refine_tracks`.
         observation_mask: mask of the observations of the input that the output has; None: all.
+        observation_rows: their rows in the output, which may have further observations; None: the
+            output has no others.
         factors: factors of the solve in addition to the observations; () after unpickling.
         priors: measured positions, attitudes and control points of the solve; () after unpickling.
     """

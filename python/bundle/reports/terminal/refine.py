@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from bundle.interface.summary import ProcessRecord
     from bundle.solving.measured_result import RestRecord
 
-OPTIONAL = ("rounds", "held_out", "part", "constraints")
+OPTIONAL = ("rounds", "tracks", "held_out", "part", "constraints")
 """Entries of the JSON report that exist if the result has such records."""
 MOST_CAMERAS = 5
 """Number of cameras whose changes are shown."""

@@ -34,6 +34,16 @@ ROUNDS = (
     Column("points", "num_points"),
     Column("removed", "num_points_removed"),
 )
+TRACKS = (
+    Column("round", "round"),
+    Column("triangulated", "triangulated"),
+    Column("completed", "completed"),
+    Column("merged", "merged"),
+    Column("deleted", "deleted"),
+    Column("observations", "num_observations"),
+    Column("points", "num_points"),
+    Column("held out [px]", lambda one: pixels(one.held_out_rmse or math.nan)),
+)
 ERRORS = {
     "rmse": "RMSE [px]",
     "mean": "mean error [px]",
@@ -44,8 +54,9 @@ ERRORS = {
 
 
 def round_tables(solved: Result) -> list[Table]:
-    """Return the table of the rounds; empty without any."""
-    return [Table(ROUNDS, solved.rounds)] if solved.rounds else []
+    """Return the tables of the rounds and of their tracks; empty without any."""
+    tables = [Table(ROUNDS, solved.rounds)] if solved.rounds else []
+    return [*tables, Table(TRACKS, solved.tracks)] if solved.tracks else tables
 
 
 def before_and_after(solved: Result) -> Table:

@@ -254,8 +254,8 @@ def _next(prepared: Prepared, state: State, result: Result, limits: RoundOptions
     if limits.num_rounds == 0 or _is_last(state, limits):
         return adjusted.ended(result)
     filtered = _filter(prepared, result.problem, limits)
-    done = _round_of(len(state.rounds) + 1, result, filtered, limits)
-    _check_left(filtered, done, limits)
+    done = round_of(len(state.rounds) + 1, result, filtered, limits)
+    check_left(filtered, done, limits)
     left = adjusted.left(filtered, done)
     has_ended = _is_last(left, limits) and not filtered.num_observations_removed
     return left.ended(result) if has_ended else left
@@ -288,7 +288,7 @@ def _filter(prepared: Prepared, problem: Problem, limits: RoundOptions) -> Filte
     )
 
 
-def _round_of(number: int, result: Result, filtered: Filtered, limits: RoundOptions) -> Round:
+def round_of(number: int, result: Result, filtered: Filtered, limits: RoundOptions) -> Round:
     """Return the record of a round."""
     from bundle.solving.rounds.segments import num_steps
 
@@ -311,7 +311,7 @@ def _round_of(number: int, result: Result, filtered: Filtered, limits: RoundOpti
     )
 
 
-def _check_left(filtered: Filtered, done: Round, limits: RoundOptions) -> None:
+def check_left(filtered: Filtered, done: Round, limits: RoundOptions) -> None:
     """Raise an InputError if a filter removed everything."""
     if filtered.problem.num_observations == 0:
         raise InputError(
