@@ -212,11 +212,11 @@ FAULTS: dict[str, tuple[Fault, str]] = {
     "half a turn about x": (matrix(*2 * ((1, -1, -1),)), ROTATION),
     "degrees": (matrix(np.full(3, 180 / np.pi), ONE), "degrees"),
     "g": (matrix(ONE, np.full(3, 1 / 9.80665)), "probably g"),
-    "gyro 3 % too large": (matrix(np.full(3, 1.03), ONE), ""),
-    "accel 3 % too large": (matrix(ONE, np.full(3, 1.03)), ""),
+    "gyro 3 % too large": (matrix(np.full(3, 1.03), ONE), "scale of the gyroscope"),
+    "accel 3 % too large": (matrix(ONE, np.full(3, 1.03)), "scale of the accelerometer"),
     "accel bias 1": (shift(4, 1.0), "bias"),
-    "accel bias jumps": (shift(3, 0.5, 15.0), "bias|contradict|samples"),
-    "gyro bias jumps": (shift(1, 0.1, 15.0), "bias|contradict|samples"),
+    "accel bias jumps": (shift(3, 0.5, 15.0), "bias|contradict"),
+    "gyro bias jumps": (shift(1, 0.1, 15.0), "gyro.* bias"),
     "noise x 30": (noise(30), "noise"),
     "noise x 100": (noise(100), "noise"),
     "noise stated x 100": (noise_stated(100), "noise"),
@@ -231,7 +231,7 @@ FAULTS: dict[str, tuple[Fault, str]] = {
     "jitter 5 ms": (jitter, "stamps of images"),
     "gap 95 ms": (gap(0.095), "gap"),
     "gap 200 ms": (gap(0.2), "gap"),
-    "50 Hz": (every(4), ""),
+    "50 Hz": (every(4), "imu_rate"),
 }  # fmt: skip
 
 

@@ -18,7 +18,7 @@ from bundle.inertial.tracking.rates_and_stamps import (
     scale_findings,
     scale_of_rates,
 )
-from bundle.inertial.tracking.sequence_axes import _recording, axes_findings
+from bundle.inertial.tracking.sequence_axes import _recording, axes_findings, explanations
 from bundle.inertial.vio.sequence_images import SequenceImages
 from bundle.model.sequence.sequence import Sequence
 from bundle.synthetic.synthetic_flight import SyntheticFlight, synthesize_flight
@@ -57,6 +57,20 @@ def test_a_wrong_scale_of_rates_is_named(
         assert words in each.sentence
         error, sigma = each.evidence["ratio"] - scale, each.evidence["sigma"]
         assert abs(error) < 3 * sigma < 0.012
+
+
+@pytest.mark.parametrize(("change", "count"), [(0.0, 0), (0.01, 0), (0.05, 1), (-0.2, 1)])
+def test_a_jump_of_the_bias_is_named_with_its_size_and_time(
+    flight: SyntheticFlight, change: float, count: int
+) -> None:
+    gyro = flight.sequence.gyro.copy()
+    gyro[1000:, 1] += change
+    found = explanations(replace(flight.sequence, gyro=gyro), "S")
+    assert [each.kind for each in found] == ["gyro bias"] * count
+    for each in found:
+        assert each.evidence["change"] == pytest.approx(abs(change), rel=0.15)
+        assert abs(each.evidence["row"] - 1000) < 200  # a second
+        assert not each.is_problem
 
 
 def test_a_clipped_gyroscope_has_no_scale(flight: SyntheticFlight) -> None:

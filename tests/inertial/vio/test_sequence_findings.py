@@ -46,6 +46,16 @@ def test_degrees_gaps_images_without_samples_and_single_views_are_found() -> Non
     assert findings(sequence(track_ids=ids))["one view"].count == 105
 
 
+@pytest.mark.parametrize(
+    ("ratio", "count"), [(1.0, 0), (1.45, 0), (1 / 1.45, 0), (1.55, 1), (1 / 1.55, 1)]
+)
+def test_a_calibrated_rate_that_the_samples_do_not_have(ratio: float, count: int) -> None:
+    given = sequence(calibration=calibration(imu_rate=200 * ratio))
+    found = [each for each in findings(given).values() if each.kind == "imu rate"]
+    assert [each.is_fatal for each in found] == [False] * count
+    assert all("200 Hz" in each.sentence for each in found)
+
+
 @pytest.mark.parametrize("sensor", [0, 1])
 @pytest.mark.parametrize(
     ("factor", "found", "is_fatal"),

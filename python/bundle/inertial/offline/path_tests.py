@@ -157,7 +157,6 @@ def _covariance(times: Array, noise: ImuNoise) -> Array:
 
 STEP = 0.03
 """D: the smallest error of interest, over which the residuals are linear."""
-"""Probability of a false alarm in a run."""
 LEAST_MOVEMENT = 0.02
 """Share of the positions: smaller movements do not count."""
 

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bundle.errors import shown
-from bundle.inertial.tracking.rates_and_stamps import jitter_findings, scale_findings
+from bundle.inertial.tracking.rates_and_stamps import bias_findings, jitter_findings, scale_findings
 from bundle.inertial.tracking.relative_rotation import turns_of_tracks
 from bundle.inertial.tracking.rotation_check import (
     RotationCheck,
@@ -91,6 +91,8 @@ def explanations(
         return ()
     images, recording = SequenceImages(sequence), _recording(sequence, path)
     found = tracking_findings(recording, check_tracks(images, recording))
+    if all(each.kind == "time offset" for each in found):  # a jump looks like an offset
+        found = bias_findings(images, recording) or found
     signs = None if found or _is_noisier(sequence) else right_signs(images)
     if signs is not None:
         found = (_reversed(recording, signs, is_problem=False),)

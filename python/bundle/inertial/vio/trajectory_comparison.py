@@ -73,10 +73,8 @@ def compare_trajectories(estimate: Trajectory, truth: Trajectory) -> TrajectoryE
     # Import late: the room takes 80 ms.
     from bundle.georeference.pose_alignment import align_centers, moved_poses
 
-    inside = covered_by(truth, estimate.timestamps_ns)
-    found = estimate.states[inside, :7]
-    wanted = states_at(truth, estimate.timestamps_ns[inside])[:, :7]
-    level = moved_poses(found, align_centers(found[:, 4:], wanted[:, 4:], "yaw"))
+    stamps, level, wanted = aligned_in_yaw(estimate, truth)
+    found = estimate.states[np.isin(estimate.timestamps_ns, stamps), :7]
     rigid, scale = level, float("nan")
     try:
         rigid = moved_poses(found, align_centers(found[:, 4:], wanted[:, 4:], "rigid"))
@@ -85,7 +83,7 @@ def compare_trajectories(estimate: Trajectory, truth: Trajectory) -> TrajectoryE
         pass
     position, rotation = absolute_errors(level, wanted)
     return TrajectoryError(
-        num_poses=int(inside.sum()),
+        num_poses=len(stamps),
         ate=ErrorStatistics.of(absolute_errors(rigid, wanted)[0]).rmse,
         ate_yaw=ErrorStatistics.of(position).rmse,
         scale=scale,

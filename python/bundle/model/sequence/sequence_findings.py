@@ -14,6 +14,7 @@ from bundle.model.sequence.sequence import Place, Sequence
 
 Array = NDArray[np.float64]
 
+OTHER_RATE = 1.5  # ratio of calibrated and measured rate; clocks differ by less than 1 %
 GAP = 2.5  # a longer interval between samples, in sampling periods, counts as a gap
 QUIET = 100  # samples of a span
 OVERSTATED, UNDERSTATED = 50.0, 10.0  # ratios; noise models of other programs have up to 40
@@ -28,8 +29,8 @@ class SequenceFinding:
     """A finding in a sequence.
 
     Attributes:
-        kind: "imu gap", "image gap", "frozen", "zero", "saturated", "spike", "one view",
-            "no samples", "noise", "rate".
+        kind: "imu gap", "image gap", "imu rate", "frozen", "zero", "saturated", "spike",
+            "one view", "no samples", "noise", "rate".
         sentence: description with file and line, or with the row.
         count: number of occurrences.
         is_fatal: True if odometry would give a wrong trajectory.
@@ -48,7 +49,7 @@ def sequence_findings(
     findings: list[SequenceFinding] = []
     stamps = sequence.imu_timestamps_ns
     _imu_gaps(sequence, imu_place, findings)
-    _noise(sequence, findings)
+    _calibration(sequence, findings)
     _bad_samples(sequence, imu_place, findings)
     is_fast = np.linalg.norm(sequence.gyro, axis=1) > FASTEST
     for each in bad_stretches(sequence.gyro, sequence.accel):
@@ -94,12 +95,16 @@ def quietest_noise(values: Array, period: float) -> float:
     return float(np.sqrt(variances.min() * period))
 
 
-def _noise(sequence: Sequence, findings: list[SequenceFinding]) -> None:
-    """Compare stated noise with samples; samples of a simulation without noise give no finding."""
-    noise, period = (
-        sequence.calibration.noise,
-        1e-9 * np.median(np.diff(sequence.imu_timestamps_ns)),
-    )
+def _calibration(sequence: Sequence, findings: list[SequenceFinding]) -> None:
+    """Compare stated rate and noise with samples; those of a simulation may have no noise."""
+    noise, rate = sequence.calibration.noise, sequence.calibration.imu_rate
+    period = 1e-9 * np.median(np.diff(sequence.imu_timestamps_ns))
+    if not 1 / OTHER_RATE < rate * period < OTHER_RATE:
+        sentence = (
+            f"calibration: imu_rate: expected about {1 / period:.3g} Hz, the rate of the samples, "
+            f"found {rate:.3g} Hz: are samples missing?"
+        )
+        findings.append(SequenceFinding("imu rate", sentence, 1))
     for name, stated, values in (
         ("gyro_noise_density", noise.gyro_noise_density, sequence.gyro),
         ("accel_noise_density", noise.accel_noise_density, sequence.accel),
