@@ -2,6 +2,10 @@
 
 import pytest
 
+from tests.planning.inspection.conftest import factor_graph_seconds, pose_graph_rates
+
+__all__ = ["factor_graph_seconds", "pose_graph_rates"]
+
 
 @pytest.fixture
 def unpredicted(monkeypatch):

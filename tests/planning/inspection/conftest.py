@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from bundle.planning.inspection import elimination_costs, problem_inspection
+from bundle.planning.inspection import elimination_costs, graph_rates, problem_inspection
 from bundle.planning.inspection.factor_graph_time import FEATURES
 from bundle.planning.inspection.rates import FactorRate, Rates
 
@@ -37,6 +37,17 @@ def factor_graph_seconds(monkeypatch: pytest.MonkeyPatch) -> dict[str, float]:
     seconds = {name: 1e-9 * (k + 1) for k, name in enumerate(FEATURES)}
     monkeypatch.setattr(elimination_costs, "factor_graph_rates", lambda **_: seconds)
     return seconds
+
+
+@pytest.fixture
+def pose_graph_rates(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let predictions of pose graphs be those for a made-up machine."""
+    seconds = dict.fromkeys(graph_rates.FEATURES, 1e-9)
+
+    def made_up(num_threads: int, **_: object) -> graph_rates.GraphRates:
+        return graph_rates.GraphRates(num_threads=num_threads, seconds=seconds)
+
+    monkeypatch.setattr(elimination_costs, "graph_rates", made_up)
 
 
 @pytest.fixture
