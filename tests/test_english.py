@@ -5,10 +5,12 @@ remedy; one that ends in "found none" names neither.
 """
 
 import ast
+import functools
 import re
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 
@@ -27,36 +29,46 @@ def sources(*suffixes: str) -> Iterator[Path]:
                 yield path
 
 
-def descriptions(path: Path) -> Iterator[tuple[int, str]]:
-    """Yield line and text of docstrings and of /// comments, those of fields among them."""
+class Texts(NamedTuple):
+    """Texts of a file with their lines."""
+
+    descriptions: list[tuple[int, str]]
+    messages: list[tuple[int, str]]
+
+
+@functools.cache
+def texts(path: Path) -> Texts:
+    """Return docstrings and /// comments, those of fields among them, and the literals."""
     text = path.read_text(encoding="utf-8")
-    if path.suffix == ".py":
-        for node in ast.walk(ast.parse(text)):
-            if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef):
-                for before, each in zip([None, *node.body], node.body, strict=False):
-                    value = each.value if isinstance(each, ast.Expr) else None
-                    describes = before is None or isinstance(before, ast.Assign | ast.AnnAssign)
-                    if describes and isinstance(value, ast.Constant):
-                        yield each.lineno, str(value.value).strip()
-        return
+    return of_python(text) if path.suffix == ".py" else of_cpp(text)
+
+
+def of_python(text: str) -> Texts:
+    found = Texts([], [])
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Constant):
+            if isinstance(node.value, str):
+                found.messages.append((node.lineno, node.value))
+        elif isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef):
+            for before, each in zip([None, *node.body], node.body, strict=False):
+                value = each.value if isinstance(each, ast.Expr) else None
+                describes = before is None or isinstance(before, ast.Assign | ast.AnnAssign)
+                if describes and isinstance(value, ast.Constant):
+                    found.descriptions.append((each.lineno, str(value.value).strip()))
+    return found
+
+
+def of_cpp(text: str) -> Texts:
+    found = Texts([], [])
     inside = False
     for number, line in enumerate(text.splitlines(), 1):
         comment = re.search(r"///<? ?(.*)", line)
         if comment and (not inside or "///<" in line):
-            yield number, comment[1]
+            found.descriptions.append((number, comment[1]))
         inside = comment is not None
-
-
-def messages(path: Path) -> Iterator[tuple[int, str]]:
-    """Yield line and text of the literals that end a message, those of docstrings left out."""
-    text = path.read_text(encoding="utf-8")
-    if path.suffix != ".py":
-        for literal in re.finditer(r'"((?:[^"\\\n]|\\.)*)"', text):
-            yield text.count("\n", 0, literal.start()) + 1, literal[1]
-        return
-    for node in ast.walk(ast.parse(text)):
-        if isinstance(node, ast.Constant) and isinstance(node.value, str):
-            yield node.lineno, node.value
+    for literal in re.finditer(r'"((?:[^"\\\n]|\\.)*)"', text):
+        found.messages.append((text.count("\n", 0, literal.start()) + 1, literal[1]))
+    return found
 
 
 def place(path: Path, line: int, text: str) -> str:
@@ -67,7 +79,7 @@ def test_descriptions_begin_with_a_noun_or_a_verb() -> None:
     found = [
         place(path, line, text)
         for path in sources(".py", ".h", ".cpp")
-        for line, text in descriptions(path)
+        for line, text in texts(path).descriptions
         if CLAUSE.match(text)
     ]
     assert found == []
@@ -77,7 +89,7 @@ def test_messages_name_what_they_found() -> None:
     found = [
         place(path, line, text)
         for path in sources(".py", ".h", ".cpp")
-        for line, text in messages(path)
+        for line, text in texts(path).messages
         if DUMMY.search(text)
     ]
     assert found == []
