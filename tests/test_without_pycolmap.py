@@ -58,34 +58,35 @@ bundle.close_loops
     )
 
 
-@pytest.mark.parametrize(
-    "words",
-    [
-        "info IN",
-        "convert IN OUT --format colmap-text",
-        "convert IN OUT.txt",
-        "refine IN -o OUT --max-iterations 3 --camera-model OPENCV --json JSON",
-        "diagnose IN",
-        "covariance IN -o OUT.npz",
-        "inspect IN",
-        "report IN -o OUT.html",
-        "evaluate IN --reference IN",
-        "merge IN IN -o OUT",
-        "validate IN",
-        "align IN -o OUT --reference IN",
-    ],
+COMMANDS = (
+    "info IN",
+    "convert IN OUT --format colmap-text",
+    "convert IN OUT.txt",
+    "refine IN -o OUT2 --max-iterations 3 --camera-model OPENCV --json JSON",
+    "diagnose IN",
+    "covariance IN -o OUT.npz",
+    "inspect IN",
+    "report IN -o OUT.html",
+    "evaluate IN --reference IN",
+    "merge IN IN -o OUT3",
+    "validate IN",
+    "align IN -o OUT4 --reference IN",
 )
-def test_commands(tmp_path, words):
-    given = {"IN": "in", "OUT": "out", "OUT.txt": "out.txt", "OUT.npz": "out.npz"}
-    given |= {"OUT.html": "out.html", "JSON": "report.json"}
-    line = [str(tmp_path / given[word]) if word in given else word for word in words.split()]
+
+
+def test_commands(tmp_path):
+    places = ("IN", "JSON", "OUT.txt", "OUT.npz", "OUT.html", "OUT", "OUT2", "OUT3", "OUT4")
+    given = {word: str(tmp_path / word.lower()) for word in places}
+    given["JSON"] += ".json"
+    lines = [[given.get(word, word) for word in words.split()] for words in COMMANDS]
     run(
         tmp_path,
         f"""
 bundle.save(bundle.synthesize(num_images=6, num_points=60, seed=3).problem, folder / "in", "colmap")
-code = main({json.dumps([*line, "--quiet"])})
-assert code == 0, code
-assert "pycolmap" not in sys.modules
+for words in {json.dumps(lines)}:
+    code = main([*words, "--quiet"])
+    assert code == 0, (code, words)
+    assert "pycolmap" not in sys.modules, words
 """,
     )
 

@@ -314,16 +314,24 @@ def test_a_missing_input_is_named(run, here, name):
     assert snapshot(here) == before
 
 
-@pytest.mark.parametrize("name", COMMANDS)
+WRONG_FLAGS = [
+    ("--jsn r.json", "unrecognized arguments: --jsn; did you mean --json?"),
+    ("--json report.pdf", "expected a name of a report (.json)"),
+    ("--json model/images.bin", "model"),
+    ("--json dir", "found a folder"),
+    ("--json bal.txt/r.json", "bal.txt/r.json"),
+    ("--verbose=1", "--verbose"),
+]
+
+
+# All commands have these flags from one place: one mistake for each command, all for `refine`.
 @pytest.mark.parametrize(
-    ("words", "message"),
+    ("name", "words", "message"),
     [
-        ("--jsn r.json", "unrecognized arguments: --jsn; did you mean --json?"),
-        ("--json report.pdf", "expected a name of a report (.json)"),
-        ("--json model/images.bin", "model"),
-        ("--json dir", "found a folder"),
-        ("--json bal.txt/r.json", "bal.txt/r.json"),
-        ("--verbose=1", "--verbose"),
+        (name, *wrong)
+        for k, name in enumerate(COMMANDS)
+        for i, wrong in enumerate(WRONG_FLAGS)
+        if name == "refine" or i == k % len(WRONG_FLAGS)
     ],
 )
 def test_flags_of_every_command_are_checked(run, here, name, words, message):

@@ -39,7 +39,13 @@ def kitti(bundle_data: Path) -> bundle.Problem:
     return bundle.load(bundle_data / "rigs" / "kitti26_stereo_rig")
 
 
-@pytest.mark.parametrize("case", KITTI)
+@pytest.mark.parametrize(
+    ("case", "backend"),
+    [
+        *((case, "fused") for case in KITTI),
+        *((case, "ceres") for case in ("sensors fixed, two cameras", "sensors refined")),
+    ],
+)
 def test_reference_costs(kitti: bundle.Problem, backend: str, case: str) -> None:
     options, cost = KITTI[case]
     result = bundle.solve(kitti, backend=backend, **TIGHT, **options)
