@@ -1,6 +1,6 @@
 #include "core/covariance/eliminated_rows.h"
 
-#include <Eigen/QR>
+#include <Eigen/Core>
 #include <algorithm>
 #include <cstddef>
 
@@ -31,12 +31,9 @@ EliminatedRows::EliminatedRows(const PointBlocks& blocks, const PointAssembler& 
       known = DecomposeSymmetric(Eigen::Map<const Eigen::Matrix3d>(blocks.null_projector))
                   .vectors.leftCols(rank);
     }
-    const Eigen::HouseholderQR<MatrixXd> qr(Multiply(rows.leftCols(3), known));
-    turned.applyOnTheLeft(qr.householderQ().adjoint());
-    root_ = qr.matrixQR()
-                .topLeftCorner(rank, rank)
-                .triangularView<Eigen::Upper>()
-                .solve<Eigen::OnTheRight>(known);
+    const MatrixXd r = ApplyQr(Multiply(rows.leftCols(3), known), &turned);
+    root_ =
+        r.topLeftCorner(rank, rank).triangularView<Eigen::Upper>().solve<Eigen::OnTheRight>(known);
   }
   top_ = turned.topRows(rank);
   rest_ = turned.bottomRows(rows.rows() - rank);

@@ -1,7 +1,7 @@
 #include "core/covariance/leverages.h"
 
 #include <Eigen/Core>
-#include <Eigen/Eigenvalues>
+#include <Eigen/Jacobi>
 #include <algorithm>
 #include <atomic>
 #include <cmath>
@@ -32,21 +32,28 @@ struct Found {
   std::atomic<bool> has_bends{false};
 };
 
-/// Takes the eigenvalues of h, and all that follows from them.
+/// Takes the eigenvalues of h, and all that follows from them. One Jacobi rotation diagonalises a
+/// symmetric matrix of two rows.
 void Take(const Matrix2d& h, const ObservationRows& rows, Found* found) {
   const auto i = static_cast<size_t>(rows.observation);
-  const Eigen::SelfAdjointEigenSolver<Matrix2d> solver(0.5 * (h + h.transpose()));
+  const double off = 0.5 * (h(0, 1) + h(1, 0));
+  Eigen::JacobiRotation<double> turn;
+  turn.makeJacobi(h(0, 0), off, h(1, 1));
+  Matrix2d axes;
+  axes << turn.c(), turn.s(), -turn.s(), turn.c();
+  const double moved = off == 0 ? 0 : turn.s() / turn.c() * off;
+  const Vector2d eigenvalues(h(0, 0) - moved, h(1, 1) + moved);
   const Eigen::Map<const Vector2d> r(rows.residual);
-  const Vector2d along = solver.eigenvectors().transpose() * r;
+  const Vector2d along = axes.transpose() * r;
   Vector2d scaled = Vector2d::Zero(), k = Vector2d::Zero();
   for (int axis = 0; axis < 2; ++axis) {
-    const double of = std::max(solver.eigenvalues()[axis], 0.0), rest = 1 - of;
+    const double of = std::max(eigenvalues[axis], 0.0), rest = 1 - of;
     if (rest <= kFullLeverage) continue;
     scaled[axis] = along[axis] / std::sqrt(rest);
     k[axis] = of / rest;
     found->known[i] += of;
   }
-  Eigen::Map<Vector2d>(&found->scores[2 * i]) = solver.eigenvectors() * scaled;
+  Eigen::Map<Vector2d>(&found->scores[2 * i]) = axes * scaled;
   found->squares[i] = rows.weight * r.squaredNorm();
   if (rows.weight > 0) found->rest[i] = 2 - h.trace();
   if (rows.bend != 0) found->has_bends.store(true, std::memory_order_relaxed);

@@ -43,7 +43,7 @@ SymmetricEigen DecomposeSymmetric(const MatrixXd& matrix) {
 }
 
 Eigen::Vector4d LargestEigenvector(const Eigen::Matrix4d& matrix) {
-  return Eigen::SelfAdjointEigenSolver<Eigen::Matrix4d>(matrix).eigenvectors().col(3);
+  return DecomposeSymmetric(matrix).vectors.col(3);
 }
 
 VectorXd EigenvaluesOfSymmetric(const MatrixXd& matrix) {
@@ -64,6 +64,14 @@ VectorXd SingularValues(const MatrixXd& matrix) {
 MatrixXd TriangleOfQr(const MatrixXd& matrix) { return Triangle(matrix); }
 
 MatrixXf TriangleOfQr(const MatrixXf& matrix) { return Triangle(matrix); }
+
+MatrixXd ApplyQr(const MatrixXd& matrix, MatrixXd* others) {
+  const Eigen::HouseholderQR<MatrixXd> qr(matrix);
+  others->applyOnTheLeft(qr.householderQ().adjoint());
+  return qr.matrixQR()
+      .topRows(std::min(matrix.rows(), matrix.cols()))
+      .triangularView<Eigen::Upper>();
+}
 
 MatrixXd OrthonormalColumns(const MatrixXd& matrix) {
   return Eigen::HouseholderQR<MatrixXd>(matrix).householderQ() *

@@ -35,6 +35,9 @@ Eigen::VectorXd SingularValues(const Eigen::MatrixXd& matrix);
 Eigen::MatrixXd TriangleOfQr(const Eigen::MatrixXd& matrix);
 Eigen::MatrixXf TriangleOfQr(const Eigen::MatrixXf& matrix);
 
+/// R of A = Q R, with as many rows as A's smaller side; `others` becomes Q^T others.
+Eigen::MatrixXd ApplyQr(const Eigen::MatrixXd& matrix, Eigen::MatrixXd* others);
+
 /// Q of A = Q R, of A's shape, for at least as many rows as columns. Linearly dependent columns are
 /// replaced by arbitrary directions orthogonal to the others.
 Eigen::MatrixXd OrthonormalColumns(const Eigen::MatrixXd& matrix);

@@ -1,7 +1,6 @@
 #include "core/solver/block_qr.h"
 
 #include <Eigen/OrderingMethods>
-#include <Eigen/QR>
 #include <Eigen/SparseCore>
 #include <algorithm>
 #include <limits>
@@ -99,11 +98,9 @@ BlockQr::Row BlockQr::Eliminate(int variable, std::vector<RowBlock> pending, Row
   }
   if (front.rows() > 2 * front.cols()) front = TriangleOfQr(front);
   if (size > 0) {
-    const Eigen::HouseholderQR<MatrixXd> qr(front.leftCols(size));
     MatrixXd others = front.rightCols(front.cols() - size);
-    others.applyOnTheLeft(qr.householderQ().transpose());
+    front.topLeftCorner(size, size) = ApplyQr(front.leftCols(size), &others);
     front.rightCols(front.cols() - size) = others;
-    front.topLeftCorner(size, size) = qr.matrixQR().topRows(size).triangularView<Eigen::Upper>();
   }
   row.matrix = front.topRows(size);
   rest->variables.assign(row.variables.begin() + 1, row.variables.end());
