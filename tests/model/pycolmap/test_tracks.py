@@ -108,6 +108,31 @@ def test_values_and_deletions_are_taken(scene):
     assert second.num_observations > left.num_observations
 
 
+def test_each_step_of_the_triangulator_counts(scene):
+    """All images are triangulated once, the other steps are taken each time."""
+    truth, matches = scene
+    builder = TrackBuilder(truth, *matches, 4.0, 1.5)
+    steps = []
+
+    class Recorded:
+        def __getattr__(self, name):
+            counts = {"triangulate_image": 1, "complete_all_tracks": 10, "merge_all_tracks": 100}
+
+            def step(*given):
+                steps.append((name, *given[1:]))
+                return counts.get(name, 1000)
+
+            return step
+
+    builder._triangulator = Recorded()
+    first, again = builder.extend()[1], builder.extend()[1]
+    assert first == (truth.num_images + 1000, 10, 100)
+    assert again == (1000, 10, 100)
+    names = [("complete_all_tracks",), ("merge_all_tracks",), ("retriangulate",)]
+    images = [("triangulate_image", key) for key in truth.image_ids.tolist()]
+    assert steps == [*images, *names, *names]
+
+
 def test_limits_are_those_of_the_filter(scene):
     truth, matches = scene
     options = TrackBuilder(truth, *matches, 1.5, 3.0)._options
