@@ -2,6 +2,7 @@
 
 import os
 import sys
+import threading
 
 import numpy as np
 import pytest
@@ -33,8 +34,7 @@ def misbehave(job):
     elif job == "abort":
         os.abort()
     elif job == "hang":
-        while True:
-            pass
+        threading.Event().wait()
     elif job == "raise":
         raise ValueError("not an InputError")
     elif job == "two lines":
@@ -46,7 +46,7 @@ def misbehave(job):
 
 def test_what_goes_wrong_is_seen():
     names = ["fine", "print", "abort", "hang", "raise", "two lines", "nonsense", "fine"]
-    outcomes = jobs.run(f"{__name__}:misbehave", names, timeout=2.0)
+    outcomes = jobs.run(f"{__name__}:misbehave", names, timeout=1.0)
     kinds = ["ok", "printed", "died", "died", "ValueError", "bad message", "nonsense", "ok"]
     assert [outcome.kind for outcome in outcomes] == kinds
     assert "8 jobs, 6 wrong" in jobs.summarise(outcomes)
@@ -78,22 +78,24 @@ def test_healthy_blocks_are_not_accused():
 
 def test_right_jacobians_are_not_accused_and_wrong_ones_caught(monkeypatch):
     monkeypatch.setattr(check_solve, "MOST_SECONDS", 5.0)  # on a busy machine, too
-    rights, wrongs = jacobians.campaign(24, len(jacobians.MISTAKES), seed=7)
+    rights, wrongs = jacobians.campaign(8, len(jacobians.MISTAKES), seed=7)
+    imu = jacobians.imu(np.random.default_rng(7))
+    rights.append(jacobians.judge(jacobians.Case(imu, "imu", frozenset({"correct"})), 7))
     assert [v for v in rights if v.verdict != "correct" or v.is_caught] == []
     assert [v for v in wrongs if not v.is_caught or not v.is_named] == []
-    assert {"imu"} < {v.name for v in rights}
 
 
 def test_mistakes_in_the_layouts_of_libraries_are_named():
     mistakes = library_mistakes.listed()
     assert len(mistakes) >= 60
     assert {m.library for m in mistakes} == {"ceres", "gtsam", "manif", "g2o", "g2o_expmap"}
-    some = [*mistakes[1::5], *(m for m in mistakes if m.kinds & {"adjoint", "inverse"})]
+    few = [m for m in mistakes if m.kinds & {"adjoint", "inverse"}]
+    some = [*mistakes[1::13], *few[::4]]
     verdicts = [conventions.judge(mistake, 3) for mistake in some]
     assert [verdict for verdict in verdicts if not verdict.is_named] == []
-    rights = [conventions.judge_right(seed) for seed in range(40)]
+    rights = [conventions.judge_right(seed) for seed in range(6)]
     assert [verdict for verdict in rights if verdict.verdict == "wrong"] == []
-    assert sum(verdict.verdict == "correct" for verdict in rights) >= 30
+    assert sum(verdict.verdict == "correct" for verdict in rights) >= 5
 
 
 def test_covariances_are_the_dense_ones():
