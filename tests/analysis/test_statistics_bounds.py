@@ -152,3 +152,24 @@ def test_derivatives_that_overflow_do_not_count():
     params[:, 0] = 1e200
     kinds = {one.kind for one in broken_parts(problem.replace(camera_params=params))}
     assert kinds == {"absurd_focal_lengths", "undetermined_poses"}
+
+
+def test_observations_close_together_are_linearised_whatever_their_number(monkeypatch):
+    problem = seen_by_one("near", 60)
+    own = problem.observation_xy[problem.observation_image == 3]
+    narrow = np.linalg.eigvalsh(np.cov(own.T, bias=True))[0]
+    difference = narrow / problem.camera_params[0, 0] * np.sqrt(60)
+    monkeypatch.setattr(suspicions_module, "OPEN_ROTATION", 0.003)  # it has 0.005 rad
+    for factor, expected in ((1.001, [problem.image_ids[3]]), (0.999, [])):
+        monkeypatch.setattr(suspicions_module, "SMALL_DIFFERENCE", factor * difference)
+        found = broken_parts(problem)
+        assert [one.evidence["ids"] for one in found] == ([expected] if expected else [])
+
+
+def test_the_poses_of_rigs_are_not_judged_by_single_images(monkeypatch):
+    problem = seen_by_one("spread", 2)
+    assert broken_parts(problem)
+    frames = np.zeros(problem.num_images, np.int32)
+    monkeypatch.setattr(type(problem), "num_frames", 1)
+    object.__setattr__(problem, "image_frame", frames)
+    assert not broken_parts(problem)
