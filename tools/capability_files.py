@@ -22,7 +22,7 @@ CAPABILITIES = {
     "`--velocities`": ("georeference/measurements.py", r"(?i)(?!angular)\w*velocit\w*"),
     "`bundle covariance`": (
         "cli/commands.py",
-        r"\w*Covariance|CovarianceOptions|compute_covariance|NormalEquations",
+        r"\w*Covariance|CovarianceOptions|compute_covariance",
     ),
     "the finding `duplicate_points`": ("judging/findings/find.py", r"duplicate_points|Duplicates?"),
 }

@@ -15,7 +15,7 @@ from bundle.analysis.statistics.description import Description as Description
 from bundle.analysis.statistics.description import describe as describe
 from bundle.analysis.uncertainty.covariance_by_input import covariance as covariance
 from bundle.analysis.uncertainty.covariance_result import Covariance as Covariance
-from bundle.analysis.uncertainty.covariance_result import FactorGraphCovariance as FactorGraphCovariance
+from bundle.analysis.uncertainty.graph_covariance import FactorGraphCovariance as FactorGraphCovariance
 from bundle.analysis.uncertainty.covariance_result import GraphCovariance as GraphCovariance
 from bundle.base.paths import get_include as get_include
 from bundle.checking.gradient_report import GradientReport as GradientReport

@@ -5,13 +5,8 @@ import pytest
 
 import bundle
 from bundle.analysis.factor_equations import FactorEquations
-from bundle.analysis.normal_equations import (
-    POSES,
-    PoseEquations,
-    SelectedInverse,
-    TermTests,
-    selected_covariance,
-)
+from bundle.analysis.normal_equations import POSES, PoseEquations, SelectedInverse, TermTests
+from bundle.analysis.uncertainty.graph_covariance import selected_covariance
 from bundle.graphs.pose_graphs.edge_weights import weighted_graph
 from tests.graphs.pose_graphs import graphs
 

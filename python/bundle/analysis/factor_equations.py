@@ -2,14 +2,6 @@
 
 The gauge and the undetermined directions are those of ``graphs/factors/null_space.py``.
 
-A relative variable B = X_a^-1 X_b moves by B Exp(d_b - Ad d_a) with Ad = Ad(X_b^-1 X_a), the
-identity on a Euclidean space, so that its covariance is
-
-    C = G_bb - Ad G_ab - G_ab^T Ad^T + Ad G_aa Ad^T.
-
-Poses that a factor uses as cam_from_world have the relative pose B = X_b X_a^-1 in its place, which
-a motion of the world does not change. It moves by B Exp(Ad(X_a) (d_b - d_a)).
-
 A weak mode has an eigenvalue below ``WEAK``, and the next one is ``GAP`` times as large. The
 eigenvalues of a long chain grow by the squares of the whole numbers and have no such gap. A gauge
 that only a prior with a large sigma holds has one. Condition numbers are those with the gauge held.
@@ -19,7 +11,6 @@ Factors are tested against all others as edges of a pose graph are.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
 from dataclasses import replace
 from functools import cached_property
 from typing import Any
@@ -40,31 +31,18 @@ from bundle.analysis.diagnosis.diagnosis_result import (
     WeakMode,
 )
 from bundle.analysis.normal_equations import (
-    GRAPH_GAUGES,
     Floats,
     Pairs,
     SelectedInverse,
     TermTests,
     Words,
-    graph_covariance,
-    selected_covariance,
 )
-from bundle.analysis.uncertainty.covariance_result import FactorGraphCovariance
-from bundle.base.arrays import freeze
 from bundle.base.words import named, number, plural
-from bundle.errors import InputError, brief
+from bundle.errors import brief
 from bundle.graphs.factors.contents import factor_name
 from bundle.graphs.factors.factor_graph import FactorGraph
-from bundle.graphs.factors.factors import PositionFactor, RelativePoseFactor, ReprojectionFactor
 from bundle.graphs.factors.null_space import NullSpace, find_null_space
-from bundle.graphs.factors.same_problem import AsPoseGraph, pose_graph_of
-from bundle.graphs.factors.variables import Key, as_list, variable_name
-from bundle.graphs.pose_graphs.lie_groups import adjoint_between, adjoints
-from bundle.interface.analysis_options import SCALES, one_of
-from bundle.model.rigid_motions import rotation_matrices
-
-FROM_WORLD = (PositionFactor, RelativePoseFactor, ReprojectionFactor)
-"""Factors whose poses are cam_from_world."""
+from bundle.graphs.factors.same_problem import AsPoseGraph
 
 WEAK, GAP = 1e-6, 1e3
 
@@ -143,116 +121,6 @@ class FactorEquations:
         if not self.space.is_exact:
             return None
         return _core.factor_graph_spectrum(*self._core, self.held, 0, self._threads)
-
-
-def factor_graph_covariance(
-    graph: FactorGraph,
-    *,
-    of: Iterable[Key] | None = None,
-    relative: Iterable[tuple[Key, Key]] = (),
-    gauge: str = "first",
-    scale: str = "unit",
-    num_threads: int = 0,
-) -> FactorGraphCovariance:
-    """Compute the covariances of the variables of a graph; see :func:`bundle.covariance`.
-
-    A graph of relative poses has those of the pose graph that it states, whose gauge is known
-    without a search for null directions.
-    """
-    gauge, scale = one_of("gauge", gauge, GRAPH_GAUGES), one_of("scale", scale, SCALES)
-    keys = graph.keys if of is None else _known(graph, "of", as_list("of", "keys", of))
-    pairs = [_pair(graph, pair, k) for k, pair in enumerate(as_list("relative", "pairs", relative))]
-    if (poses := pose_graph_of(graph)) is not None:
-        graph.check_free()
-        return _of_pose_graph(poses, keys, pairs, gauge=gauge, scale=scale, num_threads=num_threads)
-    equations = FactorEquations(graph, num_threads)
-    space = equations.space
-    if not space.is_exact:
-        raise InputError(
-            "graph: expected factors that determine all variables but for the gauge, found "
-            f"{space.nullity} free directions; bundle.diagnose says more"
-        )
-    if gauge == "none" and space.nullity and not space.others.shape[1]:
-        raise InputError(
-            f"gauge: none expects factors or constant variables that fix the gauge, found "
-            f"{plural(space.nullity, 'free direction')}; first holds a variable"
-        )
-    place = {key: k for k, key in enumerate(graph.keys)}
-    rows = [(place[a], place[b]) for a, b in pairs]
-    found, factor, facts = selected_covariance(equations, rows, gauge, scale)
-    blocks = [factor * block for block in found.blocks]
-    cross = [freeze(factor * block) for block in found.across]
-    relative_blocks = [
-        freeze(_relative_covariance(graph, pair, blocks[a], blocks[b], across))
-        for pair, (a, b), across in zip(pairs, rows, cross, strict=True)
-    ]
-    return FactorGraphCovariance(
-        covariances={key: freeze(blocks[place[key]]) for key in keys},
-        relative_covariances=dict(zip(pairs, relative_blocks, strict=True)),
-        cross_covariances=dict(zip(pairs, cross, strict=True)),
-        num_gauge_freedoms=space.gauge,
-        **facts,
-    )
-
-
-def _of_pose_graph(
-    poses: AsPoseGraph, keys: Iterable[Key], pairs: list[tuple[Key, Key]], **settings: Any
-) -> FactorGraphCovariance:
-    ids = dict(zip(poses.keys, poses.graph.ids.tolist(), strict=True))
-    place = {key: k for k, key in enumerate(poses.keys)}
-    found = graph_covariance(poses.graph, relative=[(ids[a], ids[b]) for a, b in pairs], **settings)
-    return FactorGraphCovariance(
-        covariances={key: freeze(found.pose_covariance[place[key]]) for key in keys},
-        relative_covariances=dict(zip(pairs, found.relative_covariance, strict=True)),
-        cross_covariances=dict(zip(pairs, found.cross_covariance, strict=True)),
-        num_gauge_freedoms=poses.graph.tangent_size * len(found.held_pose_ids or ()),
-        **{name: getattr(found, name) for name in ("sigma0", "dof", "gauge", "scale", "notes")},
-    )
-
-
-def _known(graph: FactorGraph, argument: str, keys: Iterable[Any]) -> tuple[Key, ...]:
-    found = tuple(keys)
-    for key in found:
-        graph.variable(argument, key)
-    return found
-
-
-def _pair(graph: FactorGraph, pair: Any, k: int) -> tuple[Key, Key]:
-    if not isinstance(pair, tuple | list) or len(pair) != 2:
-        raise InputError(f"relative: expected pairs of keys, found {brief(pair)} at [{k}]")
-    a, b = _known(graph, "relative", pair)
-    if a == b:
-        raise InputError(f"relative: expected two different keys, found {brief(pair)} at [{k}]")
-    first, second = graph.variables[a], graph.variables[b]
-    if first.manifold != second.manifold or len(first.value) != len(second.value):
-        raise InputError(
-            f"relative: {variable_name(a)} and {variable_name(b)}: expected variables of one kind, "
-            f"found {first.manifold} ({len(first.value)}) and {second.manifold} "
-            f"({len(second.value)})"
-        )
-    return a, b
-
-
-def _relative_covariance(
-    graph: FactorGraph, pair: tuple[Key, Key], of_a: Floats, of_b: Floats, across: Floats
-) -> Floats:
-    """Return the covariance of a relative variable from G_aa, G_bb and G_ab, (t, t) each."""
-    first, second = (graph.variables[key] for key in pair)
-    if first.manifold == "se3" and any(
-        isinstance(factor, FROM_WORLD) and not set(pair).isdisjoint(factor.keys)
-        for factor in graph.factors
-    ):
-        adjoint = adjoints(first.value[None])[0]
-        return np.asarray(adjoint @ (of_b - across - across.T + of_a) @ adjoint.T)
-    if first.manifold in ("se2", "se3"):
-        adjoint = adjoint_between(second.value[None], first.value)[0]
-    elif first.manifold == "so3":
-        rotations = rotation_matrices(np.stack([first.value, second.value]))
-        adjoint = rotations[1].T @ rotations[0]
-    else:
-        adjoint = np.eye(len(first.coordinates))
-    moved = adjoint @ across
-    return np.asarray(of_b - moved - moved.T + adjoint @ of_a @ adjoint.T)
 
 
 def diagnose_factor_graph(graph: FactorGraph, num_threads: int = 0) -> Diagnosis:

@@ -7,7 +7,7 @@ has the normal equations of a factor graph. The terms are edges or factors.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from functools import cached_property
 from typing import Any, NamedTuple, Protocol
 
@@ -15,26 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 import bundle._core as _core
-from bundle.analysis.uncertainty.covariance_result import Covariance, rows_of
-from bundle.base.arrays import freeze
-from bundle.base.words import not_converged, number, plural
-from bundle.errors import InputError, brief
 from bundle.graphs.pose_graphs.edge_weights import (
     WeightedGraph,
-    check_edges_exist,
-    weighted_graph,
 )
 from bundle.graphs.pose_graphs.joints import Joints, find_joints
-from bundle.interface.analysis_options import SCALES, one_of
-from bundle.interface.pose_graph_options import PoseGraphOptions
-
-GRAPH_GAUGES = ("first", "inner", "none")
 
 AT_MINIMUM = 1e-4
 """Relative decrease of the cost by one more step, below which a state counts as a minimum."""
-
-LOST = 1e10
-"""Inflation above which the variances have fewer than six digits."""
 
 Floats = NDArray[np.float64]
 Pairs = Sequence[tuple[int, int]]
@@ -192,100 +179,3 @@ class PoseEquations:
             return None
         directions = self.joints.directions
         return _core.graph_spectrum(self.graph, self.held, self._error, directions, self._threads)
-
-
-def graph_covariance(
-    graph: Any,
-    options: PoseGraphOptions | None = None,
-    *,
-    relative: Iterable[tuple[int, int]] = (),
-    gauge: str = "first",
-    scale: str = "unit",
-    **changes: Any,
-) -> Covariance:
-    """Compute the covariances of the poses of a graph; see :func:`bundle.covariance`."""
-    gauge, scale = one_of("gauge", gauge, GRAPH_GAUGES), one_of("scale", scale, SCALES)
-    weighted = weighted_graph(graph, options, changes, "covariance")
-    used = weighted.graph
-    if used.num_poses > 1:
-        check_edges_exist(used)
-    pairs = list(relative)
-    rows = rows_of(used.ids, pairs, "pose")
-    for k, (a, b) in enumerate(rows):
-        if a == b:
-            raise InputError(
-                f"relative: expected two different poses, found {brief(pairs[k])} at [{k}]"
-            )
-    equations = PoseEquations(weighted)
-    if gauge == "none" and equations.for_gauge:
-        raise InputError(
-            "gauge: none expects a fixed pose in each component, found "
-            f"{plural(equations.num_floating, 'component')} without; gauge first holds one in each"
-        )
-    is_plain = weighted.options.loss == "trivial"
-    found, factor, facts = selected_covariance(equations, rows, gauge, scale, is_plain)
-    return Covariance(
-        pose_ids=used.ids,
-        pose_covariance=freeze(factor * found.blocks),
-        relative_ids=freeze(np.array(pairs, np.int64).reshape(-1, 2)),
-        relative_covariance=freeze(factor * found.relative),
-        cross_covariance=freeze(factor * found.across),
-        held_pose_ids=equations.held_ids,
-        **facts,
-    )
-
-
-def selected_covariance(
-    equations: NormalEquations, pairs: Pairs, gauge: str, scale: str, without_loss: bool = False
-) -> tuple[SelectedInverse, float, dict[str, Any]]:
-    """Return blocks of the inverse, the factor of all covariances, and fields of the result.
-
-    Undetermined directions, pairs without a relative position and rounding errors are refused.
-    """
-    words, squares, dof = equations.words, equations.weighted_squares, equations.dof
-    if moving := equations.open_blocks():
-        raise _undetermined(equations, moving)
-    if apart := equations.separated(pairs):
-        raise InputError(
-            f"relative: expected {words.block}s that {words.term}s or {words.held}s connect, found "
-            f"{equations.name(apart[0])} and {equations.name(apart[1])}"
-        )
-    found = equations.selected_inverse(gauge == "inner", pairs)
-    if found.undetermined >= 0:
-        raise _undetermined(equations, [found.undetermined])
-    if not np.isfinite(found.inflation):
-        raise InputError(
-            "graph: expected well-conditioned normal equations, found variances that are only "
-            f"rounding errors; {words.shorten}"
-        )
-    sigma0 = float(np.sqrt(squares / dof)) if dof > 0 else float("nan")
-    if scale == "sigma0" and not dof > 0:
-        raise InputError(
-            f"scale: expected degrees of freedom to estimate sigma0 from, found {dof}; use unit"
-        )
-    notes = []
-    if not found.tests.is_at_minimum(0.5 * squares):
-        notes.append(not_converged(200 * found.tests.decrease / squares, without_loss))
-    if equations.num_floating > 1:
-        notes.append(
-            f"{plural(equations.num_floating, 'component')} without a fixed pose: covariances "
-            "are relative to the component."
-        )
-    if found.inflation > LOST:
-        digits = plural(max(0, round(16 - np.log10(found.inflation))), "digit")
-        notes.append(
-            f"Some {words.block} is {number(float(np.sqrt(found.inflation)))} times less certain "
-            f"than with all others known: its covariance has about {digits}."
-        )
-    facts = {"sigma0": sigma0, "dof": dof, "gauge": gauge, "scale": scale, "notes": tuple(notes)}
-    return found, sigma0 * sigma0 if scale == "sigma0" else 1.0, facts
-
-
-def _undetermined(equations: NormalEquations, blocks: Sequence[int]) -> InputError:
-    words, names = equations.words, [equations.name(block) for block in blocks]
-    more = f" and {len(names) - 3} more" if len(names) > 3 else ""
-    return InputError(
-        f"graph: expected {words.term}s that determine all {words.block}s but for the gauge, found "
-        f"{words.block if len(names) == 1 else words.block + 's'} {', '.join(names[:3])}{more} "
-        f"with an undetermined direction; {words.command} names it"
-    )

@@ -327,7 +327,7 @@ COMMANDS: dict[str, Command] = {
                 tells="source input found asked target wall",
             ),
             Kind.POSE_GRAPH: Way(
-                call="analysis.normal_equations:graph_covariance",
+                call="analysis.uncertainty.graph_covariance:graph_covariance",
                 stage="inverting",
                 options="PoseGraphOptions",
                 names=_OF_GRAPHS,

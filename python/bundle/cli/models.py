@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from time import perf_counter
@@ -27,7 +28,6 @@ from bundle.io.open import check_target, load, output_format, save
 from bundle.reports.sections import Report
 
 if TYPE_CHECKING:
-    from bundle.analysis.uncertainty.covariance_result import Covariance
     from bundle.cli.run import Run
     from bundle.editing.rolling_shutters import GlobalShutterModel
     from bundle.model.pose_graph_arrays import PoseGraph
@@ -196,6 +196,7 @@ def _check_graph_replaced(run: Run, graph: PoseGraph) -> None:
 def report_model(run: Run) -> Report:
     """Write the page of the reconstruction INPUT."""
     from bundle.analysis.statistics.description import describe
+    from bundle.analysis.uncertainty.covariance_by_input import covariance
     from bundle.reports.page.report_page import write_report
     from bundle.reports.terminal.outputs import reported
 
@@ -205,8 +206,12 @@ def report_model(run: Run) -> Report:
     place, lost = placed(source)
     with run.naming():
         run.progress.stage("computing the covariance")
-        certainty = _covariance(run)
-        run.judge(covariance=certainty)
+        certainty = None  # if it does not exist, the page says why
+        with suppress(InputError):
+            certainty = covariance(
+                run.input, priors=run.priors, constraints=run.constraints, scale="sigma0"
+            )
+        run.judge(lens_sigmas=None if certainty is None else certainty.lens_sigmas)
         found = one_list(describe(run.input).suspicions, run.findings)
         run.progress.stage(f"writing {shown(page)}")
         notes = write_report(
@@ -246,17 +251,6 @@ def placed(source: str) -> tuple[dict[str, Any] | None, tuple[str, ...]]:
     if not isinstance(found, dict) or not {"gps", "gcps", "reference_system"} <= found.keys():
         return None, (f"{shown(str(path))} was not written by bundle refine: left out.",)
     return found, ()
-
-
-def _covariance(run: Run) -> Covariance | None:
-    """Return the covariance; None if it does not exist, as the page explains."""
-    from bundle.analysis.uncertainty.covariance_by_input import covariance
-
-    problem: Problem = run.input
-    try:
-        return covariance(problem, priors=run.priors, constraints=run.constraints, scale="sigma0")
-    except InputError:
-        return None
 
 
 def report_pose_graph(run: Run) -> Report:

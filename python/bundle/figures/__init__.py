@@ -1,6 +1,6 @@
 """Data of the figures of report pages; ``bundle.pictures`` draws the same data."""
 
-from bundle.figures.certainty import Certainty, certainty
+from bundle.analysis.uncertainty.covariance_result import Certainty
 from bundle.figures.lens_figures import LensCurve, lens_curve, most_observed_cameras
 from bundle.figures.marks import Figure, Line, line_figure
 from bundle.figures.odometry_figures import odometry_figures
@@ -42,7 +42,6 @@ __all__ = [
     "RowResiduals",
     "SceneView",
     "TrackStatistics",
-    "certainty",
     "image_residuals",
     "lens_curve",
     "line_figure",

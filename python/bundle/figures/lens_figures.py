@@ -1,4 +1,4 @@
-"""Figures of lenses: distortion along the radius, and the certainty of projections."""
+"""Figures of lenses: distortion, the certainty of projections, correlations of parameters."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.analysis.uncertainty.covariance_result import Certainty
 from bundle.base.records import dataclass
 from bundle.base.words import number, plural
 from bundle.figures.marks import (
@@ -17,6 +18,7 @@ from bundle.figures.marks import (
     Cells,
     Figure,
     Line,
+    Matrix,
     Places,
     linear,
     logarithmic,
@@ -354,3 +356,14 @@ def _sigma(
         gradient[index] = (high - low) / (2 * step[index])
     variance = np.einsum("in,ij,jn->n", gradient, known, gradient)
     return np.concatenate([[0.0], np.sqrt(np.maximum(variance, 0.0))])
+
+
+def correlation_figure(problem: Problem, known: Certainty, camera: int) -> Figure | None:
+    """Return the correlations of a camera's refined parameters; None for fewer than two."""
+    free, values = known.correlations(camera)
+    if len(free) < 2:
+        return None
+    names = camera_models()[problem.camera_models[camera]]
+    matrix = Matrix(tuple(names[index] for index in free), values)
+    title = f"Camera {problem.camera_ids[camera]}, {problem.camera_models[camera]}"
+    return Figure(name="correlations", title=title, marks=(matrix,))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bundle.analysis.uncertainty.compute_covariance import FAR, MOST_NAMED, note_on_far_points
+from bundle.analysis.uncertainty.covariance_by_input import FAR, MOST_NAMED, note_on_far_points
 from tests.scenes import make_problem
 
 NONE = np.zeros(0, np.int32)

@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from bundle import InputError, pictures
-from bundle.figures.certainty import certainty, largest_eigenvalues
+from bundle.analysis.uncertainty.covariance_result import Certainty, largest_eigenvalues
 from bundle.figures.placement_figures import placement
 from tests.scenes import make_problem
 
@@ -93,7 +93,7 @@ def test_centres_are_as_certain_as_random_draws_say():
     problem = make_problem(num_images=3, num_points=5, shared=True)
     rng = np.random.default_rng(5)
     given = covariances(problem, rng)
-    known = certainty(problem, given)
+    known = Certainty(problem, given)
     assert known.images.tolist() == [2, 1, 0]
     for place, image in enumerate(known.images):
         draws = rng.multivariate_normal(np.zeros(6), 1e-4 * given.pose_covariance[place], 40_000)
@@ -118,7 +118,7 @@ def test_pictures_draw_these_numbers():
     problem = make_problem(num_images=3, num_points=5, shared=True)
     place, known = (
         placement(problem, RECORD),
-        certainty(problem, covariances(problem, np.random.default_rng(1))),
+        Certainty(problem, covariances(problem, np.random.default_rng(1))),
     )
     made, axes = pictures.figure(1, 3)
     pictures.draw_target_errors(axes[0, 0], place)

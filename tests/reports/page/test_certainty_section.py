@@ -37,3 +37,20 @@ def test_a_refusal_is_computed_once(tmp_path, monkeypatch):
     assert len(calls) == 1
     assert note == "No covariance: cameras: expected something else."
     assert note in Page(tmp_path / "page.html").text
+
+
+def test_a_covariance_of_some_blocks_is_enough(tmp_path):
+    """The page shows what there is, and the findings compute what they need."""
+    solved = bundle.solve(make_problem(num_images=5, num_points=40, shared=True), constraints=RULE)
+    whole, poses, unit = (
+        bundle.covariance(solved, constraints=RULE, **settings)
+        for settings in ({"scale": "sigma0"}, {"of": "poses", "scale": "sigma0"}, {})
+    )
+    assert poses.lens_sigmas is None and unit.lens_sigmas is None
+    sigmas, sigma0 = whole.lens_sigmas
+    assert sigma0 == whole.sigma0
+    np.testing.assert_array_equal(sigmas[0], np.sqrt(np.diag(whole.camera(1))))
+    path = tmp_path / "page.html"
+    assert write_report(solved, path, covariance=poses, constraints=RULE) == ()
+    names = " ".join(row[0] for row in Page(path).rows if row)
+    assert "position of a camera" in names and "point, worst direction" not in names

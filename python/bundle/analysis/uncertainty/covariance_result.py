@@ -1,10 +1,11 @@
-"""Covariances by the ids of images, points and cameras, of poses, or by keys of variables."""
+"""Covariances by the ids of images, points and cameras, or of poses of a graph; their file."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import field
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,13 +18,12 @@ from bundle.base.records import dataclass
 from bundle.base.words import number, plural
 from bundle.errors import InputError, brief
 from bundle.interface.option_fields import choice
-from bundle.interface.tabular import Tabular
 from bundle.io.atomic import atomic_write as atomic
+from bundle.model.problem import Problem
+from bundle.model.rigid_motions import cross_matrices, rotation_matrices
 
 if TYPE_CHECKING:
     import pandas
-
-    from bundle.graphs.factors.variables import Key
 
 _AXES = {3: ("x", "y", "z"), 6: ("wx", "wy", "wz", "tx", "ty", "tz")}
 _GRAPH_AXES = {3: ("x", "y", "angle"), 6: ("wx", "wy", "wz", "x", "y", "z")}
@@ -32,7 +32,7 @@ _Floats = NDArray[np.float64]
 _Ids = NDArray[np.int64]
 
 
-class _Saved(FrozenArrays, Displayed):
+class SavedBlocks(FrozenArrays, Displayed):
     """File of the covariances of any input."""
 
     def save(self, path: str | Path) -> None:
@@ -51,7 +51,7 @@ class _Saved(FrozenArrays, Displayed):
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class Covariance(_Saved):
+class Covariance(SavedBlocks):
     """Marginal covariances of a solution: of each block, with all others estimated as well.
 
     A pose has (w, t): w [rad] is the left perturbation of cam_from_world, R to Exp(w) R, and t its
@@ -127,6 +127,17 @@ class Covariance(_Saved):
     def is_of_graph(self) -> bool:
         """True for the poses of a graph, False for a reconstruction."""
         return self.held_pose_ids is not None
+
+    @property
+    def lens_sigmas(self) -> tuple[_Floats, float] | None:
+        """Standard deviations (n, k) of the parameters of all cameras, and sigma0.
+
+        None if intrinsics were not requested, or if the scale is not that of the residuals.
+        """
+        if self.scale != "sigma0" or not len(self.camera_ids):
+            return None
+        with np.errstate(invalid="ignore"):
+            return np.sqrt(np.einsum("nii->ni", self.camera_covariance)), self.sigma0
 
     @property
     def readout_sigmas(self) -> dict[int, float]:
@@ -245,100 +256,6 @@ GraphCovariance = Covariance
 """Name of the covariance of a pose graph."""
 
 
-@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class FactorGraphCovariance(_Saved, Tabular):
-    """Marginal covariances of the variables of a graph, each with all others estimated as well.
-
-    A covariance is that of the tangent coordinates d in X Exp(d), in the order that
-    :class:`bundle.FactorGraph` lists. Constant coordinates have covariance 0.
-
-    Attributes:
-        covariances: (t, t) covariance of each variable by key.
-        relative_covariances: by pair (a, b) of keys the covariance of X_a^-1 X_b; of X_b X_a^-1 if
-            a factor uses one of the poses as cam_from_world. Independent of the gauge, apart from a
-            free scale.
-        cross_covariances: by pair (a, b) the covariance of d_a with d_b.
-        sigma0: root of the weighted squares over the degrees of freedom; 1 if the information of
-            the factors is right. NaN without degrees of freedom.
-        dof: residuals, minus free coordinates under the gauge.
-        gauge: "first", "inner" or "none".
-        num_gauge_freedoms: directions of the gauge that the factors leave free.
-        scale: "unit": from the information of the factors; "sigma0": multiplied by sigma0^2.
-        notes: sentences with remarks on the covariance.
-    """
-
-    covariances: Mapping[Key, _Floats]
-    relative_covariances: Mapping[tuple[Key, Key], _Floats]
-    cross_covariances: Mapping[tuple[Key, Key], _Floats]
-    sigma0: float
-    dof: int
-    gauge: str
-    num_gauge_freedoms: int
-    scale: str
-    notes: tuple[str, ...] = ()
-
-    def _tables(self) -> dict[str, Mapping[str, Any]]:
-        """Return standard deviations, one row per coordinate of a variable."""
-        rows = [
-            (key, coordinate, sigma)
-            for key, covariance in self.covariances.items()
-            for coordinate, sigma in enumerate(np.sqrt(np.diag(covariance)).tolist())
-        ]
-        names = ("key", "coordinate", "sigma")
-        return {"variables": {name: [row[k] for row in rows] for k, name in enumerate(names)}}
-
-    def variable(self, key: Key) -> _Floats:
-        """Return the covariance of a variable.
-
-        Raises:
-            InputError: the variable does not exist, or was not requested.
-        """
-        if key not in self.covariances:
-            count = plural(len(self.covariances), "variable")
-            raise InputError(f"key: expected the key of one of {count}, found {brief(key)}")
-        return self.covariances[key]
-
-    def relative(self, key_a: Key, key_b: Key) -> _Floats:
-        """Return the covariance of a relative variable.
-
-        Raises:
-            InputError: the pair was not requested.
-        """
-        pair = (key_a, key_b)
-        if pair not in self.relative_covariances:
-            raise InputError(
-                f"relative: expected a pair of {[*self.relative_covariances]}, found {brief(pair)}"
-            )
-        return self.relative_covariances[pair]
-
-    def _arrays(self) -> dict[str, Any]:
-        """Return ``keys`` as text, ``covariance_<position>``, ``relative_keys`` and so on."""
-        arrays: dict[str, Any] = {
-            "keys": np.array([str(key) for key in self.covariances]),
-            "relative_keys": np.array(
-                [[str(a), str(b)] for a, b in self.relative_covariances]
-            ).reshape(-1, 2),
-        }
-        for name, blocks in (
-            ("covariance", self.covariances),
-            ("relative_covariance", self.relative_covariances),
-            ("cross_covariance", self.cross_covariances),
-        ):
-            arrays |= {f"{name}_{k}": block for k, block in enumerate(blocks.values())}
-        for name in ("sigma0", "dof", "gauge", "scale", "notes"):
-            arrays[name] = np.asarray(getattr(self, name))
-        return arrays
-
-    def _display(self) -> Display:
-        facts = (
-            ("of", plural(len(self.covariances), "variable")),
-            ("gauge", self.gauge),
-            ("scale", self.scale),
-            ("sigma0", f"{number(self.sigma0)} ({plural(self.dof, 'degree')} of freedom)"),
-        )
-        return Display(title="FactorGraphCovariance", facts=facts)
-
-
 def rows_of(ids: _Ids, pairs: Iterable[Any], noun: str) -> list[tuple[int, int]]:
     """Return pairs of ids as pairs of positions; refuse unknown ids."""
     place = {key: row for row, key in enumerate(ids.tolist())}
@@ -358,3 +275,96 @@ def rows_of(ids: _Ids, pairs: Iterable[Any], noun: str) -> list[tuple[int, int]]
 
 def _is_id(value: object) -> bool:
     return isinstance(value, int | np.integer) and not isinstance(value, bool)
+
+
+# Certainty of a reconstruction, as pages and figures show it.
+#
+# A pose is R, t with x = R X + t; its covariance counts in w and s of R' = Exp(w) R, t' = t + s.
+# The centre of the camera is c = -R^T t, hence to first order dc = R^T (w x t) - R^T s, and its
+# covariance is J C J^T with J = [-R^T [t]x, -R^T].
+
+
+@dataclass(frozen=True, eq=False)
+class Certainty:
+    """Covariance of a problem by index, of the blocks that it has.
+
+    Attributes:
+        problem: the problem.
+        covariance: its covariance.
+    """
+
+    problem: Problem
+    covariance: Covariance
+
+    @cached_property
+    def images(self) -> _Ids:
+        """Indices (n,) of the images with a covariance."""
+        return _indices(self.problem.image_ids, self.covariance.pose_ids)
+
+    @cached_property
+    def centers(self) -> _Floats:
+        """Covariances (n, 3, 3) of their centres [length unit squared]."""
+        poses = self.problem.cam_from_world[self.images]
+        back = np.swapaxes(rotation_matrices(poses[:, :4]), 1, 2)
+        jacobian = -np.concatenate([back @ cross_matrices(poses[:, 4:]), back], axis=2)
+        found: _Floats = jacobian @ self.covariance.pose_covariance @ np.swapaxes(jacobian, 1, 2)
+        return found
+
+    @property
+    def position_sigmas(self) -> _Floats:
+        """Standard deviation (n,) of each centre in its worst direction [length unit]."""
+        sigmas: _Floats = np.sqrt(largest_eigenvalues(self.centers))
+        return sigmas
+
+    @property
+    def angles(self) -> _Floats:
+        """Standard deviation (n,) of each rotation about its least certain axis [degrees]."""
+        turns = self.covariance.pose_covariance[:, :3, :3]
+        return np.asarray(np.rad2deg(np.sqrt(largest_eigenvalues(turns))))
+
+    @cached_property
+    def points(self) -> _Ids:
+        """Indices (m,) of the points with a covariance."""
+        return _indices(self.problem.point_ids, self.covariance.point_ids)
+
+    @property
+    def point_sigmas(self) -> _Floats:
+        """Standard deviation (m,) of each point in its worst direction [length unit]."""
+        sigmas: _Floats = np.sqrt(largest_eigenvalues(self.covariance.point_covariance))
+        return sigmas
+
+    @cached_property
+    def cameras(self) -> dict[int, _Floats]:
+        """Covariance (k, k) of the parameters by camera index; NaN for constant parameters."""
+        rows = _indices(self.problem.camera_ids, self.covariance.camera_ids).tolist()
+        return dict(zip(rows, self.covariance.camera_covariance, strict=True))
+
+    def correlations(self, camera: int) -> tuple[_Ids, _Floats]:
+        """Return the indices of a camera's refined parameters, and their correlation matrix."""
+        covariance = self.cameras[camera]
+        free = np.flatnonzero(np.diag(covariance) > 0)
+        sigma = np.sqrt(np.diag(covariance)[free])
+        return free, covariance[np.ix_(free, free)] / np.outer(sigma, sigma)
+
+    def sigmas(self, camera: int) -> _Floats:
+        """Return standard deviations of the parameters of a camera, NaN for constant ones."""
+        variance = np.diag(self.cameras[camera]).copy()
+        variance[~(variance > 0)] = np.nan
+        sigma: _Floats = np.sqrt(variance)
+        return sigma
+
+
+def largest_eigenvalues(covariance: _Floats) -> _Floats:
+    """Return the largest eigenvalue of each matrix; NaN for matrices that are not finite."""
+    known = np.isfinite(covariance).all(axis=(1, 2))
+    values = np.full(len(covariance), np.nan)
+    if known.any():
+        values[known] = np.linalg.eigvalsh(covariance[known])[:, -1]
+    result: _Floats = np.maximum(values, 0.0)
+    return result
+
+
+def _indices(ids: _Ids, wanted: _Ids) -> _Ids:
+    order = np.argsort(ids, kind="stable")
+    wanted = np.asarray(wanted, np.int64)
+    return order[np.searchsorted(ids, wanted, sorter=order)] if len(wanted) else wanted

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
+from bundle.analysis.uncertainty.covariance_result import Certainty
 from bundle.base.arrays import check_type
 from bundle.errors import InputError
 from bundle.figures import lens_figures, placement_figures, residual_figures
-from bundle.figures.certainty import Certainty, correlation_figure
 from bundle.figures.cost_figures import (
     bar_figure,
     breakdown_figure,
@@ -19,7 +19,7 @@ from bundle.figures.cost_figures import (
     profile_figure,
     time_figure,
 )
-from bundle.figures.lens_figures import LensCurve
+from bundle.figures.lens_figures import LensCurve, correlation_figure
 from bundle.figures.marks import Figure
 from bundle.figures.matplotlib.draw import COLOURS, draw
 from bundle.figures.placement_figures import Placement

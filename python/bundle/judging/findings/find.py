@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -37,10 +37,6 @@ from bundle.judging.findings.wrong_attitudes import wrong_attitudes
 from bundle.model.cameras import camera_models
 from bundle.model.problem import Problem
 
-if TYPE_CHECKING:
-    from bundle.analysis.uncertainty.covariance_result import Covariance
-    from bundle.georeference.point_check import SurveyChecks
-
 IMPORTANCE = (
     *("shifted_pixels", "not_refined", "outliers", "lens_model", "weak_joint"),
     *("undetermined_intrinsics", "motion"),
@@ -59,17 +55,12 @@ def find(
     target: str = "OUTPUT",
     given: Sequence[str] = (),
     options: SolveOptions | None = None,
-    covariance: Covariance | None = None,
-    priors: Sequence[Any] = (),
-    survey: SurveyChecks | None = None,
-    constraints: Any = (),
-    is_minimum: bool = False,
+    **known: Any,
 ) -> tuple[Finding, ...]:
     """Return what a user should know about a model and do next.
 
-    Measured and NextCommand explain the arguments. None as options means the defaults; None as
-    covariance means that it is computed here if that takes milliseconds. Measured positions and
-    attitudes are in the frame of the problem.
+    Measured and NextCommand explain the arguments; lens_sigmas are computed here if they are None
+    and take milliseconds. Measured positions and attitudes are in the frame of the problem.
     """
     used = {problem.camera_models[camera] for camera in set(problem.image_camera.tolist())}
     if not problem.num_observations or not used <= camera_models().keys():
@@ -78,11 +69,7 @@ def find(
         whole=problem,
         command=NextCommand(source, target, given),
         options=SolveOptions() if options is None else options,
-        covariance=covariance,
-        priors=priors,
-        survey=survey,
-        constraints=constraints,
-        is_minimum=is_minimum,
+        **known,
     )
     found = [finding for finding in _findings(measured) if finding is not None]
     return tuple(sorted(found, key=lambda finding: IMPORTANCE.index(finding.kind)))

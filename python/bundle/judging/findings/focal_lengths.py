@@ -34,14 +34,13 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.analysis.uncertainty.compute_covariance import newton_step
 from bundle.base.arrays import distinct, median
 from bundle.base.records import dataclass
 from bundle.base.tails import chi2_tail
 from bundle.base.words import named, noun, number, plural
 from bundle.errors import InputError
 from bundle.interface.finding import Finding
-from bundle.judging.findings.measured import Measured
+from bundle.judging.findings.measured import Measured, newton_step
 from bundle.model.cameras import camera_models, param_kinds
 from bundle.model.problem import Problem
 
@@ -279,16 +278,15 @@ def _trend(group: FocalLengths) -> tuple[float, float]:
 
 def focal_lengths(measured: Measured) -> Iterator[FocalLengths]:
     """Yield the groups of cameras with a covariance, the largest first."""
-    known = measured.known_covariance
-    if known is None:
+    if measured.known_lens_sigmas is None:
         return
+    known, sigma0 = measured.known_lens_sigmas
     problem = measured.whole
     used = distinct(problem.image_camera[distinct(problem.observation_image)])
     groups: dict[tuple[str, int, int], list[int]] = {}
     for camera in used.tolist():
         width, height = problem.camera_sizes[camera].tolist()
         groups.setdefault((problem.camera_models[camera], width, height), []).append(camera)
-    variances = np.einsum("nii->ni", known.camera_covariance)
     first = np.full(problem.num_cameras, problem.num_images)
     np.minimum.at(first, problem.image_camera, np.argsort(np.argsort(problem.image_ids)))
     for (model, _, _), cameras in sorted(groups.items(), key=lambda item: -len(item[1])):
@@ -296,8 +294,7 @@ def focal_lengths(measured: Measured) -> Iterator[FocalLengths]:
         focal = [k for k, kind in enumerate(kinds) if kind == "focal"]
         rows = np.array(cameras)[np.argsort(first[cameras], kind="stable")]
         values = problem.camera_params[rows]
-        with np.errstate(invalid="ignore"):
-            sigmas = np.sqrt(variances[rows][:, : len(kinds)])
+        sigmas = known[rows][:, : len(kinds)]
         if not focal or not (sigmas[:, focal] > 0).all():
             continue
         extra = [
@@ -310,7 +307,7 @@ def focal_lengths(measured: Measured) -> Iterator[FocalLengths]:
             focal=values[:, focal].mean(axis=1),
             sigma=sigmas[:, focal].mean(axis=1),
             distortion=max(extra, default=0.0),
-            inlier_factor=min(measured.scale / known.sigma0, 1.0) if known.sigma0 > 0 else 1.0,
+            inlier_factor=min(measured.scale / sigma0, 1.0) if sigma0 > 0 else 1.0,
             order=np.linspace(-1.0, 1.0, len(rows)) if len(rows) > 1 else np.zeros(1),
             is_covered=len(groups) == 1,
         )

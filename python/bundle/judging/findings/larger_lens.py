@@ -34,7 +34,6 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.analysis.uncertainty.compute_covariance import newton_step
 from bundle.base.arrays import distinct
 from bundle.base.tails import chi2_tail
 from bundle.base.words import named, number, plural
@@ -42,7 +41,7 @@ from bundle.errors import InputError
 from bundle.interface.finding import Finding
 from bundle.interface.options import SolveOptions
 from bundle.judging.findings.lens_terms import larger_models
-from bundle.judging.findings.measured import SMALLEST_SCALE, Measured
+from bundle.judging.findings.measured import SMALLEST_SCALE, Measured, newton_step
 from bundle.model.cameras import camera_models
 from bundle.model.lenses.exact_image import exact_params
 from bundle.model.problem import Problem

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+import bundle._core as _core
 from bundle.base.arrays import median
 from bundle.base.records import dataclass
 from bundle.interface.options import SolveOptions
@@ -27,7 +28,6 @@ from bundle.model.reprojection import Residuals, residuals
 from bundle.model.rigid_motions import quaternion_rotate
 
 if TYPE_CHECKING:
-    from bundle.analysis.uncertainty.covariance_result import Covariance
     from bundle.georeference.point_check import SurveyChecks
 
 RAYLEIGH_MEDIAN = 1.1774100225154747
@@ -56,7 +56,7 @@ class Measured:
         whole: the model.
         command: maker of command lines.
         options: options of the solve that made the model; the defaults if unknown.
-        covariance: covariance of intrinsics with scale "sigma0", or None.
+        lens_sigmas: :attr:`bundle.Covariance.lens_sigmas` of the model, or None.
         priors: measured positions of images.
         survey: tests of control points and positions after the solve, or None.
         constraints: rules of the solve.
@@ -66,7 +66,7 @@ class Measured:
     whole: Problem
     command: NextCommand
     options: SolveOptions = field(default_factory=SolveOptions)
-    covariance: Covariance | None = None
+    lens_sigmas: tuple[NDArray[np.float64], float] | None = None
     priors: Sequence[Any] = ()
     survey: SurveyChecks | None = None
     constraints: Any = ()
@@ -149,23 +149,23 @@ class Measured:
         return ~spoiled[point]
 
     @cached_property
-    def known_covariance(self) -> Covariance | None:
-        """The covariance of the intrinsics, computed if it is not given and takes milliseconds."""
+    def known_lens_sigmas(self) -> tuple[NDArray[np.float64], float] | None:
+        """Sigmas of the intrinsics and sigma0, computed here if that takes milliseconds."""
         whole = self.whole
         work = whole.num_observations + 20 * whole.num_images**2
-        if self.covariance is not None or work > CHEAP_COVARIANCE:
-            return self.covariance
+        if self.lens_sigmas is not None or work > CHEAP_COVARIANCE:
+            return self.lens_sigmas
         if "focal" not in self.options.refine or (
             len(set(whole.image_camera.tolist())) < 2
             and (self._predicted_focal_sigma() < SURE_FOCAL_SIGMA)
         ):
             return None
-        from bundle.analysis.uncertainty.compute_covariance import intrinsics_covariance
+        from bundle.analysis.uncertainty.covariance_by_input import intrinsics_covariance
         from bundle.errors import InputError
 
         try:
             options = self.options.replace(num_threads=1)
-            return intrinsics_covariance(whole, options, self.constraints)
+            return intrinsics_covariance(whole, options, self.constraints).lens_sigmas
         except InputError:
             return None
 
@@ -214,3 +214,33 @@ def median_by_group(
 
 def _scale(median: float) -> float:
     return max(median / RAYLEIGH_MEDIAN, SMALLEST_SCALE)
+
+
+def newton_step(
+    problem: Problem,
+    options: SolveOptions,
+    functions: NDArray[np.float64] | None = None,
+    *,
+    of_poses: bool = False,
+) -> dict[str, Any]:
+    """Return the Newton step of the observations alone, with all refined variables free.
+
+    Keys, with the weights of the loss: "steps" (num_images, 6) of the poses as (w, t), the cost's
+    "predicted_decrease", "weighted_squares", "num_residuals", "num_parameters", "gauge_degrees".
+    ``functions``: (m, num_images, 6 + width) linear functions of the pose (w, t) and of the camera
+    parameters of each image; "functions" (m, m) is their covariance in the inner gauge.
+    ``of_poses``: True for "poses" (num_images, 6, 6), their covariances in this gauge.
+    """
+    return _core.covariance(
+        problem,
+        options.replace(gauge="none", num_threads=1).asdict(),
+        None,
+        None,
+        inner=True,
+        sandwich=False,
+        of_points=False,
+        relative=[],
+        long_sums=False,
+        of_images=of_poses,
+        functions=np.zeros(0) if functions is None else functions,
+    )

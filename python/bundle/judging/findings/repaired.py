@@ -94,7 +94,7 @@ def repaired(
         whole=result.problem,
         command=measured.command.after(*(flags or ("--loss", "cauchy"))),
         options=options,
-        covariance=None,
+        lens_sigmas=None,
         priors=priors,
         is_minimum=True,
     )

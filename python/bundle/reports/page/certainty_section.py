@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.analysis.uncertainty.covariance_result import Certainty
 from bundle.base.words import number, plural
-from bundle.figures.certainty import Certainty, correlation_figure, largest_eigenvalues
-from bundle.figures.lens_figures import distance_figure, sigma_figure, top_sigma
+from bundle.figures.lens_figures import correlation_figure, distance_figure, sigma_figure, top_sigma
 from bundle.figures.marks import round_down
 from bundle.figures.projection_uncertainty import ProjectionUncertainty
 from bundle.figures.scene_view import SceneView
@@ -31,27 +31,27 @@ def certainty_sections(
     projections: Sequence[ProjectionUncertainty],
 ) -> list[Section]:
     """Return the sigmas of poses and points, the uncertainty of projections, and correlations."""
-    scaled = "times" if known.scale == "sigma0" else "not times"
+    given = known.covariance
+    scaled = "times" if given.scale == "sigma0" else "not times"
     words = (
-        f"Marginal standard deviations, {scaled} sigma0 = {number(known.sigma0)} "
-        f"({known.dof:,} degrees of freedom); gauge: {known.gauge.replace('_', ' ')}."
+        f"Marginal standard deviations, {scaled} sigma0 = {number(given.sigma0)} "
+        f"({given.dof:,} degrees of freedom); gauge: {given.gauge.replace('_', ' ')}."
     )
-    if known.num_null_points:
-        count = plural(known.num_null_points, "point", grouped=True)
+    if num_null := len(given.null_point_ids):
+        count = plural(num_null, "point", grouped=True)
         words += f" {count} without parallax: the unobservable direction is left out."
     rows = [
         _row("position of a camera, worst direction [length unit]", known.position_sigmas),
         _row("rotation of a camera, worst axis [degrees]", known.angles),
-        _row("point, worst direction [length unit]",
-             np.sqrt(largest_eigenvalues(known.point_covariance))),
-    ]  # fmt: skip
+        _row("point, worst direction [length unit]", known.point_sigmas),
+    ]
     head = ["standard deviation", "count", "median", "95th percentile", "largest"]
     table = Table.of(head, [row for row in rows if row])
     made = (correlation_figure(problem, known, k) for k in cameras if k in known.cameras)
     correlations = [figure for figure in made if figure is not None]
     first, *rest = [
         Section(
-            title="Certainty", text=[words], notes=known.notes, is_warning=True,
+            title="Certainty", text=[words], notes=given.notes, is_warning=True,
             tables=[table] if table.rows else [],
         ),
         *projection_sections(projections),
@@ -66,7 +66,7 @@ def scene_ellipsoids(view: SceneView, known: Certainty) -> tuple[dict[str, Any],
     """Return the one-sigma ellipsoids of a view and a sentence about their scale."""
     data, words = {}, []
     for name, drawn, positions, indices, covariance in (
-        ("point", view.point_indices, view.points, known.points, known.point_covariance),
+        ("point", view.point_indices, view.points, known.points, known.covariance.point_covariance),
         ("camera", view.image_indices, view.centers, known.images, known.centers),
     ):
         _, there, here = np.intersect1d(drawn, indices, return_indices=True)

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.analysis.statistics.description import Description
-from bundle.analysis.uncertainty.covariance_result import Covariance
 from bundle.base.words import contents, number, pixels, plural, seconds
 from bundle.figures import structure_figures
 from bundle.figures.cost_figures import iteration_figure
@@ -340,16 +339,15 @@ def _single(curve: LensCurve, before: LensCurve | None) -> Figure:
 
 
 def shutter_section(
-    problem: Problem, result: Result | None, covariance: Covariance | None
+    problem: Problem, result: Result | None, sigmas: dict[int, float]
 ) -> list[Section]:
     """Return the rolling shutters of a problem, or of a solve; empty without any.
 
-    The covariance has the sigmas of refined readouts.
+    ``sigmas`` are those of refined readouts, by camera id.
     """
     facts = shutter_fact(problem)
     if not facts:
         return []
-    sigmas = {} if covariance is None else covariance.readout_sigmas
     words = [] if result is None else solved_sentences(result, sigmas)
     return [
         Section(
@@ -366,9 +364,9 @@ def shutter_section(
 
 
 def shutter_data(
-    problem: Problem, result: Result | None, covariance: Covariance | None
+    problem: Problem, result: Result | None, sigmas: dict[int, float]
 ) -> dict[str, Any]:
     """Return the same for programs; empty without rolling shutters."""
     if result is None or not about_shutter(problem):
         return about_shutter(problem)
-    return solved_data(result, {} if covariance is None else covariance.readout_sigmas)
+    return solved_data(result, sigmas)

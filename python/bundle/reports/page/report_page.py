@@ -12,11 +12,10 @@ import numpy as np
 
 from bundle.analysis.statistics.description import Description, describe
 from bundle.analysis.uncertainty.covariance_by_input import covariance as compute_covariance
-from bundle.analysis.uncertainty.covariance_result import Covariance
+from bundle.analysis.uncertainty.covariance_result import Certainty, Covariance
 from bundle.base.arrays import check_type
 from bundle.base.paths import as_path, is_path
 from bundle.errors import InputError, shown
-from bundle.figures.certainty import Certainty, certainty, largest_eigenvalues
 from bundle.figures.lens_figures import lens_curves, most_observed_cameras
 from bundle.figures.placement_figures import Placement, placement
 from bundle.figures.projection_uncertainty import projection_uncertainty
@@ -163,7 +162,11 @@ class _Page:
         self.no_certainty = ""
         self.priors: tuple[Prior, ...] = ()
         self.measured: Sequence[MeasurementErrors] = ()
-        self.covariance: Covariance | None = None
+
+    @property
+    def readout_sigmas(self) -> dict[int, float]:
+        """Standard deviation of each refined readout, by camera id."""
+        return {} if self.known is None else self.known.covariance.readout_sigmas
 
     def write(
         self,
@@ -188,7 +191,7 @@ class _Page:
         self.notes += photographs.notes
         findings = report_findings(
             problem, result, description.suspicions, findings, source=self.name or "INPUT",
-            covariance=self.covariance, no_covariance=self.no_certainty, priors=self.priors,
+            known=self.known, no_covariance=self.no_certainty, priors=self.priors,
         )  # fmt: skip
         judged = verdicts(
             Judged(
@@ -203,12 +206,12 @@ class _Page:
         rows = rows_of_sets(sets)
         observed = len(np.unique(problem.image_camera[problem.observation_image]))
         self.data["rows"] = rows
-        self.data |= shutter_data(problem, result, self.covariance)
+        self.data |= shutter_data(problem, result, self.readout_sigmas)
         sections = [
             *self._residuals(sets, found, description),
             *(field_sections(planes, observed, rows) if planes else []),
             *(worst_section(images, photographs) if images else []),
-            *shutter_section(problem, result, self.covariance),
+            *shutter_section(problem, result, self.readout_sigmas),
             *self._lenses(),
             *self._certainty(found),
             structure_section(description, tracks, graph),
@@ -303,7 +306,7 @@ class _Page:
         words = ""
         if self.known is not None:
             sigma = np.full(problem.num_points, np.nan)
-            sigma[self.known.points] = np.sqrt(largest_eigenvalues(self.known.point_covariance))
+            sigma[self.known.points] = self.known.point_sigmas
             sigma = sigma[view.point_indices]
             unit = "m" if self.place is not None else "length units"
             shades.append(Shades("sigma", sigma, (0.0, upper_limit(sigma)), unit))
@@ -328,18 +331,18 @@ class _Page:
                     f"No covariance: {str(error).removeprefix('problem: ').rstrip('.')}."
                 )
                 self.notes.append(self.no_certainty)
-        self.covariance = given
-        return None if given is None else certainty(self.problem, given)
+        return None if given is None else Certainty(self.problem, given)
 
     def _certainty(self, found: Residuals) -> list[Section]:
         if self.known is None:
             return []
         cameras, known = most_observed_cameras(self.problem), self.known
         options = SolveOptions() if self.result is None else self.result.options
+        used = known.covariance
         made = (
             projection_uncertainty(
                 self.problem, index, known.cameras[index], found=found,
-                sigma=known.sigma0 if known.scale == "sigma0" else 1.0,
+                sigma=used.sigma0 if used.scale == "sigma0" else 1.0,
                 loss=options.loss, loss_scale=options.loss_scale,
             )
             for index in cameras
@@ -358,7 +361,7 @@ def report_findings(
     given: Iterable[Finding] | None,
     *,
     source: str,
-    covariance: Covariance | None,
+    known: Certainty | None,
     no_covariance: str = "",
     priors: Sequence[Any] = (),
 ) -> tuple[Finding, ...]:
@@ -376,13 +379,12 @@ def report_findings(
     undetermined = [singular] if no_covariance else []
     warnings = () if result is None else dict.fromkeys(result.summary.warnings)
     told = [Finding(kind="warning", sentence=words) for words in warnings]
-    usable = covariance is not None and covariance.scale == "sigma0"
     if given is None:
         given = find(
             problem,
             source=source,
             options=None if result is None else result.options,
-            covariance=covariance if usable else None,
+            lens_sigmas=None if known is None else known.covariance.lens_sigmas,
             priors=priors,
             is_minimum=result is not None and result.summary.termination_type == "CONVERGENCE",
         )

@@ -25,10 +25,10 @@ from html import escape
 import numpy as np
 
 from bundle.analysis.statistics.description import Description
+from bundle.analysis.uncertainty.covariance_result import Certainty
 from bundle.base.records import dataclass
 from bundle.base.words import plural
 from bundle.errors import shown
-from bundle.figures.certainty import Certainty
 from bundle.figures.marks import short
 from bundle.figures.placement_figures import Placement
 from bundle.figures.residual_field import ResidualField
