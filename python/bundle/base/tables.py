@@ -215,7 +215,7 @@ class Columns:
 
 
 def _shrunk(widths: Mapping[int, int], limit: int) -> Mapping[int, int]:
-    """Return widths that fit: a long key and a long column together can exceed the limit."""
+    """Return narrower widths if a long key and a long column together exceed the limit."""
     excess = sum(widths.values()) + GUTTER * (len(widths) - 1) - limit
     shrunk = dict(widths)
     while excess > 0:

@@ -148,7 +148,7 @@ class Vectors:
 
 @dataclass(frozen=True, eq=False)
 class Dots:
-    """Dots at (n, 2) points, with names that the mouse pointer shows.
+    """Dots at (n, 2) points, with their names as tooltips.
 
     Names are written beside the dots where there is room if ``is_labelled``. The directions of (n,
     2) vectors select the colours in place of ``colours``. The radius counts a chart as 480 wide.

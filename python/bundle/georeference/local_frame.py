@@ -61,9 +61,9 @@ class LocalFrame:
     def about(geodetic: ArrayLike) -> LocalFrame:
         """Return the frame about the middle of some places.
 
-        The median of their normals on the ellipsoid follows the majority if some places are wrong
-        by continents, and works at the date line and at the poles. The height is the median of the
-        known heights; without any, the origin is on the ellipsoid.
+        The origin is the componentwise median of the ellipsoid normals of the places. It is robust
+        against a minority of gross errors, and is also valid at the date line and at the poles. The
+        height is the median of the known heights; if none is known, the origin is on the ellipsoid.
 
         Args:
             geodetic: (n, 3) latitude, longitude [degrees], height [m] or nan; n at least 1.

@@ -71,7 +71,7 @@ class MeasurementErrors:
     """Errors of a result at the measurements of a reader, for all reports."""
 
     is_place = False
-    """True if the errors also say where on the earth the model is; pages have figures of those."""
+    """True if the errors also locate the model on the earth; pages have figures of such errors."""
 
     @property
     def entries(self) -> dict[str, Any]:

@@ -128,7 +128,7 @@ class CompareOptions(Options):
         "memory beyond the loaded problem above which a solve is stopped, such as 500MB; 1 MB is "
         "1,000,000 bytes",
         metavar="SIZE",
-        unset=f"{100 * SHARE_OF_FREE_MEMORY:g} % of what is free at the start",
+        unset=f"{100 * SHARE_OF_FREE_MEMORY:g} % of the memory that is free at the start",
     )
 
     perturb: float = option(

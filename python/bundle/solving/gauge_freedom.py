@@ -13,9 +13,9 @@ moves with its frame and its sensor:
 
     phi = R_s phi_f + phi_s,    tau = R_s tau_f + phi_s x (R_s t_f) + tau_s.
 
-For the images of a frame this is M_f u_f = D d - M_s u_s. A constant frame has no u_f. Let P be the
-projection onto the complement of the range of M_f. The possible (d, u_s) are the null space of
-these rows:
+For the images of a frame these equations are M_f u_f = D d - M_s u_s. A constant frame has no u_f.
+Let P be the projection onto the complement of the range of M_f. The possible (d, u_s) are the null
+space of these rows:
 
     P [D, -M_s]           for every frame,
     a + b x X + s X = 0   for every constant point X,

@@ -40,7 +40,10 @@ class PlacedProblem(NamedTuple):
 
     @property
     def offset(self) -> PositionOffset | None:
-        """Offset of measured positions, whose pose is the last image."""
+        """Common offset of the measured positions, if it is estimated.
+
+        It is stored as the pose of the last image.
+        """
         return next((one.offset for one in self.groups if one.offset is not None), None)
 
     @property

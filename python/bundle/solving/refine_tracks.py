@@ -460,7 +460,7 @@ def _with_held_out(
 
 
 def _without(matches: DatabaseMatches, problem: Problem, held: _Mask) -> DatabaseMatches:
-    """Return the matches without those of held-out keypoints, and of others at their places."""
+    """Return the matches without held-out keypoints and others at the same pixel."""
     codes = _codes(problem)[held]
     gone = []
     for row, xy in enumerate(matches.keypoints):

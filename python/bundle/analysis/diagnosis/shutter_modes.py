@@ -13,9 +13,10 @@ their distance. Where all images are flat, the weak directions of a long road re
 below 5e-5 count; the next are above 2e-4. Eigenvalues below 1e-11 are zero; if they contain 0.7 of
 a direction of an image, it is named for any scene.
 
-The spectrum is that at the fixed point. The residual of an observation is pi(x) - z with
-x = Exp(s m) T X at the time s that solves s = pi_y(x) / height - 1/2. For changes (w, u) of the
-pose in the frame of the camera, Exp(w, u) T, d of the twist, and p of the point,
+The eigenvalues are computed with the row time s as a function of the parameters (the solution of
+s = pi_y(x) / height - 1/2), not with s fixed at the observed row. The residual of an observation is
+pi(x) - z with x = Exp(s m) T X. For changes (w, u) of the pose in the frame of the camera,
+Exp(w, u) T, d of the twist, and p of the point,
 
     dx = R_s (w x x_0 + u) + (omega x x + v) + R_s R p,    (omega, v) = s J(s m) d,    x_0 = T X,
 

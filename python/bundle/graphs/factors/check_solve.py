@@ -221,7 +221,10 @@ def _candidate(
 
 
 def _dependent(output: Mapping[str, Any], graph: SolvedGraph, seconds: float) -> list[Key] | None:
-    """Return the variables of dependent columns at the end; None if not computed."""
+    """Return the variables whose Jacobian columns are linearly dependent at the solution.
+
+    None if not computed.
+    """
     if graph.conditioning is not None and not graph.conditioning[3]:
         return []
     is_costly = graph.conditioning is None and (

@@ -341,7 +341,7 @@ def certified(
 
 
 def _lower_poses(certificate: Certificate) -> tuple[PoseGraph | None, str, str]:
-    """Return poses below the solution, their name and their origin; None without such poses."""
+    """Return poses of lower cost than the solution, their name and their origin, if any."""
     stairs = certificate.staircase
     if stairs is not None and stairs.cost < (1 - LOWER) * certificate.cost:
         return (

@@ -166,7 +166,7 @@ def find_doubt(
 ) -> str:
     """Return evidence of wrong edges after a solve with all edges; "" without any.
 
-    ``doubted``: (m,) True for edges that may be wrong. ``chi2``: (m,) at these poses.
+    ``doubted``: (m,) True for edges that may be wrong. ``chi2``: (m,) after this solve.
 
     Returns:
         Words that follow "without a loss".

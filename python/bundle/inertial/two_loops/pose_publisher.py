@@ -1,4 +1,7 @@
-"""Poses at the IMU rate: the latest solution, propagated, and composed corrections.
+"""Publisher of poses at the IMU rate.
+
+The latest window solution is propagated by the IMU samples, and the corrections of the graph are
+composed.
 
 A window's solution is the state at an earlier frame. The publisher goes back to this frame and
 replays the samples since then, by the steps of :func:`bundle.propagate`. A sample holds until the

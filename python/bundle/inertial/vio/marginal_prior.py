@@ -13,7 +13,7 @@ between frames T seconds apart. The Jacobian is the direction of each velocity. 
 gravity moves a velocity by g x v, which is perpendicular to it: yaw stays free if the direction is
 evaluated at the same linearization point as the other Jacobians. Before a solve, this point is
 known only for frames with a first estimate, those in the window's prior. The newest frames are
-included once they have one.
+included once they have a first estimate.
 
 The assumption is wrong for a platform that brakes gently and evenly: 0.3 m/s^2 changes |a| by only
 0.005 m/s^2. It is therefore optional, and sigma sets its weight.

@@ -77,7 +77,7 @@ def refuse_fatal(findings: Iterable[SequenceFinding]) -> None:
 def read_sequence(
     path: str | os.PathLike[str],
 ) -> tuple[Sequence, tuple[SequenceFinding, ...]]:
-    """Read a sequence folder, or the CSV file of GTSAM's examples; return its findings too.
+    """Return a sequence and its findings, from a folder or the CSV file of GTSAM's examples.
 
     Raises:
         InputError: as for :func:`load_sequence`, but not for gaps.

@@ -129,8 +129,10 @@ def _notes(two: Difference, found: dict[str, TriageCause]) -> tuple[str, ...]:
         said.append(f"Threads differ without effect: {threads[0]} -> {threads[1]}.")
     if two.has_other_host and "machine" not in found:
         ratio = two.ratio("seconds")
-        times = "" if ratio is None else f", time {number(ratio)} times as long"
-        said.append(f"Another processor solved{times}.")
+        times = (
+            "" if ratio is None else f", and its time is {number(ratio)} times that of the old one"
+        )
+        said.append(f"The new solve ran on another processor{times}.")
     differs = [part for part in ("structure", "measurements", "start") if two.differs(part)]
     if differs and "data" not in found:
         said.append(f"The input differs without effect: {', '.join(differs)}.")

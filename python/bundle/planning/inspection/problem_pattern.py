@@ -174,7 +174,10 @@ class ProblemPattern:
         return self.num_camera_columns + 3 * self.num_free_points
 
     def without_system(self) -> ProblemPattern:
-        """Return the pattern if S is not formed: its diagonal blocks, and no pairs of images."""
+        """Return the pattern for a solver that does not form S.
+
+        It has only the diagonal blocks of S, without pairs of images.
+        """
         blocks = len(self.reduced.sizes)
         plan = replace(
             self.plan,

@@ -259,7 +259,8 @@ def _rest(rest: RestRecord) -> list[tuple[str, str]]:
     if rest.gauge_degrees == 0:
         return [("", prior)]
     degrees = plural(rest.gauge_degrees, "degree")
-    return [("", prior), ("gauge", f"mean of the neighbours constant, {degrees} of freedom")]
+    held = f"{degrees} of freedom, fixed by keeping the neighbouring images in place on average"
+    return [("", prior), ("gauge", held)]
 
 
 def _edits(solved: Result) -> list[dict[str, Any]]:

@@ -330,7 +330,10 @@ def tracking_section(sequence: Sequence, tracking: Tracking) -> Section:
             f"of {check.num_pairs} image pairs)"
         )
         if math.isfinite(check.angle_sigma):
-            agreement += f"; camera_from_imu is within {number(check.angle)} degrees"
+            agreement += (
+                f"; the rotation of camera_from_imu differs by {number(check.angle)} degrees from "
+                "that of the tracks"
+            )
     noise = calibration.noise
     return Section(
         facts=[

@@ -84,9 +84,9 @@ def solve_rounds(
         min_track_length: as in :func:`bundle.filter_observations`, in observations.
         only_images: refine only these images, the points that they see and their cameras. All else
             is constant and stays equal bit for bit. Ids and names, such as ``"1,5-9,left/*.jpg"``
-            or ``[1, 5, "left/*.jpg"]``. Only these points, with all their observations, go to the
-            solver and the filter. A camera that also took other images is refined, too, unless it
-            is in ``fixed_camera_ids`` (``part`` of the result names it).
+            or ``[1, 5, "left/*.jpg"]``. Only the points that these images see go to the solver and
+            the filter, with all their observations. A camera that also took other images is
+            refined, too, unless it is in ``fixed_camera_ids`` (``part`` of the result names it).
         rest: treatment of all else with ``only_images``. "fixed": other images that see one of
             these points (the neighbours) take part and are constant. "marginal": the neighbours and
             their cameras move, under the exact marginal prior of the rest, linearized at its
