@@ -15,8 +15,8 @@ from bundle.analysis.statistics.description import Description as Description
 from bundle.analysis.statistics.description import describe as describe
 from bundle.analysis.uncertainty.covariance_by_input import covariance as covariance
 from bundle.analysis.uncertainty.covariance_result import Covariance as Covariance
-from bundle.analysis.uncertainty.graph_covariance import FactorGraphCovariance as FactorGraphCovariance
 from bundle.analysis.uncertainty.covariance_result import GraphCovariance as GraphCovariance
+from bundle.analysis.uncertainty.graph_covariance import FactorGraphCovariance as FactorGraphCovariance
 from bundle.base.paths import get_include as get_include
 from bundle.checking.gradient_report import GradientReport as GradientReport
 from bundle.editing.camera_sharing import share_cameras as share_cameras

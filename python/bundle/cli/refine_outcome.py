@@ -60,6 +60,8 @@ def judge(
         return about_imu
     priors = opened.known.priors
     if not solved.summary.is_solution_usable:
+        if any(one.is_problem for one in about_imu):  # the cause
+            return one_list(about_imu)
         start = Measured(
             whole=solved.initial_problem, command=command, options=solved.options, priors=priors
         )

@@ -61,6 +61,8 @@ def covariances(problem, rng):
         scale="sigma0",
         notes=("A note.",),
         null_point_ids=[7, 8],
+        lens_sigmas=None,
+        readout_sigmas={},
     )  # fmt: skip
 
 
