@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.arrays import distinct
 from bundle.base.optional_packages import require_pycolmap
 from bundle.base.own_process import log
 from bundle.base.records import dataclass
@@ -224,9 +225,7 @@ class AdjustedPart:
             free = np.where(_listed_sensors(problem, options), -1, np.arange(problem.num_sensors))
             sensor[framed] = free[problem.image_sensor[framed]]
         frames = self.frames[self.named & (moves | (sensor >= 0))]
-        # Sets: np.unique imports numpy.ma.
-        sensors = set(sensor[self.named & (sensor >= 0)].tolist())
-        poses = len(set(frames.tolist())) + len(sensors)
+        poses = len(distinct(frames)) + len(distinct(sensor[self.named & (sensor >= 0)]))
         params = sum(len(camera_models()[name]) for name in problem.camera_models)
         return {
             "num_residual_blocks": problem.num_observations,
