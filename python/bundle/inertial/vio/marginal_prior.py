@@ -126,11 +126,10 @@ class MarginalPrior:
         if self.square_root:
             values = self.spectrum(scaled=True)
         else:
-            diagonal = np.diag(self.matrix)
-            root = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
-            gauge = root[:, None] * self._gauge()
-            rest = np.eye(len(root)) - gauge @ np.linalg.pinv(gauge)
-            values = np.linalg.eigvalsh(rest @ (self.matrix / np.outer(root, root)) @ rest)
+            scale, scaled = _with_unit_diagonal(self.matrix)
+            gauge = self._gauge() / scale[:, None]
+            rest = np.eye(len(scale)) - gauge @ np.linalg.pinv(gauge)
+            values = np.linalg.eigvalsh(rest @ scaled @ rest)
         return float(values[0] / values[-1])
 
     def _gauge(self) -> Array:
@@ -162,9 +161,7 @@ class MarginalPrior:
         count = sum(SIZES[kind] for key, kind in self.keys if key == first)
         part = self.matrix[:, :count]
         block = part.T @ part if self.square_root else part[:count]
-        diagonal = np.diag(block)
-        scale = np.where(diagonal > 0, 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0)), 1.0)
-        values = np.linalg.eigvalsh(block * np.outer(scale, scale))
+        values = np.linalg.eigvalsh(_with_unit_diagonal(block)[1])
         return float(values[0] / values[-1])
 
     def relinearized(self, states: dict[int, Array]) -> MarginalPrior:
@@ -186,6 +183,13 @@ class MarginalPrior:
             return replace(self, points=points, vector=self.vector + moved)
         constant = self.constant + float(0.5 * d @ moved - self.vector @ d)
         return replace(self, points=points, vector=self.vector - moved, constant=constant)
+
+
+def _with_unit_diagonal(matrix: Array) -> tuple[Array, Array]:
+    """Return the scale of each coordinate and the scaled matrix; rows of zeros stay."""
+    diagonal = np.diag(matrix)
+    scale = np.where(diagonal > 0, 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0)), 1.0)
+    return scale, matrix * np.outer(scale, scale)
 
 
 def start_prior(
