@@ -38,6 +38,15 @@ def distinct(values: NDArray[Any]) -> NDArray[Any]:
     return np.unique(values, return_counts=True)[0]
 
 
+def rows_among(ids: NDArray[np.int64], among: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the position of each id in ``among``, -1 if it is absent."""
+    order = np.argsort(among, kind="stable")
+    found = np.searchsorted(among, ids, sorter=order)
+    rows = np.append(order, 0)[found]
+    known = (found < len(among)) & (np.append(among, 0)[rows] == ids)
+    return np.where(known, rows, -1)
+
+
 def median(values: NDArray[np.float64]) -> float:
     """Return the lower median; 0 without values. NumPy's median imports masked arrays for 6 ms."""
     middle = (len(values) - 1) // 2

@@ -31,7 +31,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.base.arrays import freeze
+from bundle.base.arrays import freeze, rows_among
 from bundle.base.optional_packages import require_pycolmap
 from bundle.base.paths import as_path
 from bundle.errors import InputError, shown
@@ -374,7 +374,7 @@ class _Rounds:
             from bundle.solving.constraints.ends import rule_ends  # few runs have rules
 
             ends = rule_ends(applied, self._first.placed.problem, end.problem)
-        rows = _rows_among(_codes(self._request.problem), _codes(end.problem))
+        rows = rows_among(_codes(self._request.problem), _codes(end.problem))
         problem = end.problem if self._builder is None else self._builder.colored(end.problem)
         return dataclasses.replace(
             end,
@@ -395,13 +395,6 @@ def _codes(problem: Problem) -> NDArray[np.int64]:
     keypoint = problem.observation_keypoint
     assert keypoint is not None
     return (problem.observation_image.astype(np.int64) << 32) + keypoint
-
-
-def _rows_among(codes: NDArray[np.int64], among: NDArray[np.int64]) -> NDArray[np.intp]:
-    """Return the row of each number in others, which are all different; -1: it is missing."""
-    order = np.argsort(among)
-    rows = np.append(order, -1)[np.searchsorted(among, codes, sorter=order)]
-    return np.where(np.append(among, -1)[rows] == codes, rows, -1)
 
 
 def _held_out(problem: Problem, options: HoldOutOptions, is_given: bool) -> _Mask | None:
@@ -479,7 +472,7 @@ def _predicted(problem: Problem, held: _Mask, model: Problem, options: SolveOpti
     The point of a track is the point of the model that most of its observations belong to that are
     not held out.
     """
-    rows = _rows_among(_codes(problem)[~held], _codes(model))
+    rows = rows_among(_codes(problem)[~held], _codes(model))
     both = np.stack([problem.observation_point[~held], model.observation_point[rows]], axis=1)
     pairs, counts = np.unique(both[rows >= 0], axis=0, return_counts=True)
     order = np.lexsort((counts, pairs[:, 0]))  # the most frequent of each track comes last

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.arrays import rows_among
 from bundle.base.records import dataclass
 from bundle.model.colmap.rig_records import MAX_ID, check_ids, check_rigs, edited_rigs
 from bundle.model.colmap.source_records import (
@@ -104,7 +105,7 @@ def _checked(problem: ProblemArrays, source: Any) -> tuple[SourceRecords | None,
     records = source_records(source)
     known = records or SourceRecords()
     check_rigs(problem, known)
-    rows = _rows_of(problem.image_ids, known.image_ids)
+    rows = rows_among(problem.image_ids, known.image_ids)
     num_keypoints = np.where(rows >= 0, np.append(known.num_keypoints, 0)[rows], -1)
     return records, number_keypoints(problem, num_keypoints)
 
@@ -124,7 +125,7 @@ def model_records(problem: ProblemArrays, source: Any) -> ModelRecords:
     by_camera, by_point = (np.argsort(ids) for ids in (problem.camera_ids, problem.point_ids))
     posed = {frame_id: frame for frame_id, frame in frames.items() if frame.pose is not None}
     ids = [image_id for frame in posed.values() for image_id in frame.image_ids]
-    by_image = _rows_of(np.array(ids, np.int64), problem.image_ids)
+    by_image = rows_among(np.array(ids, np.int64), problem.image_ids)
     rank = np.empty_like(by_image)
     rank[by_image] = np.arange(problem.num_images)
     num_keypoints = numbers.num_keypoints[by_image]
@@ -138,7 +139,7 @@ def model_records(problem: ProblemArrays, source: Any) -> ModelRecords:
     keypoint_points[place] = problem.point_ids[problem.observation_point]
     tracks = _tracks(problem, known, contents, numbers.keypoint, by_point)
     point_ids = problem.point_ids[by_point]
-    rows = _rows_of(point_ids, contents.point_ids)
+    rows = rows_among(point_ids, contents.point_ids)
     colors = np.vstack([contents.point_colors, np.zeros((1, 3), np.uint8)])[rows]
     names = _names(problem, is_named=is_colmap(source))
     return ModelRecords(
@@ -171,15 +172,6 @@ def model_records(problem: ProblemArrays, source: Any) -> ModelRecords:
         num_without_pose=_num_without_pose(problem, known),
         frames_without_pose={f: frame for f, frame in frames.items() if f not in posed},
     )
-
-
-def _rows_of(ids: NDArray[np.int64], among: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the position of each id in ``among``, -1 if it is absent."""
-    order = np.argsort(among, kind="stable")
-    found = np.searchsorted(among, ids, sorter=order)
-    rows = np.append(order, 0)[found]
-    known = (found < len(among)) & (np.append(among, 0)[rows] == ids)
-    return np.where(known, rows, -1)
 
 
 def _num_without_pose(problem: ProblemArrays, source: SourceRecords) -> int:
@@ -219,7 +211,7 @@ def _keypoints(
         first: (num_images,) row of the first keypoint of each image.
         total: number of keypoints of the model.
     """
-    rows = _rows_of(source.image_ids, image_ids)
+    rows = rows_among(source.image_ids, image_ids)
     kept = np.repeat(rows >= 0, source.num_keypoints)
     begins = np.cumsum(source.num_keypoints) - source.num_keypoints
     shift = np.repeat(np.append(first, 0)[rows] - begins, source.num_keypoints)
@@ -243,11 +235,11 @@ def _tracks(
     # Number of each track element by its keypoint; keypoints of all images are concatenated.
     begins = np.cumsum(source.num_keypoints) - source.num_keypoints
     element = np.full(len(contents.keypoint_xy) + 1, -1)
-    image_rows = _rows_of(contents.track_image_ids, source.image_ids)
+    image_rows = rows_among(contents.track_image_ids, source.image_ids)
     element[begins[image_rows] + contents.track_keypoints] = np.arange(num_elements)
     point_of_element = np.append(np.repeat(contents.point_ids, contents.track_lengths), -1)
 
-    rows = _rows_of(problem.image_ids, source.image_ids)[problem.observation_image]
+    rows = rows_among(problem.image_ids, source.image_ids)[problem.observation_image]
     inside = (rows >= 0) & (keypoint < np.append(source.num_keypoints, 0)[rows])
     place = np.where(inside, np.append(begins, 0)[rows] + keypoint, -1)
     found = element[place]
