@@ -159,6 +159,20 @@ def test_only_directions_that_are_measured_make_a_prior_indefinite(flight: Fligh
         assert definiteness(-1e-6, -lost) == pytest.approx(-lost / 9, rel=0.9)
         assert definiteness(0.0, -lost) < 0.05 * -lost
 
+    # any matrix, in other units: the scaled one, restricted to what is orthogonal to the gauge
+    units = rng.uniform(0.1, 10, 30)
+    half = rng.normal(size=(30, 30))
+    matrix = np.outer(units, units) * (half @ half.T - 8 * np.eye(30))
+    matrix[np.diag_indices(30)] = np.abs(np.diag(matrix))
+    points = np.repeat(states, 2, axis=0)
+    prior = MarginalPrior(keys, points, False, matrix, np.zeros(30))
+    np.testing.assert_allclose(prior._gauge(), np.roll(gauge, -1, axis=1), atol=1e-5)
+    root = np.sqrt(np.diag(matrix))
+    complement = np.linalg.qr(root[:, None] * gauge, mode="complete")[0][:, 4:]
+    values = np.linalg.eigvalsh(complement.T @ (matrix / np.outer(root, root)) @ complement)
+    assert values[0] < 0
+    assert prior.definiteness() == pytest.approx(values[0] / values[-1], rel=1e-4)
+
 
 @FORMS
 def test_a_camera_that_is_refined_begins_where_it_was_given(
