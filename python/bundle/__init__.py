@@ -103,7 +103,7 @@ _DEFERRED = {
     "solving.gauge_freedom": "GaugeFreedom gauge_freedom",
     "solving.hold_out": "hold_out",
     "solving.result": "Result",
-    "solving.rounds.filtering": "Filtered filter_observations",
+    "solving.rounds.plan": "Filtered filter_observations",
     "solving.refine_tracks": "refine_tracks",
     "solving.rounds.solve_rounds": "solve_rounds",
     "solving.solve": "solve",

@@ -162,8 +162,8 @@ from bundle.solving.gauge_freedom import gauge_freedom as gauge_freedom
 from bundle.solving.hold_out import hold_out as hold_out
 from bundle.solving.refine_tracks import refine_tracks as refine_tracks
 from bundle.solving.result import Result as Result
-from bundle.solving.rounds.filtering import Filtered as Filtered
-from bundle.solving.rounds.filtering import filter_observations as filter_observations
+from bundle.solving.rounds.plan import Filtered as Filtered
+from bundle.solving.rounds.plan import filter_observations as filter_observations
 from bundle.solving.rounds.solve_rounds import solve_rounds as solve_rounds
 from bundle.solving.solve import solve as solve
 from bundle.solving.solver import Solver as Solver

@@ -15,7 +15,7 @@ from bundle.solving.executors import solve_prepared
 from bundle.solving.prepare import prepare
 from bundle.solving.ranks import divided_solve
 from bundle.solving.request import PartRequest, SolveRequest
-from bundle.solving.rounds.filtering import RunPlan
+from bundle.solving.rounds.plan import RunPlan
 from bundle.solving.rounds.solve_rounds import run
 from tests.rig_scenes import STEREO, rig_problem
 from tests.scenes import make_problem, scene

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from bundle.interface.options import SolveOptions
     from bundle.interface.solve_record import Progress
     from bundle.model.problem import Problem
-    from bundle.solving.rounds.filtering import RunPlan
+    from bundle.solving.rounds.plan import RunPlan
 
 ELSEWHERE = (
     *("only_images", "hold_out", "checkpoint", "resume", "loops", "rules", "constraints"),

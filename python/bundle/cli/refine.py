@@ -111,7 +111,7 @@ def _solve(
             constraints=asked.constraints,
             part=PartRequest.of(asked.local.only_images, asked.local.rest),
         )
-        if asked.rounds.database is None:
+        if asked.plan.database is None:
             return run_plan(request, asked.plan, progress.iteration)
         from bundle.solving import refine_tracks  # for --database only
 

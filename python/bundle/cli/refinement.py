@@ -35,7 +35,7 @@ from bundle.interface.round_options import (
     RoundOptions,
 )
 from bundle.io.formats.read_options import ReadOptions
-from bundle.solving.rounds.filtering import RunPlan
+from bundle.solving.rounds.plan import RunPlan
 
 if TYPE_CHECKING:
     from bundle.solving.constraints.rule_list import Constraints

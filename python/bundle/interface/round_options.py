@@ -1,10 +1,18 @@
-"""Options of rounds (their number, the limits of their filter) and of files; record of a round."""
+"""Options of rounds (their number, the limits of their filter) and of files; records of rounds."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import TYPE_CHECKING, Self
+
 from bundle.base.records import dataclass
+from bundle.base.words import plural
 from bundle.interface.option_class import Options, documented
 from bundle.interface.option_fields import option
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
 CHECKPOINT_INTERVAL = 20
 """Iterations from one checkpoint to the next within a round."""
@@ -210,3 +218,60 @@ class TrackRound:
     num_observations: int
     num_points: int
     held_out_rmse: float | None = None
+
+
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class RoundRecords:
+    """Records of the rounds of a solve; no record if it had none. See :class:`bundle.Result`."""
+
+    rounds: tuple[Round, ...] = ()
+    tracks: tuple[TrackRound, ...] = ()
+    observation_mask: NDArray[np.bool_] | None = None
+
+    def work(self, num_steps: int) -> str:
+        """Return the work of all rounds, after a last adjustment of so many steps."""
+        rounds = self.rounds
+        if not rounds:
+            return plural(num_steps, "step")
+        if not rounds[-1].num_observations_removed:  # the last round is the last adjustment
+            num_steps = 0
+        num_steps += sum(done.num_iterations for done in rounds)
+        return f"{plural(len(rounds), 'round')}, {plural(num_steps, 'step')}"
+
+    @property
+    def causes(self) -> str:
+        """Numbers of observations that the filters of the rounds deleted, by limit; "": none."""
+        if not self.rounds or self.tracks:  # the filters also deleted added observations
+            return ""
+        limits = self.rounds[-1]
+        counts = {
+            cause: sum(getattr(done, f"num_observations_{name}") for done in self.rounds)
+            for name, cause in (
+                ("beyond_max_error", f"above {limits.max_error:g} px"),
+                ("below_min_angle", f"of points below {limits.min_angle:g} degrees"),
+                ("with_short_track", "of short tracks"),
+            )
+        }
+        return ", ".join(f"{count:,} {cause}" for cause, count in counts.items() if count)
+
+    @property
+    def cost_name(self) -> str:
+        """Name of the cost; those of different rounds cannot be compared."""
+        return "last adjustment's cost" if self.rounds else "cost"
+
+    def _round_facts(self) -> tuple[tuple[str, str], ...]:
+        if not self.rounds:
+            return ()
+        observations = sum(done.num_observations_removed for done in self.rounds)
+        points = sum(done.num_points_removed for done in self.rounds)
+        removed = f"{plural(observations, 'observation')} and {plural(points, 'point')} removed"
+        return (("rounds", f"{len(self.rounds)}; {removed}"),)
+
+    def following(self, earlier: Self) -> Self:
+        """Return the result of an adjustment that follows the rounds of an earlier result."""
+        return replace(self, rounds=earlier.rounds, observation_mask=earlier.observation_mask)
+
+    def counted_without(self, num_points: int) -> Self:
+        """Return the result with fewer points in the record of each round."""
+        rounds = (replace(done, num_points=done.num_points - num_points) for done in self.rounds)
+        return replace(self, rounds=tuple(rounds))

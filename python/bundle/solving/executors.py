@@ -18,7 +18,7 @@ from bundle.solving.result import Result
 
 if TYPE_CHECKING:
     from bundle.model.problem import Problem
-    from bundle.solving.rounds.filtering import State
+    from bundle.solving.rounds.plan import State
 
 
 class ThisProcess:
@@ -57,8 +57,6 @@ def solve_prepared(
     """Run an executor and return the result for the start.
 
     Args:
-        prepared: the prepared solve.
-        progress: function called after each iteration.
         executor: executor; None: all processes of mpirun, or this process if it is the only one.
 
     Raises:

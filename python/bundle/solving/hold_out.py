@@ -32,7 +32,7 @@ from bundle.solving.request import SolveRequest
 from bundle.solving.result import Result
 
 if TYPE_CHECKING:
-    from bundle.solving.rounds.filtering import State
+    from bundle.solving.rounds.plan import State
 
 FEWEST_OF_IMAGE = 6
 """Number of observations that remain in each image: twice as many as a pose needs."""
@@ -88,11 +88,8 @@ def choose(
     """Return a mask of the observations to hold out.
 
     Args:
-        problem: the problem.
         percent: share of each image's observations, above 0 and at most 50.
-        seed: whole number.
         among: mask of the observations that may be held out; None: all.
-        name: name of the share, for errors.
 
     Raises:
         InputError: a number is out of range, or no observation can be held out.
@@ -176,14 +173,7 @@ class HeldOutFit:
         )
 
     def measured(self, finished: Result, last: Result, state: State, fit: Fit) -> Result:
-        """Return the finished result with the errors of the held-out observations.
-
-        Args:
-            finished: result of the fit to all observations.
-            last: the same result for the start of that fit.
-            state: state at its end.
-            fit: function that runs a prepared problem in the same way.
-        """
+        """Return the finished result with the errors of the held-out observations."""
         if not _is_usable(last):
             return finished
         start = with_values(self._prepared.start, last.problem, state)
@@ -212,10 +202,8 @@ def triangulated(
     """Return the problem with removed points at the minimum of their fitted observations.
 
     Args:
-        problem: the problem with the cameras of a fit.
         removed: mask of the points that the fit lacks.
         held: mask of the observations that it did not see.
-        options: options of the fit.
     """
     rows = removed[problem.observation_point] & ~held
     if not rows.any():
@@ -239,7 +227,6 @@ def with_values(problem: Problem, refined: Problem, state: State | None = None) 
     """Return a problem with the values of its refined version, from which points may be missing.
 
     Args:
-        problem: the problem.
         refined: the same cameras, images and points with other values; observations may differ.
         state: state of a run that removed points of `refined`; these points keep their values.
     """

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.base.records import dataclass
-from bundle.base.words import plural
+from bundle.interface.round_options import RoundRecords
 from bundle.interface.solve_record import SolveRecord
 from bundle.model.cameras import param_kinds
 from bundle.model.problem import Problem
@@ -40,7 +40,6 @@ if TYPE_CHECKING:
     from bundle.georeference.point_check import SurveyChecks
     from bundle.georeference.similarity import Similarity
     from bundle.graphs.factors.factors import Factor
-    from bundle.interface.round_options import Round, TrackRound
     from bundle.model.reprojection import HeldOut
     from bundle.solving.constraints.ends import RuleEnd
     from bundle.solving.constraints.restrictions import ActiveBound
@@ -48,7 +47,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class MeasuredResult(SolveRecord):
+class MeasuredResult(SolveRecord, RoundRecords):
     """Fields and statistics of :class:`bundle.Result`, which describes them."""
 
     problem: Problem
@@ -59,12 +58,9 @@ class MeasuredResult(SolveRecord):
     constraints: tuple[RuleEnd, ...] = ()
     similarity: Similarity | None = None
     control_points: tuple[ControlPointError, ...] = ()
-    rounds: tuple[Round, ...] = ()
     part: PartRecord | None = None
     held_out: HeldOut | None = None
     edits: tuple[Edit, ...] = ()
-    tracks: tuple[TrackRound, ...] = ()
-    observation_mask: NDArray[np.bool_] | None = None
     observation_rows: NDArray[np.intp] | None = None
     factors: tuple[Factor, ...] = ()
     priors: tuple[Prior, ...] = ()
@@ -160,65 +156,13 @@ class MeasuredResult(SolveRecord):
             self.initial_problem, self.options, factors=self.factors, priors=self.priors
         )
 
-    @property
-    def work(self) -> str:
-        """Numbers of rounds and of steps in all of them, such as "2 rounds, 31 steps"."""
-        rounds, steps = self.rounds, len(self.iterations["iteration"]) - 1
-        if not rounds:
-            return plural(steps, "step")
-        if not rounds[-1].num_observations_removed:  # the last round is the last adjustment
-            steps = 0
-        steps += sum(done.num_iterations for done in rounds)
-        return f"{plural(len(rounds), 'round')}, {plural(steps, 'step')}"
-
-    @property
-    def causes(self) -> str:
-        """Numbers of observations that the filters of the rounds deleted, by limit; "": none."""
-        if not self.rounds or self.tracks:  # the filters also deleted added observations
-            return ""
-        error, track, angle = (
-            sum(getattr(done, f"num_observations_{name}") for done in self.rounds)
-            for name in ("beyond_max_error", "with_short_track", "below_min_angle")
-        )
-        limits = self.rounds[-1]
-        told = [
-            f"{count:,} {cause}"
-            for count, cause in (
-                (error, f"above {limits.max_error:g} px"),
-                (angle, f"of points below {limits.min_angle:g} degrees"),
-                (track, "of short tracks"),
-            )
-            if count
-        ]
-        return ", ".join(told)
-
-    @property
-    def cost_name(self) -> str:
-        """Name of the cost; those of different rounds cannot be compared."""
-        return "last adjustment's cost" if self.rounds else "cost"
-
-    def _round_facts(self) -> tuple[tuple[str, str], ...]:
-        if not self.rounds:
-            return ()
-        observations = sum(done.num_observations_removed for done in self.rounds)
-        points = sum(done.num_points_removed for done in self.rounds)
-        removed = f"{plural(observations, 'observation')} and {plural(points, 'point')} removed"
-        return (("rounds", f"{len(self.rounds)}; {removed}"),)
-
     def without_last_points(self, count: int) -> Self:
         """Return the result without points that were added to the input and have no track."""
         problem, left = self.problem, self.problem.num_points - count
+        points, ids = problem.points[:left], problem.point_ids[:left]
         return replace(
-            self,
-            problem=problem.replace(
-                points=problem.points[:left], point_ids=problem.point_ids[:left]
-            ),
-            rounds=tuple(replace(done, num_points=done.num_points - count) for done in self.rounds),
+            self.counted_without(count), problem=problem.replace(points=points, point_ids=ids)
         )
-
-    def following(self, earlier: Self) -> Self:
-        """Return the result of an adjustment that follows the rounds of an earlier result."""
-        return replace(self, rounds=earlier.rounds, observation_mask=earlier.observation_mask)
 
     def measure(self) -> None:
         """Measure all statistics now; later access takes no time.
@@ -295,7 +239,6 @@ def movement(before: Problem, after: Problem, similarity: Similarity | None = No
 
     Args:
         before: the input; its cameras may be other ones.
-        after: the output.
         similarity: motion of the input to its priors, or None.
     """
     centers, turns = before.projection_centers, rotation_matrices(before.cam_from_world[:, :4])

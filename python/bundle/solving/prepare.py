@@ -37,8 +37,8 @@ if TYPE_CHECKING:
     from bundle.solving.constraints.applied import Applied
     from bundle.solving.constraints.ends import RuleEnd
     from bundle.solving.request import Rules
-    from bundle.solving.rounds.filtering import State
     from bundle.solving.rounds.local_part import LocalPart
+    from bundle.solving.rounds.plan import State
     from bundle.solving.rounds.rest_prior import RestPrior
 
 
@@ -124,7 +124,6 @@ class Prepared:
         """Convert the last result for the start to a result for the problem of the request.
 
         Args:
-            result: result for the start, or for the start after filtering.
             state: state of the run before this result; None: nothing was filtered.
         """
         last, given, placed = result.problem, self.request.problem, self.placed

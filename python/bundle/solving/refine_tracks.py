@@ -25,7 +25,6 @@ from __future__ import annotations
 import dataclasses
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -58,7 +57,7 @@ from bundle.solving.hold_out import choose, triangulated
 from bundle.solving.prepare import Prepared, prepare
 from bundle.solving.request import Bounds, SolveRequest
 from bundle.solving.result import Result
-from bundle.solving.rounds.filtering import Filtered, RunPlan, filter_observations
+from bundle.solving.rounds.plan import Filtered, RunPlan, filter_observations
 from bundle.solving.rounds.solve_rounds import SMALLEST_CHANGE, check_left, round_of
 
 if TYPE_CHECKING:
@@ -184,18 +183,15 @@ def run(
     """Refine a problem and its tracks; see :func:`refine_tracks`.
 
     Args:
-        request: the problem with everything that determines it.
-        plan: the database, limits of the rounds, and the held-out share.
-        progress: function called after each iteration.
         is_share_given: True if a held-out share that cannot be drawn is an error.
-        tell: function called at the start of each stage.
     """
     given = request.problem
     _check(request, plan)
     require_pycolmap("refine_tracks")
     from bundle.model.pycolmap.tracks import on_keypoints  # imports pycolmap
 
-    path = Path(str(plan.rounds.database))
+    path = plan.database
+    assert path is not None
     tell(f"reading {shown(path)}")
     matches = database_matches(path, given.image_names)
     request = request.at(on_keypoints(given, matches.keypoints, shown(path)))

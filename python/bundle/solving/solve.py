@@ -202,7 +202,7 @@ def solve(
         return solve_pose_graph(problem, options, progress=progress, **changes)  # type: ignore[arg-type]
     from bundle.interface.judging_options import HoldOutOptions
     from bundle.solving.request import SolveRequest
-    from bundle.solving.rounds.filtering import RunPlan
+    from bundle.solving.rounds.plan import RunPlan
     from bundle.solving.rounds.solve_rounds import run
 
     problem = as_problem(problem)

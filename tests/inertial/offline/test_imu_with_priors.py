@@ -15,7 +15,7 @@ from bundle.inertial.offline.upright_start import to_priors
 from bundle.inertial.vio.trajectory_comparison import states_at
 from bundle.interface.judging_options import HoldOutOptions
 from bundle.interface.round_options import RoundOptions
-from bundle.solving.rounds.filtering import RunPlan
+from bundle.solving.rounds.plan import RunPlan
 from tests.inertial.offline.models import model_of
 from tests.inertial.offline.test_imu_adjustment import adjusted, error_of
 from tests.inertial.offline.test_imu_consistency import true_poses

@@ -8,8 +8,8 @@ import pytest
 
 import bundle
 from bundle.solving.ranks.partition import divide, part_of
-from bundle.solving.rounds.filtering import RunPlan
 from bundle.solving.rounds.input_digest import digest, digest_of_parts, sums_of_rows
+from bundle.solving.rounds.plan import RunPlan
 from bundle.solving.slices.sliced_refinement import AllSlices, SlicedRefinement
 from tests.rig_scenes import rig_problem
 from tests.scenes import scene

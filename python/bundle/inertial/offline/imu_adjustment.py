@@ -63,7 +63,7 @@ from bundle.solving.gauge_freedom import gauge_freedom
 from bundle.solving.kept_errors import Edit
 from bundle.solving.request import SolveRequest
 from bundle.solving.result import Result
-from bundle.solving.rounds.filtering import RunPlan
+from bundle.solving.rounds.plan import RunPlan
 from bundle.solving.rounds.solve_rounds import run
 
 if TYPE_CHECKING:
@@ -101,11 +101,9 @@ def adjust_with_imu(
     Args:
         problem: reconstruction in any frame and unit; with rigs, one rig has all images. A rig with
             constant sensors is in metres.
-        samples: samples of the IMU, on its clock.
         image_times_ns: (n,) times of the problem's images, on the same clock.
         camera_from_imu: (7,) qx qy qz qw tx ty tz in metres, the same for all images; on a rig,
             that of the reference sensor.
-        noise: noise densities and random walks of the IMU.
         options: options of the solve; ``backend`` must be "auto" or "ceres", ``gauge`` "auto" or
             "none", and no image is fixed.
         imu_noise_scale: factor on the two noise densities; None: 5 for images at 4 Hz, otherwise

@@ -27,7 +27,7 @@ from bundle.model.rigid_motions import rotation_matrices
 from bundle.model.sequence.calibration import ImuNoise
 from bundle.solving.request import SolveRequest
 from bundle.solving.result import Result
-from bundle.solving.rounds.filtering import RunPlan
+from bundle.solving.rounds.plan import RunPlan
 from bundle.solving.rounds.solve_rounds import run
 
 if TYPE_CHECKING:
@@ -128,7 +128,6 @@ class ImuBodies:
         """Return the bodies of a problem.
 
         Args:
-            problem: problem without rigs, or with one rig that has all images.
             image_times_ns: (num_images,) times; equal for the images of a frame.
             camera_from_imu: (7,) of each image, or of the images of the reference sensor.
 

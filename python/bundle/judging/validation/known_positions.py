@@ -21,7 +21,7 @@ from bundle.model.reprojection import residuals
 from bundle.model.rigid_motions import cross_matrices, rotation_matrices
 from bundle.solving.prepare import Prepared
 from bundle.solving.result import Result
-from bundle.solving.rounds.filtering import filter_observations
+from bundle.solving.rounds.plan import filter_observations
 
 if TYPE_CHECKING:
     from bundle.georeference.measurements import Prior

@@ -31,8 +31,8 @@ from bundle.model.estimates import estimates, with_estimates
 from bundle.model.problem import Problem
 from bundle.solving.prepare import Prepared
 from bundle.solving.result import Result
-from bundle.solving.rounds.filtering import RunPlan, State
 from bundle.solving.rounds.input_digest import fingerprint_of_options, fingerprint_of_run
+from bundle.solving.rounds.plan import RunPlan, State
 
 SCHEMA = "bundle checkpoint 3"
 
@@ -111,12 +111,6 @@ def read(
     path: Path, start: Problem, options: SolveOptions, fingerprint: Mapping[str, Any]
 ) -> State:
     """Return the state that a checkpoint holds.
-
-    Args:
-        path: path of the checkpoint.
-        start: the problem of the first round.
-        options: every option as used.
-        fingerprint: fingerprint of this run.
 
     Raises:
         InputError: the file is not a checkpoint, or belongs to another input or other options.

@@ -28,7 +28,7 @@ from bundle.model.problem import Problem
 
 if TYPE_CHECKING:
     from bundle.solving.prepare import Prepared
-    from bundle.solving.rounds.filtering import RunPlan
+    from bundle.solving.rounds.plan import RunPlan
 
 NOT_DECISIVE = ("num_threads", "check_solution")
 

@@ -33,7 +33,7 @@ from bundle.solving.request import Bounds
 
 if TYPE_CHECKING:
     from bundle.graphs.factors.factors import Factor
-    from bundle.solving.rounds.filtering import State
+    from bundle.solving.rounds.plan import State
 
 _Indices = NDArray[np.int64]
 _Mask = NDArray[np.bool_]
@@ -221,7 +221,6 @@ class LocalPart:
         """Return the full problem with the refined values of the part.
 
         Args:
-            refined: the part after the solve, without removed points and observations.
             state: state of the rounds, with masks of the remaining rows; None: nothing was removed.
         """
         whole, part = self._whole, self.selection

@@ -92,9 +92,6 @@ def marginalize_rest(
     """Marginalize the rest of the problem in a local adjustment.
 
     Args:
-        whole: the full problem.
-        part: the part of the local adjustment.
-        options: options of the full problem.
         bounds: bounds of camera parameters, as in :func:`bundle.solve`.
 
     Raises:

@@ -47,13 +47,8 @@ def solve_in_segments(
     """Adjust a problem in segments.
 
     Args:
-        solve: function that solves one segment of a problem with options.
-        problem: start, or the end of the previous segments.
-        options: options of the entire adjustment.
-        interval: number of iterations of a segment.
         so_far: result of the previous segments; None without any.
         progress: function called after each iteration; iteration numbers continue across segments.
-        save: function called after each segment except the last, with the result so far.
     """
     while True:
         done = 0 if so_far is None else num_steps(so_far)

@@ -19,7 +19,7 @@ from bundle.solving.executors import finished, solve_prepared
 from bundle.solving.prepare import Prepared, prepare
 from bundle.solving.request import Bounds, PartRequest, SolveRequest
 from bundle.solving.result import Result
-from bundle.solving.rounds.filtering import Filtered, RunPlan, State, filter_observations
+from bundle.solving.rounds.plan import Filtered, RunPlan, State, filter_observations
 
 if TYPE_CHECKING:
     from typing import Unpack

@@ -30,8 +30,8 @@ from bundle.solving.ranks.divided_solve import heeding, process_record
 from bundle.solving.request import SolveRequest
 from bundle.solving.result import Result
 from bundle.solving.rounds.checkpoint import check_target, read_by, result_of_record, write
-from bundle.solving.rounds.filtering import RunPlan, State
 from bundle.solving.rounds.input_digest import digest_of_parts, plain_fingerprint
+from bundle.solving.rounds.plan import RunPlan, State
 from bundle.solving.rounds.segments import solve_in_segments
 from bundle.solving.slices.slice_process import Process
 from bundle.solving.slices.slice_reading import Meeting, Survey, survey
@@ -133,8 +133,6 @@ class SlicedRefinement:
         """Refine the model. The initial problem of the result has cameras only.
 
         Args:
-            options: options of the solve.
-            progress: function called after each iteration.
             plan: checkpoints, which hold the entire model and can be resumed with any number of
                 processes; rounds and held-out observations are not served. None: no checkpoint.
 

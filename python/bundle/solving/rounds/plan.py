@@ -1,7 +1,8 @@
-"""Removal of outlier observations and badly determined points; plan and state of rounds of it.
+"""Plan of a run of rounds, the filter of a round, and the state after it.
 
-The rules are COLMAP's, of ``ObservationManager::FilterAllPoints3D``. Observations are removed
-first, so that an outlier cannot make a point look well triangulated:
+The filter removes outlier observations and badly determined points by the rules of COLMAP's
+``ObservationManager::FilterAllPoints3D``. Observations are removed first, so that an outlier cannot
+make a point look well triangulated:
 
 1. Remove an observation if its reprojection error exceeds ``max_error`` pixels, if the point is
    behind the camera, or if the point has no projection.
@@ -219,6 +220,11 @@ class RunPlan:
         """True if adjustments and filters take turns; otherwise there is one adjustment."""
         return self.rounds.num_rounds > 0
 
+    @property
+    def database(self) -> Path | None:
+        """Database of verified matches with which the rounds extend tracks; None: they do not."""
+        return None if self.rounds.database is None else Path(self.rounds.database)
+
     def decisive(self) -> dict[str, Any]:
         """Return the options of the plan that affect the result."""
         return {**self.rounds.asdict(), "checkpoint_interval": self.checkpoint_interval}
@@ -262,9 +268,7 @@ class State:
 
         Args:
             record: record of :meth:`record`.
-            problem: start of the next solve.
             masks: masks of the observations and of the points that remain.
-            done: result so far, or of the run that has ended.
         """
         return State(
             problem=problem,
