@@ -1,6 +1,8 @@
 """The names that `import bundle` gives, and what their arguments accept."""
 
 import dataclasses
+import inspect
+import re
 import subprocess
 import sys
 
@@ -34,6 +36,30 @@ def test_dir_has_every_public_name_and_each_is_there():
         assert name == "__version__" or getattr(bundle, name).__doc__, name
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):
         _ = bundle.nothing
+
+
+def test_public_functions_describe_every_parameter():
+    """Docstrings of internals describe only what the signature does not say."""
+    faces = (bundle, bundle.constraints, bundle.georeference, bundle.losses, bundle.pictures)
+    public = [getattr(face, name) for face in faces for name in face.__all__]
+    kinds = [kind for kind in public if inspect.isclass(kind)]
+    methods = [
+        method
+        for kind in kinds
+        for name, method in inspect.getmembers(kind, inspect.isfunction)
+        if not name.startswith("_")
+    ]
+    described = 0
+    for function in [*filter(inspect.isfunction, public), *methods]:
+        _, args, entries = (inspect.getdoc(function) or "").partition("\nArgs:\n")
+        entries = re.split(r"\n(?=\S)", entries)[0]
+        code = inspect.unwrap(function).__code__
+        names = code.co_varnames[: code.co_argcount + code.co_kwonlyargcount]
+        for name in names if args else ():
+            described += 1
+            found = re.search(rf"^    (\w+, )*\**{name}(, \**\w+)*: ", entries, re.MULTILINE)
+            assert name == "self" or found, f"{function.__qualname__}: {name}"
+    assert described > 300
 
 
 def test_packages_are_imported_when_asked_for_and_not_before():

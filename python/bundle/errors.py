@@ -55,7 +55,6 @@ def nearest(found: str, spellings: Mapping[str, str] | Iterable[str]) -> str:
     Case, hyphens and underscores are ignored.
 
     Args:
-        found: the user's spelling.
         spellings: valid names, or a table from other spellings to valid names.
     """
     import difflib
@@ -74,8 +73,6 @@ def check_keywords(caller: str, given: Iterable[str], spellings: Mapping[str, st
     """Raise an error for an unknown keyword, and suggest the most similar valid keyword.
 
     Args:
-        caller: function that takes the keywords.
-        given: keywords of the call.
         spellings: table from every known spelling to the name of its option.
 
     Raises:

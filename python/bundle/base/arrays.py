@@ -257,9 +257,6 @@ def check_arrays(
 
     Args:
         record: the record; its fields become immutable arrays.
-        declared: declarations by field.
-        subject: beginning of the messages.
-        sizes: known sizes.
     """
     found = {}
     for name, one in declared.items():

@@ -21,7 +21,6 @@ def component_roots(
 
     Args:
         images: (num_observations,) image of each observation, sorted by point.
-        starts: row of the first observation of each observed point.
         num_images: number of images. An image without observations is its own component.
     """
     root = np.arange(num_images)

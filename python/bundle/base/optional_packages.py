@@ -21,22 +21,12 @@ def has_pycolmap() -> bool:
 
 
 def require_pycolmap(purpose: str) -> None:
-    """Check that pycolmap is installed.
-
-    Args:
-        purpose: what needs it, for the message.
-    """
+    """Check that pycolmap is installed."""
     require_package("pycolmap", "pycolmap", purpose)
 
 
 def require_package(module: str, package: str, purpose: str) -> None:
-    """Check that a package is installed; does not import it.
-
-    Args:
-        module: name that is imported.
-        package: name that pip installs.
-        purpose: what needs it, for the message.
-    """
+    """Check that a package is installed; does not import it."""
     if not _is_installed(module):
         raise InputError(
             f"{purpose}: expected the package {package}, found that it is not installed; "

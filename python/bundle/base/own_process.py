@@ -106,7 +106,6 @@ def require_memory(what: str, sizes: tuple[float, float]) -> None:
     """Raise MemoryError if the limits of this process leave less memory than ``sizes``.
 
     Args:
-        what: library to be loaded next, for the message.
         sizes: bytes of address space and of data that the library takes.
     """
     try:

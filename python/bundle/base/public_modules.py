@@ -10,12 +10,7 @@ from types import ModuleType
 
 
 def spec_of(name: str, public_modules: dict[str, str]) -> ModuleSpec | None:
-    """Return the spec of a public module or of a module below it; None if there is none below.
-
-    Args:
-        name: module name, as in an import.
-        public_modules: location of each public module, without the package's name.
-    """
+    """Return the spec of a public module or of a module below it; None if there is none below."""
     public, _, below = name.removeprefix("bundle.").partition(".")
     place = ".".join(filter(None, ("bundle", public_modules[public], below)))
     if below and find_spec(place) is None:

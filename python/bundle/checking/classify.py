@@ -102,9 +102,7 @@ def stale(
     """Return a finding if Jacobians equal those of points evaluated earlier (a stale cache).
 
     Args:
-        deviations: deviations at K points, evaluated one after the other.
         repeated: deviations at the same points, each evaluated twice in a row.
-        tolerance: relative error above which a point is wrong.
     """
     wrong = np.flatnonzero(np.any(deviations.error > tolerance, axis=(1, 2)))
     if not len(wrong):

@@ -138,7 +138,6 @@ class SamplePoint:
         """Return the result of Richardson extrapolation.
 
         Args:
-            manifolds: manifolds of the blocks.
             minuends: size of the numbers whose difference is each residual, if known: their
                 rounding errors are also those of the residual.
         """

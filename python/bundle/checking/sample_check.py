@@ -363,10 +363,8 @@ def padded(
     """Return one finding per padded block if no other mistake exists.
 
     Args:
-        layout: layout of the blocks.
         space: Jacobians by the parameters of the blocks.
         tangent: Jacobians by the tangent coordinates, at the same points.
-        tolerance: relative error above which an entry is wrong.
     """
     wrong = set(np.flatnonzero((space.error > tolerance).any(axis=(0, 1))).tolist())
     findings = []

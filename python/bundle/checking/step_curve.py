@@ -112,7 +112,6 @@ def walk(values: Values, center: Array, size: float) -> Line:
 
     Args:
         values: residual at a step; None without a value.
-        center: residual at the point.
         size: size of the parameter. Below 1/8 more steps reach its own resolution.
     """
     first = max(abs(size) * LARGEST_STEP, LEAST_FIRST_STEP)
@@ -132,7 +131,6 @@ def acquitted(line: Line, analytic: Array, deviation: Array, scale: Array) -> ND
     """Return the mask (R,) of entries that are a derivative at some scale or on one side.
 
     Args:
-        line: residuals along the parameter.
         analytic: (R,) column of the Jacobian.
         deviation: (R,) its absolute deviation from the reference.
         scale: (R,) divisors of relative errors, which may be far too small if the reference has
@@ -189,16 +187,7 @@ def make_details(
     line_of: LineOf,
     place: Callable[[int], str],
 ) -> CheckDetails:
-    """Return the details of a check.
-
-    Args:
-        names: names of the columns.
-        groups: groups of the columns.
-        deviations: Jacobians at all points.
-        tolerance: relative error above which an entry is wrong.
-        line_of: residuals along a column at a point.
-        place: description of a point.
-    """
+    """Return the details of a check."""
     error = deviations.error
     clear = np.where(deviations.doubt <= tolerance, deviations.deviation, error)
     curves = tuple(

@@ -237,13 +237,7 @@ def make_report(
 def undecided_points(
     noun: str, points: Mapping[str, Sequence[int]], place: Callable[[int], str]
 ) -> list[Undecided]:
-    """Return one entry per reason, the most frequent first.
-
-    Args:
-        noun: name of a point.
-        points: numbers of the points, by reason.
-        place: function that converts a point's number to text.
-    """
+    """Return one entry per reason, the most frequent first."""
     entries = []
     for reason, found in sorted(points.items(), key=lambda item: -len(item[1])):
         if not found:

@@ -34,10 +34,7 @@ def georeference_given(
     """Return the options of all measurements.
 
     Args:
-        arguments: parsed command line.
-        refined: kinds of refined parameters.
         page: True if a report page is written, which shows the photographs of ``--images``.
-        only_images: images that the solve refines.
 
     Raises:
         InputError: a flag requires another flag or contradicts it, or the folder of images does
@@ -90,8 +87,6 @@ def priors_of(given: GeoreferenceOptions, problem: Problem, *, kept: str = "") -
     """Return the priors that options give for a problem.
 
     Args:
-        given: options of the command line.
-        problem: problem of the images.
         kept: reason for which the world must not turn, such as "with --only-images"; "": it may.
 
     Raises:

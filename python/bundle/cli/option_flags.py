@@ -121,8 +121,6 @@ def options_given(
     """Return the options from the command line, checked, in errors that name the flags.
 
     Args:
-        arguments: parsed command line.
-        kind: class of the options.
         names: fields to read, if flags of others belong to another class; None: all.
         names_follow: leave out images given by name; :func:`with_named_images` adds them.
         beside: fields that also have an effect without the options that they usually require.

@@ -73,7 +73,6 @@ def edit_cameras(
         problem: problem to edit; not modified.
         model: model of all cameras; None: unchanged.
         share: ids of cameras to merge; True: all; "size": those of each image size.
-        split: give each image its own camera.
         keep_scale: images move to keep their scale in a shared camera (``share_cameras``).
     """
     if model is None and share is False and not split:

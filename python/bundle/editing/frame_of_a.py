@@ -50,7 +50,6 @@ def find_similarity(
     """Return the similarity from the frame of B to that of A.
 
     Args:
-        a: the first model.
         b: the second model.
         images: (n, 2) indices in A and B of the shared images.
         meetings: (m, 3) row of ``images``, index of a point of A, index of a point of B.

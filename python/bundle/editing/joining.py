@@ -68,11 +68,8 @@ def join(
     """Return the records of A with those of B, and the new place of each record of B.
 
     Args:
-        a: records of model A.
         b: records of model B, in the coordinate frame of A.
-        images: shared and added images.
         keypoints: keypoints that B observes in shared images.
-        meetings: pairs of points that meet.
         agree: (num_pairs,) True for pairs that are the same point.
     """
     merged, place = _with_keypoints(a, b, images, keypoints)
@@ -297,8 +294,6 @@ def added_images(
     """Return the images that B adds to A.
 
     Args:
-        a: records of model A.
-        b: records of model B.
         shared: (n, 2) positions in A and in B of each shared image.
         cameras: table from cameras of B to cameras of A that replace them.
     """
@@ -400,7 +395,6 @@ def shared_keypoints(a: ModelRecords, b: ModelRecords, images: _Indices) -> Shar
     """Return the keypoints of A that are those that B observes in shared images.
 
     Args:
-        a: records of the first model.
         b: records of the second model.
         images: (n, 2) positions in A's and B's records of each shared image.
     """

@@ -47,7 +47,6 @@ def disagreements(a: Problem, b: Problem, pairs: Indices) -> Array:
     """Return the median distance of each pair in pixels.
 
     Args:
-        a: the first model.
         b: the second model, in the frame of the first.
         pairs: (n, 2) indices of a point of A and of a point of B.
     """
@@ -291,11 +290,7 @@ def with_shutters(
     """Return the merged model with the rolling shutters of A and of what B adds.
 
     Args:
-        merged: the merged model without shutters.
-        a: model A.
         b: model B in the frame of A.
-        added: shared images, and images and cameras that B adds.
-        records: records of A and B.
     """
     known = [one.rolling_shutter for one in (a, b) if one.rolling_shutter is not None]
     if not known:

@@ -235,7 +235,6 @@ def point_errors(
     """Return the table of control and check points; empty without points.
 
     Args:
-        points: points to list.
         adjusted: True after a solve: the table has sigmas, only the length of each leave-one-out
             error, and the size of an error that would be found.
     """

@@ -56,8 +56,6 @@ def read_gravity(
     """Read directions of gravity.
 
     Args:
-        path: path of the file.
-        images: images of the problem.
         sigma: standard deviation in degrees for lines without it.
 
     Raises:
@@ -83,8 +81,6 @@ def read_orientations(
     """Read orientations or headings.
 
     Args:
-        path: path of the file.
-        images: images of the problem.
         sigmas: standard deviations of heading and tilt in degrees for lines without them.
 
     Raises:

@@ -84,7 +84,6 @@ def files_of_images(
     """Return the files of images by name, and the names without a file.
 
     Args:
-        folder: folder of the images.
         names: names of the images; see :func:`read_exif_gps`.
 
     Raises:

@@ -183,7 +183,6 @@ def read_opensfm_gcps(path: Path, problem: Problem) -> tuple[GroundControlPoint,
     """Read ground_control_points.json; of a project's folder, this file and gcp_list.txt.
 
     Args:
-        path: path of the file or folder.
         problem: problem with the sizes of the images. Other images are ignored, as in OpenSfM.
 
     Raises:

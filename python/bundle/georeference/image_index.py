@@ -40,7 +40,6 @@ class ImageIndex:
         """Return the index of an image; None if the model has no image of this name.
 
         Args:
-            name: name of the image.
             place: beginning of messages; by default the argument of the constructor.
 
         Raises:
@@ -82,10 +81,6 @@ class ImageFinder:
 
     def find(self, word: str, place: str = "") -> int:
         """Return the id of an image.
-
-        Args:
-            word: name of the image, its last part, or its id.
-            place: beginning of messages.
 
         Raises:
             InputError: no image or several images match.

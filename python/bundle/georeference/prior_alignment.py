@@ -125,7 +125,6 @@ class ProblemPriors(FoundPriors):
         """Return (n, 3) positions in the problem minus measured positions; nan if unknown.
 
         Args:
-            problem: the problem.
             offset: (3,) offset of the positions from the problem; None: 0.
         """
         if not self.priors:
@@ -284,7 +283,6 @@ def robust_similarity(points: Correspondences, what: str) -> Similarity:
 
     Args:
         points: at least three points.
-        what: description of the points for messages.
 
     Raises:
         InputError: the points lie on one line.
@@ -336,7 +334,6 @@ def level_similarity(points: Correspondences, upright: Array) -> Similarity:
     """Return the similarity whose rotation is a rotation about z after `upright`.
 
     Args:
-        points: points of the model and their surveyed positions.
         upright: (3, 3) rotation of the model to z up.
 
     Raises:

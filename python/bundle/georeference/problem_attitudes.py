@@ -68,7 +68,6 @@ class AttitudesOfKind:
         """Return (n, 3) the further rotation of the world that fits each prior, in radians.
 
         Args:
-            problem: problem with the poses.
             turn: (3, 3) rotation of its world; None: no rotation.
         """
         rotations = rotation_matrices(problem.cam_from_world[self.rows, :4])
@@ -97,7 +96,6 @@ class AttitudesOfKind:
         """Return the rotation of the world on which the priors agree.
 
         Args:
-            problem: problem with the poses.
             base: (3, 3) rotation of its world before that turn; None: no rotation.
         """
         before = np.eye(3) if base is None else base

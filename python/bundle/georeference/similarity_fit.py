@@ -100,7 +100,6 @@ def fit_similarity(
         points: at least three points that are not on one line; enough of them must have a height.
         loss: robust loss of the residuals in sigmas.
         loss_scale: sigmas beyond which the loss is robust.
-        what: description of the points for messages.
 
     Raises:
         InputError: the points do not determine all seven degrees of freedom; the message has the

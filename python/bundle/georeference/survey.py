@@ -210,9 +210,7 @@ def surveyed(targets: tuple[Triangulated, ...], target: Array, sigma: Sigma) -> 
     """Return targets in the model and their surveyed positions.
 
     Args:
-        targets: n targets, triangulated or not.
         target: (n, 3) surveyed positions; up is nan if unknown.
-        sigma: standard deviation of targets without their own.
     """
     sigmas = np.array([entry.point.sigma or sigma for entry in targets]).reshape(-1, 2)
     return Correspondences(
@@ -233,7 +231,6 @@ def control_point_error(
     """Return the result record of a target.
 
     Args:
-        target: target in the model.
         residual: (3,) model minus survey.
         covariance: (3, 3) covariance of the survey.
         left_out: (3,) residual of a model without the target, if known.
@@ -397,7 +394,6 @@ def leave_one_out(
     """Predict each tested point from the control points without it.
 
     Args:
-        points: all points.
         control: (n,) mask of points that determine the similarity.
         tested: (n,) mask of points to predict.
         level: probability that a block without gross errors gets a suspect.

@@ -283,7 +283,6 @@ class GcpPriors(KnownPriors, Displayed):
         """Return a point with its test in the adjusted model.
 
         Args:
-            point: point after the solve.
             checks: tests after the solve; None if it did not converge.
         """
         check = None if checks is None else checks.points.get(point.name)

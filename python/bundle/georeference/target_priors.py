@@ -108,7 +108,6 @@ class TargetPriors(FoundPriors):
 
         Args:
             problem: problem of :meth:`make`, or the same problem moved.
-            moved: similarity by which the problem was moved.
         """
         if not self.used:
             return problem

@@ -36,10 +36,6 @@ def read_lines(
 
     The system is None after a first line LOCAL: coordinates are metres in a frame of their own.
 
-    Args:
-        path: path of the file.
-        name_at: index of the word that is the name of an image.
-
     Raises:
         InputError: the file is not text, or its first line does not name a reference system.
         OSError: the file cannot be read.
@@ -77,9 +73,6 @@ def parse_number(place: str, name: str, word: str, *, unknown: bool = False) -> 
     """Return a word as a number.
 
     Args:
-        place: file and line, for messages.
-        name: name of the number for messages.
-        word: the word in the file.
         unknown: allow nan for unknown values.
 
     Raises:
@@ -110,12 +103,6 @@ def headed_rows(
     example: str,
 ) -> tuple[tuple[str, ...], list[str], list[tuple[str, int, list[str]]]]:
     """Return the columns of values that the header names, all columns after the name, and the rows.
-
-    Args:
-        path: path of the file.
-        images: images of the problem.
-        layouts: allowed columns after the name, and the standard deviations that may follow them.
-        example: a header, for messages.
 
     Raises:
         InputError: the header is unknown, or as :func:`image_rows`.

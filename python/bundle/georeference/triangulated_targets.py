@@ -71,9 +71,6 @@ def triangulate(
     """Triangulate every target; ``reason`` is the reason of a failure.
 
     Args:
-        problem: the model.
-        points: the targets.
-        images: index of the problem's images.
         pixel_sigma: standard deviation in pixels of measurements without their own.
     """
     return tuple(_triangulated(problem, point, images, pixel_sigma) for point in points)

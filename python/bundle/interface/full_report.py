@@ -26,8 +26,6 @@ def full_report(
     """Return all fields of a summary as text.
 
     Args:
-        summary: summary of the solve.
-        phases: table of its phases with their times.
         orderings: sizes of the elimination groups, given and used.
         iterations: arrays of the iterations, for their table; None: no table.
     """

@@ -70,7 +70,6 @@ def with_ordering_alarm(
     """Return the fields of a summary with the best order that was tried, and a warning.
 
     Args:
-        summary: fields of the summary.
         structure: function that returns the arrays on which the structure of the matrix depends.
         look: function that orders the matrix; None if the solve chose the best of several orders.
         advice: option that selects the better order; "" if the solve chose the order.
@@ -197,7 +196,6 @@ def recall(structure: str, now: PastFactor) -> PastFactor | None:
 
     Args:
         structure: checksum of the matrix and name of its solver.
-        now: factor of this solve.
     """
     try:
         path = history_path()

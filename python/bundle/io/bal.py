@@ -184,10 +184,8 @@ def check_refined(
     """Raise the error that ``radial_params`` would raise after a solve with these options.
 
     Args:
-        problem: the problem before the solve.
         refined: kinds of refined parameters, "focal", "principal_point", "extra"; others have no
             effect.
-        fixed_camera_ids: cameras with constant parameters.
 
     Raises:
         InputError: a camera has, or may get in the solve, parameters that a BAL file cannot store.

@@ -140,7 +140,6 @@ def save(problem: Problem, folder: Path, *, binary: bool) -> tuple[str, ...]:
     Text has enough digits to read every number back unchanged.
 
     Args:
-        problem: the problem.
         folder: an existing folder, preferably an empty one: files of the other format stay in it.
         binary: True for the binary format, False for text.
 
@@ -174,7 +173,6 @@ def rewrite_like(
         point_ids: (num_points,) ids of all points of the source, ascending.
         points: (num_points, 3) world coordinates.
         errors: (num_points,) errors as returned by :func:`point_errors`.
-        folder: an existing folder.
 
     Raises:
         OSError: the files could not be written completely.
@@ -301,7 +299,6 @@ def point_errors(
         errors: (num_observations,) ||r|| in pixels; nan without a projection.
         behind: (num_observations,) True if the point is behind the camera.
         point: (num_observations,) index of the point.
-        num_points: number of points.
     """
     errors = np.where(behind | np.isnan(errors), NO_PROJECTION, errors)
     counts = np.bincount(point, minlength=num_points)
@@ -375,7 +372,6 @@ def note_contradiction(folder: Path, image_poses: _Poses, poses: _Poses) -> None
     """Warn about images whose own poses differ from those of frames and rigs.
 
     Args:
-        folder: folder of the model.
         image_poses: (num_images, 7) poses in the images file.
         poses: (num_images, 7) poses by frames and rigs; these are used.
     """

@@ -102,10 +102,6 @@ def save(
 def as_problem(source: Source, name: str = "problem") -> Problem:
     """Return the problem of a source: the problem itself, a path's, or a reconstruction's.
 
-    Args:
-        source: a problem, the path of a problem, or a pycolmap.Reconstruction.
-        name: name of the argument, for errors.
-
     Raises:
         InputError: the source has another type, or its content is not a problem.
         OSError: the path does not exist or cannot be read.

@@ -251,7 +251,6 @@ def check_target(
     """Raise, before a long solve, the errors that ``save`` would raise after it.
 
     Args:
-        problem: the problem that will be written, perhaps after a solve.
         path: as for ``save``.
         format: as for ``save``.
         refined: kinds of camera parameters that the solve will change: "focal",

@@ -71,8 +71,6 @@ def user_error(place: str, error: Exception, path: Path | None = None) -> InputE
     """Return an exception of a user's code as one line, with the line of the file that raised it.
 
     Args:
-        place: file and function.
-        error: the exception.
         path: file whose last line in the traceback is named; None: that of the last frame.
     """
     if isinstance(error, InputError):

@@ -281,7 +281,6 @@ def check_name(
     Args:
         path: output path; with a trailing slash it is a folder, and any name is accepted.
         what: kind of the output, such as "a page (.html)".
-        own: accepted suffixes, separated by spaces.
         compressed: suffixes that are accepted before ".gz" or ".bz2".
 
     Raises:

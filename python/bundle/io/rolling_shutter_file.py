@@ -230,8 +230,6 @@ def read_frame_times(
     """Return the time of each image in frames (NaN: not in the file), and its neighbours.
 
     Args:
-        path: csv file with a header.
-        problem: problem with the images.
         frame_rate: frames per second, for times in seconds; 0: unknown.
 
     Raises:

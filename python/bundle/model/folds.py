@@ -55,7 +55,6 @@ def folds_of(
     """Return the fold of each observation, 0 to num_folds - 1; -1: it is never held out.
 
     Args:
-        problem: the problem, whose ids determine the folds.
         num_folds: number of folds, from 2 to 1000.
         seed: whole number; another seed gives other folds.
         keep: smallest number of images of a point that remain when a fold is held out.

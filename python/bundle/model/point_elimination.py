@@ -38,7 +38,6 @@ def eliminate_points(
         d_point: (n, 2, 3) derivatives by the point.
         r: (n, 2) residuals.
         point: (n,) number of the point of each observation, from 0 without gaps, ascending.
-        size: number of unknowns.
 
     Returns:
         Normal equations (size, size + 1) with the right-hand side last, the sum of squares that the
@@ -85,10 +84,7 @@ def part_of_observations(
     """Return the places in ``rows`` of the observations that take part, ascending.
 
     Args:
-        problem: the problem.
         rows: (n,) observations to choose from.
-        most_images: largest number of images.
-        most_points: largest number of points.
     """
     image, point = problem.observation_image[rows], problem.observation_point[rows]
     chosen = np.arange(len(rows))

@@ -36,7 +36,6 @@ def enclose_angle(problem: Problem, observations: _Indices, min_angle: float) ->
     """Return a mask of the points that have two rays that enclose at least ``min_angle``.
 
     Args:
-        problem: poses, points and observations.
         observations: indices of the observations to use; a point with fewer than two fails.
         min_angle: smallest accepted angle in degrees, above 0, at most 90.
 

@@ -334,7 +334,6 @@ def worst_images(
     Args:
         problem: the problem; errors are evaluated at its values.
         cheirality: as in a solve; observations that do not count are left out.
-        most: largest number of images to return.
         num_threads: number of threads; 0: all cores.
     """
     errors, behind = reprojection_errors(problem, cheirality=cheirality, num_threads=num_threads)

@@ -256,8 +256,6 @@ def refuse(problem: ProblemArrays, shutter: RollingShutter | None, what: str) ->
     """Raise an InputError if an image has a rolling shutter.
 
     Args:
-        problem: the problem.
-        shutter: its rolling shutters.
         what: argument or command that does not support rolling shutters.
     """
     if shutter is None or not shutter.is_rolling.any():

@@ -52,7 +52,6 @@ def project_each(problem: Problem, image: NDArray[np.integer], points: Array) ->
     """Return pixels (N, 2) of points (N, 3) in the frames of cameras; NaN without a projection.
 
     Args:
-        problem: the problem that has the cameras.
         image: (N,) index of the image of each point.
         points: (N, 3) coordinates in the frame of the camera at that time.
     """
@@ -131,7 +130,6 @@ def scaled(shutter: RollingShutter | None, scale: ArrayLike) -> RollingShutter |
     A twist is in the frame of its camera: rotations and translations of the world do not change it.
 
     Args:
-        shutter: rolling shutters before.
         scale: new per old lengths, one number or (num_images,).
     """
     if shutter is None:

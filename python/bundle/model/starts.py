@@ -97,11 +97,8 @@ def choose_lower(
     """Return the chordal start if its cost is lower than that of the file's poses, or these.
 
     Args:
-        graph: the graph, with the information matrices of the solve.
         held: (n,) mask of constant poses.
-        num_threads: number of threads of the relaxation.
         order: order of elimination of the relaxation.
-        error: error of an edge.
     """
     try:
         chordal = _core.initial_poses(graph, held, "chordal", num_threads, order)
@@ -145,7 +142,6 @@ def choose_start(
     one for all starts that the few steps took to the same cost.
 
     Args:
-        graph: the graph, with the information matrices of the solve.
         held: (n,) mask of constant poses.
         doubted: (m,) mask of edges to which the loss applies.
         options: options of the solve. For losses that run several solves, starts are compared
@@ -190,12 +186,8 @@ def lower_start(
     also takes a few steps.
 
     Args:
-        graph: the graph, with the information matrices of the solve.
         held: (n,) mask of constant poses.
         doubted: (m,) mask of edges to which the loss applies.
-        start: start of the solve.
-        options: options of the solve, with its final loss.
-        solved: output of the solve.
         cost: function that returns the cost for chi2 (m,).
     """
     end = float(solved["summary"]["final_cost"])

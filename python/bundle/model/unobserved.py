@@ -26,12 +26,7 @@ def unobserved(problem: Counts) -> str:
 
 
 def require_observations(problem: Counts, name: str) -> None:
-    """Refuse a problem that cannot be refined.
-
-    Args:
-        problem: the problem.
-        name: path or name, for the message.
-    """
+    """Refuse a problem that cannot be refined."""
     found = _content_without_observations(problem)
     if found:
         raise InputError(f"{name}: expected observations to refine, found {found}")
@@ -60,13 +55,7 @@ def are_images_unrelated(problem: ProblemArrays, options: PointOptions) -> bool:
 
 
 def require_tracks(problem: ProblemArrays, name: str, options: PointOptions) -> None:
-    """Refuse a problem whose refined points relate no images.
-
-    Args:
-        problem: a problem with observations.
-        name: path or name, for the message.
-        options: options of the solve.
-    """
+    """Refuse a problem whose refined points relate no images."""
     if are_images_unrelated(problem, options):
         raise InputError(
             f"{name}: expected points that several images see, found "

@@ -238,13 +238,7 @@ class AdjustedPart:
 def adjusted_part(
     read: AdjustedFields, asked: ColmapAdjustment, config: AdjustmentConfig
 ) -> AdjustedPart:
-    """Return the sub-problem of an adjustment with its constant variables.
-
-    Args:
-        read: the sub-problem as it was read.
-        asked: options of the adjustment.
-        config: images and points of the adjustment, and its constant variables.
-    """
+    """Return the sub-problem of an adjustment with its constant variables."""
     part = Problem(**read.fields)
     named = np.isin(part.image_ids, list(config.images))
     part = _without_frames_of(part, ~named)

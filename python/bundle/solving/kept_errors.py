@@ -232,8 +232,6 @@ def measure(
     """Return all statistics; the errors are reordered.
 
     Args:
-        before: errors of all observations of the input.
-        after: errors of all observations of the output.
         kept: mask of the observations of the input that the output has; None: all.
         limit: error of an outlier in pixels; None: do not separate outliers.
         totals: the processes that hold parts of the observations; None: this one holds all. Only

@@ -72,8 +72,6 @@ def place_at_priors(
 
     Args:
         problem: problem to move; not modified.
-        factors: factors in addition to the priors.
-        priors: priors of any kinds.
         align: move the problem to the priors; None: move it if `factors` is empty and the priors
             determine the similarity.
 

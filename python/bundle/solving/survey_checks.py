@@ -64,12 +64,7 @@ KNOWN = 1e-100
 
 
 def check_survey(prepared: Prepared, solve: Callable[[Prepared], Problem]) -> SurveyChecks | None:
-    """Test the control points of a solve, and an offset of its positions; None without points.
-
-    Args:
-        prepared: the solve, with its minimum as the start.
-        solve: function that returns the minimum of a prepared solve.
-    """
+    """Test the control points of a solve, and an offset of its positions; None without points."""
     if prepared.placed.targets is None:
         return None
     if prepared.start.num_images > MOST_IMAGES:
@@ -84,10 +79,6 @@ def solve_without_attitudes(
 
     Sigmas of attitudes that are too small bend a model to them: their residuals are then small,
     and hide their errors.
-
-    Args:
-        prepared: the solve, with its minimum as the start.
-        solve: function that returns the minimum of a prepared solve.
     """
     if prepared.part is not None or prepared.start.num_images > MOST_IMAGES:
         return None

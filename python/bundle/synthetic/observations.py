@@ -93,8 +93,6 @@ class Visibility:
         """Return the possible observations.
 
         Args:
-            rng: source of the thinning.
-            points: the points.
             lengths: (n,) wanted number of observations of each point.
             num_threads: number of threads; 0: all cores. The pairs do not depend on it.
         """
@@ -156,8 +154,6 @@ def select_observations(
         pairs: possible observations; at least two images per point.
         preference: (M,) values of the pairs; every point gets its pairs with the smallest values.
         weights: (num_points,) wanted length of each track beyond 2, relative to other tracks.
-        mean_length: mean track length to reach.
-        num_images: number of images.
         may_be_shorter: accept a smaller mean length if images cannot observe more points.
 
     Returns:
@@ -277,10 +273,8 @@ def measure(
     magnitude.
 
     Args:
-        rng: source of noise and outliers.
         xy: (M, 2) exact positions.
         sizes: (M, 2) width and height of the image of each observation.
-        options: amount of noise and outliers.
     """
     noise = options.pixel_noise * rng.standard_normal(xy.shape)
     measured = xy + noise

@@ -145,9 +145,6 @@ def write_bal_scene(
     """Write the start of a scene and its ground truth, as made by ``synthesize``.
 
     Args:
-        scene: scene to write.
-        path: path of the start, an uncompressed BAL file.
-        truth_path: path of the ground truth, also an uncompressed BAL file.
         progress: called after each block with the fraction of finished points.
 
     Returns:

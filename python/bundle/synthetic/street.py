@@ -64,12 +64,7 @@ def waypoints(
     """Return positions and headings of a drive with rounded corners.
 
     Args:
-        drive: steps of the drive.
-        rng: source of the drive's decisions.
-        pitch: distance between roads.
         corner_radius: distance from the node at which a turn begins, at most half the pitch.
-        spacing: distance travelled between waypoints.
-        count: number of waypoints.
 
     Returns:
         Positions (count, 2), and headings (count,) in radians from the x axis.

@@ -157,7 +157,6 @@ def measured_attitudes(truth: Problem, options: SceneOptions) -> tuple[AttitudeP
 
     Args:
         truth: images at their true poses, in a world with z up.
-        options: options of the scene.
     """
     gravity, orientation = np.random.SeedSequence([options.seed, STREAM]).spawn(2)
     found: list[AttitudePrior] = []

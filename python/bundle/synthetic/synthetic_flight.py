@@ -79,13 +79,9 @@ def follow(
     """Return the tracks along poses (n, 7), world_from_imu.
 
     Args:
-        poses: poses of the images.
         camera_from_imu: (7,) pose.
-        lens: pinhole camera.
         around: points in the world.
         num_tracks: wanted number of tracks per image.
-        track_length: mean number of images of a track.
-        rng: source of points and lengths.
     """
     mount = np.tile(camera_from_imu, (len(poses), 1))
     cameras = multiply_poses(mount, inverse_poses(poses))

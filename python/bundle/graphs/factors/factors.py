@@ -61,12 +61,7 @@ class Factor(FrozenArrays, Displayed):
         return f"{type(self).__name__}({', '.join(brief(key) for key in self.keys)})"
 
     def core_arguments(self, name: str, sizes: tuple[int, ...]) -> tuple[Any, ...]:
-        """Return the arguments of ``_core`` in addition to name, variables and loss.
-
-        Args:
-            name: name of the factor within its graph.
-            sizes: tangent sizes of the variables.
-        """
+        """Return the arguments of ``_core`` in addition to name, variables and loss."""
         raise NotImplementedError
 
     def _set(self, attribute: str, value: Any) -> None:

@@ -122,9 +122,7 @@ class SimilarityGraph:
         """Return the nodes that minimise 1/2 sum rho(chi2) over the edges.
 
         Args:
-            nodes: start.
             weigh: function from chi2 (m,) to rho and its derivative, both (m,).
-            tolerance: relative change of the cost at which to stop.
         """
         free = np.flatnonzero(~self.held)
         active: NDArray[np.bool_] = ~np.all(self.held[self.edges], axis=1)

@@ -70,10 +70,7 @@ class Agreement(NamedTuple):
 
         Args:
             costs: costs of the factors: motions, then walks and first prior of each bias.
-            count: number of intervals.
-            cost: C.
             alone: C_0, and the variance factor of the images alone.
-            noise_scale: factor for vibration.
         """
         motions, gyro, accel = (costs[first : first + count] for first in (0, count, 2 * count + 1))
         intervals = 2 * (motions + gyro + accel)

@@ -92,8 +92,6 @@ def arm_error(
         centers: (n, 3) projection centres in units of the model.
         arms: (n, 3) vectors from the camera to the IMU along the axes of the model, metres.
         axes: (n, 3, 3) world_from_body.
-        motions: motions between consecutive images, at their biases.
-        noise: noise of the IMU, without a factor for vibration.
     """
     times = np.cumsum([0.0, *(motion.duration for motion in motions)])
     rows, freedom = [], -10
@@ -190,8 +188,6 @@ class ForceScale(NamedTuple):
 
         Args:
             least: function of f.
-            images_variance: variance factor of the images.
-            variance: that of the IMU.
         """
         low, mid, high = (least(f) for f in (1 - STEP, 1.0, 1 + STEP))
         by_images, by_imu = (

@@ -51,10 +51,6 @@ def upright_start(
 
     Args:
         problem: problem in any frame and unit.
-        bodies: its bodies with the IMU.
-        intervals: samples between consecutive bodies.
-        noise: noise of the IMU.
-        rule: rule of preintegration.
         is_metric: True for a constant baseline between sensors of a rig, which is in metres; the
             similarity then has scale 1.
 

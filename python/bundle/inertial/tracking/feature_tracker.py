@@ -272,12 +272,7 @@ MOST_ERROR = 0.5  # pixels, of the inverse of the lens
 
 
 def usable_pixels(calibration: Calibration, size: tuple[int, int]) -> Array:
-    """Return a mask (height, width) of 0 and 255.
-
-    Args:
-        calibration: calibration with a camera model.
-        size: width and height.
-    """
+    """Return a mask (height, width) of 0 and 255."""
     import cv2
 
     model, params = calibration.camera_model or "", calibration.camera_params

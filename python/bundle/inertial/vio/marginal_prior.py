@@ -267,7 +267,6 @@ def steady_speed(
     Args:
         frames: frames in ascending time.
         sigma: standard deviation of the mean acceleration along the path between two frames, m/s^2.
-        square_root: form of the prior.
 
     Returns:
         None if no two consecutive frames have first estimates faster than 0.5 m/s.

@@ -84,12 +84,8 @@ class WindowAlarms:
         """Return the alarms of a keyframe.
 
         Args:
-            stamp: ns.
             state: newest state (16,).
             nullity: nullity and expected nullity.
-            prior: values of a record.
-            prior_cost: the prior's cost, and its number of coordinates.
-            verdict: on the excitation.
             yaw: sigma, and accumulated rotation.
         """
         if self._start is None:

@@ -118,8 +118,6 @@ def window_sizes(table: LandmarkTable, window: dict[str, Any], fill_ratio: float
     """Return the sizes of a window's solve, as named in a :class:`KeyframeRecord`.
 
     Args:
-        table: landmarks of the window.
-        window: the window in the core's format, with its priors.
         fill_ratio: nonzeros of the factor relative to the reduced matrix; 1 if it is dense.
     """
     states, points = len(window["states"]), len(table.ids)

@@ -36,9 +36,7 @@ def fitted_lens(
     """Fit a symmetric lens; return None if the model cannot project all its rays.
 
     Args:
-        model: model to fit, with one focal length.
         focal: focal length in pixels for the start.
-        center: principal point.
         angles: (n,) angles to the axis in radians, ascending.
         radii: (n,) radii in pixels at these angles.
     """
@@ -64,8 +62,6 @@ def fitted_to_rays(
     """Fit any lens; return None if the model cannot project all its rays.
 
     Args:
-        model: model to fit.
-        start: a model and its parameters, near the lens.
         rays: (n, 3) directions.
         xy: (n, 2) pixels of these rays.
     """

@@ -185,10 +185,6 @@ def pixels(measured: Array, image: NDArray[np.int32], scale: Any, center: Array)
 def checked_rotations(matrices: Array, place: Callable[[int], str]) -> Array:
     """Return the rotations nearest to matrices (n, 3, 3) of a file, whose digits are rounded.
 
-    Args:
-        matrices: the matrices.
-        place: function that returns file and name of the i-th matrix.
-
     Raises:
         InputError: a matrix is not a rotation.
     """

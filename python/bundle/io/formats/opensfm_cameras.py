@@ -176,9 +176,7 @@ def _fisheye624(camera: SfmCamera, base: list[float], place: str) -> Camera:
     """Return the exact model of a fisheye62 or fisheye624 lens, or a fitted one.
 
     Args:
-        camera: the camera.
         base: focal lengths and principal point in pixels.
-        place: place of the camera for messages.
     """
     p = camera.params
     k = [p[name] for name in RADIAL]
@@ -280,8 +278,6 @@ def rig_fields(
     """Return the rigs of a reconstruction.
 
     Args:
-        node: the reconstruction.
-        shots: names of the shots.
         image_camera: (num_images,) camera of each shot.
         poses: (num_images, 7) poses of the shots.
 

@@ -115,9 +115,6 @@ def image_sizes(
 
     Args:
         names: paths of the photographs; empty for an image without a name.
-        folders: folders that relative paths may start from.
-        options: sizes from the user.
-        place: file with the names, for messages.
 
     Raises:
         InputError: a photograph is missing or is not a picture, and no size was given; or the

@@ -181,7 +181,6 @@ def format_at(path: Path, beginning: bytes, *, others: bool = True) -> Format | 
     """Return the format of a file or folder by its content; None if no format matches.
 
     Args:
-        path: path of the file or folder.
         beginning: first bytes of a file.
         others: also ask the formats of other packages.
     """

@@ -82,7 +82,6 @@ def common_losses(problem: Problem, *, keeps: Iterable[str] = ()) -> tuple[str, 
     """Return one sentence for each kind of information that the formats lose.
 
     Args:
-        problem: the problem.
         keeps: what this format holds: "ids", "rigs", "colors", "sharing", "names", "sizes".
     """
     keeps = set(keeps)
@@ -136,7 +135,6 @@ def write_tracks(
     """Write the points with their views.
 
     Args:
-        file: output.
         templates: ``%`` formats of a point before its views, of a view, and after the views. The
             last number before the views is their count.
         point_columns: (num_points, n) numbers of the points, without the count.

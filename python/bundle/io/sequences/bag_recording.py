@@ -53,10 +53,7 @@ def read_bag(
 
     Args:
         path: a ROS 1 bag, or the folder of a ROS 2 bag.
-        calibration: files of the calibration.
-        camera: name of the camera in a camchain.
         image_topic: topic; None: the rostopic of the calibration, or the only one.
-        imu_topic: likewise.
 
     Raises:
         InputError: the bag is damaged, topics are missing or not unique, or rosbags is missing.

@@ -52,11 +52,9 @@ def read_csv(
     """Read integer columns, then numbers; skip empty lines, comments and a header.
 
     Args:
-        path: path of the file.
         whole: names of the integer columns, for messages.
         numbers: names of the other columns, which follow the integer columns.
         delimiter: delimiter between columns; None for white space.
-        extra: allow further columns and ignore them.
 
     Raises:
         InputError: a line has too few or too many columns, or a word instead of a number; the error

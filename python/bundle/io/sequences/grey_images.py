@@ -34,7 +34,6 @@ def grey_images(paths: Sequence[Path], size: tuple[int, int] | None) -> Iterator
     """Yield the images of files; one at a time is in memory.
 
     Args:
-        paths: files.
         size: width and height of the calibration; None: unknown.
 
     Raises:

@@ -49,9 +49,6 @@ def find_calibration(
 
     Args:
         given: files of ``--calibration``.
-        camera_files: files of the recording that may exist, the first has precedence.
-        imu_files: likewise for the IMU.
-        camera: name of the camera in a camchain.
         stamps: stamps of images and of samples, for rates that the files lack.
 
     Raises:

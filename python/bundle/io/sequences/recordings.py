@@ -100,8 +100,6 @@ def read_mav(
 
     Args:
         path: ``mav0`` or its parent.
-        calibration: files that replace those of the folder.
-        camera: folder of the camera, and its name in a camchain.
 
     Raises:
         InputError: a file violates its format, or an image is missing.
@@ -215,11 +213,7 @@ def read_video(
     """Read samples and times of frames; frames are decoded when they are needed.
 
     Args:
-        path: the video.
-        imu: table of the samples.
         frame_times: times of the frames; None: a constant rate from 0.
-        calibration: files of the calibration.
-        camera: name of the camera in a camchain.
 
     Raises:
         InputError: a file violates its format, or numbers of frames and times differ.

@@ -70,7 +70,6 @@ def load_ground_truth(path: str | os.PathLike[str], *, in_order: bool = True) ->
     """Read EuRoC's ground truth; velocities and biases are nan in a file with poses only.
 
     Args:
-        path: path of the file.
         in_order: require ascending time stamps; otherwise, sort the poses.
 
     Raises:
@@ -92,7 +91,6 @@ def load_tum(path: str | os.PathLike[str], *, in_order: bool = True) -> Trajecto
     """Read a TUM trajectory; stamps keep their nanoseconds.
 
     Args:
-        path: path of the file.
         in_order: require ascending time stamps; otherwise, sort the poses.
 
     Raises:
@@ -119,7 +117,6 @@ def save_tum(path: str | os.PathLike[str], timestamps_ns: ArrayLike, states: Arr
     """Write a TUM trajectory: stamps in seconds with nine decimals; numbers read back unchanged.
 
     Args:
-        path: path of the file.
         timestamps_ns: (n,) time stamps in nanoseconds.
         states: (n, 7) or more columns: qx qy qz qw px py pz, world_from_imu.
 

@@ -108,10 +108,7 @@ def open_input(
     """Return a model or a table of poses from any form of input.
 
     Args:
-        given: the input.
-        name: name of the argument, for messages.
         format: format of a path; None: by its content.
-        direction: direction of the poses in a list.
 
     Raises:
         InputError: the input has another type or format.

@@ -297,9 +297,7 @@ def check_shape(value: Any, shape: Any, place: str, name: str = "") -> None:
     """Refuse a value that lacks entries of its shape.
 
     Args:
-        value: contents of a JSON file.
         shape: expected shape.
-        place: name of the file.
         name: names of the entries that lead to the value, such as "summary.final_cost".
 
     Raises:

@@ -114,7 +114,6 @@ def model_records(problem: ProblemArrays, source: Any) -> ModelRecords:
     """Return the COLMAP model to be written for a problem.
 
     Args:
-        problem: the problem.
         source: source in the form kept by the problem. If it is not a COLMAP model, images without
             a name get names such as image_000007.
     """
@@ -205,8 +204,6 @@ def _keypoints(
     The coordinates of new keypoints are zero.
 
     Args:
-        source: records of the source.
-        contents: keypoints of the source.
         image_ids: (num_images,) image ids of the model.
         first: (num_images,) row of the first keypoint of each image.
         total: number of keypoints of the model.

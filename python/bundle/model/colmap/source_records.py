@@ -185,7 +185,6 @@ def number_keypoints(problem: ProblemArrays, num_keypoints: _Indices) -> Keypoin
     """Number the keypoints of a problem.
 
     Args:
-        problem: the problem.
         num_keypoints: (num_images,) number of keypoints of each image in the source; -1 for an
             image that is not in the source.
     """

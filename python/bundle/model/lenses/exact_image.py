@@ -94,13 +94,7 @@ def focal_and_center(model: str, params: NDArray[np.float64]) -> tuple[float, fl
 def exact_params(
     model: str, params: NDArray[np.float64], target: str
 ) -> NDArray[np.float64] | None:
-    """Return the parameters with which a model equals another lens; None if it cannot.
-
-    Args:
-        model: model of the lens, any except EQUIRECTANGULAR.
-        params: parameters of this model, without padding.
-        target: new model, any except EQUIRECTANGULAR.
-    """
+    """Return the parameters with which a model equals another lens; None if it cannot."""
     if model == target:
         return params
     lens = _lens(model, params)

@@ -80,10 +80,6 @@ def lens_region(
     """Return the pixels at which a lens of another model must agree with the old one.
 
     Args:
-        what: name of the camera for messages.
-        old_model: model of the old lens.
-        old: parameters of the old lens.
-        model: model of the new lens.
         size: width and height of the image, 0 if unknown.
         observed: (N, 2) pixels of the observations.
     """
@@ -182,8 +178,6 @@ def fit_lens(
     """Fit a lens to pixels of rays.
 
     Args:
-        model: model to fit, any except EQUIRECTANGULAR.
-        lens: model and parameters of the given lens, for the start values.
         rays: (N, 3) directions within the field of view of the model.
         xy: (N, 2) pixels of these rays.
 

@@ -39,8 +39,6 @@ def pixel_rays(
     """Return the unit vectors of a camera at pixels.
 
     Args:
-        model: camera model, any except EQUIRECTANGULAR.
-        params: parameters of the model, without padding.
         xy: (N, 2) pixels.
 
     Returns:

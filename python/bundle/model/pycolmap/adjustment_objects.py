@@ -138,7 +138,6 @@ def summary_of(
 
     Args:
         values: fields of :class:`bundle.Summary`, which have Ceres' names.
-        counts: fields that count what pycolmap hands to Ceres.
     """
     summary = pycolmap.CeresBundleAdjustmentSummary()
     ceres = summary.ceres_summary
@@ -305,8 +304,6 @@ def set_values(
     """Set the refined values of a sub-problem.
 
     Args:
-        reconstruction: the reconstruction to change.
-        refined: the sub-problem with its new values.
         images: mask of its images whose poses are set, each with its frame.
         points: mask of its points that are set.
     """

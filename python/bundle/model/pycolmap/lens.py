@@ -20,7 +20,6 @@ def normalized(model: str, params: Sequence[float], xy: NDArray[np.float64]) -> 
     """Return undistorted coordinates (N, 2) on the plane z = 1 of the camera.
 
     Args:
-        model: COLMAP's name of the camera model.
         params: parameters of the model in COLMAP's order, without padding.
         xy: (N, 2) pixels.
     """

@@ -156,9 +156,7 @@ def on_keypoints(problem: Problem, keypoints: Sequence[NDArray[np.float64]], pla
     A COLMAP model with these keypoints in this order stays as it is. Other models get them.
 
     Args:
-        problem: the problem.
         keypoints: for each image, (n, 2) pixels.
-        place: name of their file, for errors.
 
     Raises:
         InputError: an observation is no keypoint; the message names the file and the image.

@@ -343,8 +343,6 @@ def check_stamp_unit(
     Args:
         stamps: (n,) stamps, not necessarily sorted; repeated stamps count once.
         rate: rate of the sensor [Hz].
-        name: name of the rate in the calibration.
-        place: function that converts a row to text for messages.
     """
     times = np.unique(stamps)
     if len(times) < 2:

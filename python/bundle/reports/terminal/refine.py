@@ -72,20 +72,11 @@ def refinement(
     """Return the report on one solve.
 
     Args:
-        path: path of the input.
-        problem: problem before the solve.
-        solved: the result.
-        wall: time by stage.
         output: path and format of the output; None if nothing was written.
-        lost: data that the output's format cannot store.
-        more_options: options in addition to those of the solve.
         edits: changes of cameras before the solve, or None.
         closed: loop closing before the solve, or None.
-        findings: findings about the result.
-        waiting: waiting for cores during the solve.
         measured: errors at the measurements beside the pixels.
         inertial: adjustment with an IMU, or None.
-        readout_sigma: standard deviation of each refined readout, by camera id.
     """
     sigmas = readout_sigma or {}
     summary, changes = solved.summary, camera_changes(solved)

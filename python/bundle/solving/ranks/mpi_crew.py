@@ -109,7 +109,6 @@ def serve(comm: Any, complain: Callable[[str], None], describe: Callable[[Except
 
     Args:
         comm: mpi4py's communicator of all processes.
-        complain: function that prints a line.
         describe: function that returns the one-line error message of an exception.
     """
     while True:

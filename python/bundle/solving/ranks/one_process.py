@@ -26,7 +26,6 @@ def reason_to_be_alone(options: dict[str, Any], core_factors: Any) -> str:
     """Return why a solve cannot be divided; "" if it can.
 
     Args:
-        options: resolved options.
         core_factors: variables, factors and places in the form of ``_core.solve``; None without
             factors.
     """

@@ -37,8 +37,6 @@ def measure_on_disk(before: PixelErrors, after: PixelErrors, limit: float | None
     """Return all statistics; the errors are overwritten.
 
     Args:
-        before: errors of all observations at the input.
-        after: errors of the same observations at the output.
         limit: error of an outlier in pixels; None: do not separate outliers.
     """
     num_observations = len(after.errors)
@@ -179,7 +177,6 @@ def divided_statistics(
     """Return the output of ``reprojection.summarize_errors`` to rank 0.
 
     Args:
-        meeting: communication of all processes.
         errors: errors ||r|| of this process in pixels; nan without a projection.
         behind: mask of this process's observations behind their camera.
         cheirality: resolved cheirality option for `behind`.
@@ -223,7 +220,6 @@ def order_statistics(
     """Return, on all ranks, the values at some positions of the sorted values of all processes.
 
     Args:
-        meeting: communication of all processes.
         own: values of this process, at least 0 and ascending.
         positions: positions from 0, the same in all processes.
     """

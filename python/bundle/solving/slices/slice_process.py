@@ -58,8 +58,6 @@ class Process:
         """Run a method on all ranks and return rank 0's result.
 
         Args:
-            name: name of the method.
-            given: arguments on all ranks.
             own: arguments on rank 0 only.
         """
         self._meeting.broadcast((name, given))
@@ -75,7 +73,6 @@ class Process:
         """Continue from other values.
 
         Args:
-            state: values of images and cameras, on all ranks.
             points: (num_points, 3) points of the model, on rank 0 only.
         """
         survey, own = self.slice.survey, self._part.points
@@ -112,7 +109,6 @@ class Process:
         The gauge problem is None without rigs, and with gauge "none".
 
         Args:
-            options: options of the solve.
             limit: error of an outlier in pixels, or None.
         """
         own, meeting = self.slice, self._meeting
@@ -155,13 +151,7 @@ def _errors_of(part: ProblemPart, num_threads: int, cheirality: str) -> tuple[An
 
 
 def gauge_problem(meeting: Meeting, own: Slice, fixed_point_ids: list[int]) -> Problem | None:
-    """Return a problem with the same gauge freedom to rank 0, None to the other ranks.
-
-    Args:
-        meeting: communication of all processes.
-        own: slice of this process.
-        fixed_point_ids: constant points of all slices.
-    """
+    """Return a problem with the same gauge freedom to rank 0, None to the other ranks."""
     given = meeting.gather(_of_slice(own, np.asarray(fixed_point_ids, np.int64)))
     if given is None:
         return None
