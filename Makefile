@@ -5,7 +5,8 @@ DEMO_INPUT ?= data/street_colmap
 DEMO_OUTPUT ?= out/demo
 DEMO_REFERENCE ?= $(DEMO_INPUT)_ground_truth
 # 1 % of the demo's observations are gross outliers, which a least-squares fit alone would follow.
-DEMO_OPTIONS ?= --loss cauchy --rounds 3
+DEMO_LOSS ?= --loss cauchy
+DEMO_OPTIONS ?= --rounds 3
 
 # Tests start hundreds of processes; without cached bytecode each would compile the package again.
 unexport PYTHONDONTWRITEBYTECODE
@@ -50,9 +51,9 @@ $(READY_TO_DOCUMENT): $(READY)
 
 demo: $(READY)  ## refine the model in data/ and compare it with the truth
 	@mkdir -p $(dir $(DEMO_OUTPUT))
-	$(VENV)/bin/bundle refine $(DEMO_INPUT) -o $(DEMO_OUTPUT) $(DEMO_OPTIONS)
+	$(VENV)/bin/bundle refine $(DEMO_INPUT) -o $(DEMO_OUTPUT) $(DEMO_LOSS) $(DEMO_OPTIONS)
 	test ! -e $(DEMO_REFERENCE) || \
-	  $(VENV)/bin/bundle evaluate $(DEMO_OUTPUT) --reference $(DEMO_REFERENCE)
+	  $(VENV)/bin/bundle evaluate $(DEMO_OUTPUT) --reference $(DEMO_REFERENCE) $(DEMO_LOSS)
 
 test: $(READY)  ## run the tests
 	$(VENV)/bin/python -m pytest --numprocesses auto --dist worksteal

@@ -182,3 +182,10 @@ def test_mistakes_are_one_line(run, files, monkeypatch, mistake):
     assert code == 2 and out == ""
     assert err.startswith("error: ") and err.count("\n") == 1 and wanted in err
     assert not (files / "page.html").exists()
+
+
+def test_a_loss_needs_two_models(run, files):
+    words = ("evaluate", files / "ref.tum", "--reference", files / "ref.tum")
+    for flags, named in (("--loss huber", "loss"), ("--loss-scale 2", "--loss-scale")):
+        code, out, err = run(*words, *flags.split())
+        assert (code, out) == (2, "") and err.startswith("error: ") and named in err

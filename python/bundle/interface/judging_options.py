@@ -5,6 +5,7 @@ from __future__ import annotations
 from bundle.base.records import dataclass
 from bundle.interface.option_class import Options, documented
 from bundle.interface.option_fields import option
+from bundle.interface.options import LOSSES
 
 ALIGNMENTS = ("similarity", "rigid", "yaw", "none")
 """Alignments of the poses of an estimate, the default first."""
@@ -101,6 +102,20 @@ class EvaluateOptions(Options):
         "--sigmas",
         "of two models: movement in sigmas of A's covariance; auto: for up to 300 images",
         choices=SIGMAS,
+    )
+    loss: str = option(
+        "trivial",
+        "--loss",
+        "loss of the solve of A, for the sigmas",
+        choices=LOSSES,
+    )
+    loss_scale: float = option(
+        1.0,
+        "--loss-scale",
+        "scale of this loss, in pixels",
+        above=0.0,
+        metavar="PIXELS",
+        only_with=("loss", LOSSES[1:]),
     )
 
 

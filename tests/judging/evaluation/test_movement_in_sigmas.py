@@ -5,6 +5,7 @@ import pytest
 
 import bundle
 from bundle.georeference.similarity import Similarity, moved
+from bundle.interface.options import SolveOptions
 from bundle.judging.evaluation.movement_in_sigmas import _check_scale, movement_in_sigmas
 from tests.rig_scenes import rig_problem
 
@@ -14,7 +15,11 @@ EXACT = {"function_tolerance": 1e-12, "max_num_iterations": 300, "num_threads": 
 
 def orbit(seed, shift=0.0):
     made = bundle.synthesize(
-        scene="orbit", num_images=14, num_points=500, seed=seed, pixel_noise=0.5
+        scene="orbit",
+        num_images=14,
+        num_points=500,
+        seed=seed,
+        pixel_noise=0.5,
     )
     problem = made.problem.replace(format="colmap")
     parameters = problem.camera_params.copy()
@@ -22,11 +27,13 @@ def orbit(seed, shift=0.0):
     return problem.replace(camera_params=parameters), made.ground_truth
 
 
-def compared(problem, truth, **options):
+def compared(problem, truth, said=("loss", "loss_scale"), **options):
     solved = bundle.solve(problem, **{**EXACT, **options}).problem
     rows = np.arange(truth.num_images)
-    movement = movement_in_sigmas(solved, truth, rows, rows)
-    return movement, next(one for one in bundle.evaluate(solved, truth).headline if "sigmas" in one)
+    told = SolveOptions(**{name: options[name] for name in said if name in options})
+    movement = movement_in_sigmas(solved, truth, rows, rows, told)
+    found = bundle.evaluate(solved, truth, loss=told.loss, loss_scale=told.loss_scale)
+    return movement, next(one for one in found.headline if "sigmas" in one)
 
 
 @pytest.mark.parametrize("tolerance", [1e-12, 1e-6])
@@ -49,8 +56,28 @@ def test_a_held_one_is_an_assumption_that_is_said():
 
 
 def test_a_model_off_its_minimum_has_no_measure():
-    found, sentence = compared(*orbit(1), refine=DEFAULT, loss="cauchy", loss_scale=0.2)
-    assert not found.is_minimum and "no measure of quality" in sentence
+    options = {"refine": DEFAULT, "loss": "cauchy", "loss_scale": 0.2}
+    found, sentence = compared(*orbit(1), said=(), **options)
+    assert not found.is_minimum and "no measure of quality" in sentence and "--loss" in sentence
+    found, sentence = compared(*orbit(1), said=("loss",), **options)  # with a scale of 1 px
+    assert not found.is_minimum and "minimum of the cauchy loss" in sentence
+
+
+def test_sigmas_under_a_loss_are_those_of_the_truth():
+    """Monte Carlo of the mean of m^2, 1.2 here: the scale of the weighted residuals gives 2.9."""
+    squares = []
+    for seed in range(5):
+        made = bundle.synthesize(
+            scene="orbit", num_images=8, num_points=120, seed=seed, pixel_noise=0.5,
+            outlier_share=0.02 * (seed % 2),
+        )  # fmt: skip
+        found, sentence = compared(
+            made.problem.replace(format="colmap"), made.ground_truth,
+            refine=DEFAULT, loss="cauchy", loss_scale=0.5, function_tolerance=1e-6,
+        )  # fmt: skip
+        assert found.is_minimum and found.loss == "cauchy" and "no measure" not in sentence
+        squares.append(np.mean(found.sigmas**2))
+    assert 0.6 < np.mean(squares) < 1.8
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2, 3])

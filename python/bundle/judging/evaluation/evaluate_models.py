@@ -23,6 +23,7 @@ from bundle.interface.judging_options import (
 )
 from bundle.interface.option_class import takes_options
 from bundle.interface.option_fields import choice
+from bundle.interface.options import SolveOptions
 from bundle.io.files import Source, as_problem
 from bundle.io.pose_files import load_poses, pose_format
 from bundle.io.sequences.trajectory_files import Trajectory
@@ -99,6 +100,8 @@ def evaluate(
         return CheckPointEvaluation.of(model, points)
     other = open_input(b, "b", chosen.format, chosen.pose_direction)
     words = [_word(a, "A"), _word(b, "B")]
+    if chosen.loss != "trivial" and not (isinstance(model, Problem) and isinstance(other, Problem)):
+        raise InputError("loss: expected two models, found poses, which have no covariance")
     return _evaluate(model, other, chosen, words)
 
 
@@ -169,8 +172,9 @@ def _evaluate(
     common: dict[str, Any] = {"lenses": (), "points": None, "movement": None}
     notes: list[str] = []
     if isinstance(a, Problem) and isinstance(b, Problem):
-        wanted = "off" if word == "identical" and options.sigmas == "auto" else options.sigmas
-        common, notes = _of_models(a, b, pairs, compared, wanted)
+        if word == "identical" and options.sigmas == "auto":
+            options = options.replace(sigmas="off")
+        common, notes = _of_models(a, b, pairs, compared, options)
     elif options.sigmas == "on":
         raise InputError("sigmas: expected two models, found poses")
     findings = [*findings_of(compared), *_missing(pairs)]
@@ -223,12 +227,12 @@ def _directions(
 
 
 def _of_models(
-    a: Problem, b: Problem, pairs: Association, compared: Compared, sigmas: str
+    a: Problem, b: Problem, pairs: Association, compared: Compared, options: EvaluateOptions
 ) -> tuple[dict[str, Any], list[str]]:
     """Return the results for two models only: lenses, points and movement; and remarks."""
     rows = pairs.rows_a, pairs.rows_b
     points = shared_points(a, b, *rows)
-    movement, notes = _movement(a, b, pairs, sigmas)
+    movement, notes = _movement(a, b, pairs, options)
     found = {
         "lenses": lens_differences(a, b, *rows),
         "points": point_difference(a, b, points, compared.similarity) if len(points) else None,
@@ -241,17 +245,18 @@ def _movement(
     a: Problem,
     b: Problem,
     pairs: Association,
-    sigmas: str,
+    options: EvaluateOptions,
 ) -> tuple[SigmaMovement | None, list[str]]:
     """Return the movement in sigmas, or the reason why it is missing."""
-    if sigmas == "off" or not a.num_observations:
+    if options.sigmas == "off" or not a.num_observations:
         return None, []
-    if sigmas == "auto" and a.num_images > MOST_IMAGES:
+    if options.sigmas == "auto" and a.num_images > MOST_IMAGES:
         return None, [f"No sigmas: A has more than {MOST_IMAGES} images (--sigmas on)."]
     try:
-        found = movement_in_sigmas(a, b, pairs.rows_a, pairs.rows_b)
+        solved = SolveOptions(loss=options.loss, loss_scale=options.loss_scale)
+        found = movement_in_sigmas(a, b, pairs.rows_a, pairs.rows_b, solved)
     except InputError as error:
-        if sigmas == "on":
+        if options.sigmas == "on":
             raise
         return None, [f"No sigmas: {error}."]
     return found, list(found.notes)

@@ -14,9 +14,12 @@ scale is a movement like any other. Then
     m_ir^2 = d^T C^+ d / rank(C),
 
 is 1 for a movement by one sigma, and m_i is the median of m_ir over the anchors: one anchor that
-moved itself has no influence. C is scaled by the residuals of A (sigma0). If B is the truth, the
-mean of m_i^2 is about 1 if the covariance is right. Points, and images that B lacks, have no
-influence.
+moved itself has no influence. C is that of the weights of the loss, scaled by sigma0^2: without a
+loss, the residuals of A per degree of freedom; under a loss, the median ratio of the variances of
+poses in the sandwich covariance (``cpp/core/covariance/sandwich.h``) to those of the weights. The
+residuals alone do not tell this scale: a loss bends, and few rays per point make residuals small.
+If B is the truth, the mean of m_i^2 is about 1 if the covariance is right. Points, and images that
+B lacks, have no influence.
 
 The covariance depends on what the solve of A refined, which no file records: principal points and
 the sensors of rigs are held by default, and A is much less certain if they were refined. A itself
@@ -38,7 +41,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.analysis.uncertainty.covariance_by_input import covariance
+from bundle.analysis.uncertainty.covariance_by_input import Recipe, covariance
 from bundle.base.records import dataclass
 from bundle.errors import InputError
 from bundle.georeference.pose_alignment import align_centers
@@ -79,12 +82,13 @@ class SigmaMovement:
 
     Attributes:
         sigmas: (n,) m_i; NaN for an image without a covariance.
-        sigma0: root of the mean squared residual of A per degree of freedom in pixels.
-        is_minimum: False if a step of least squares would lower the cost of A; the sigmas are then
+        sigma0: scale of the covariance in pixels.
+        is_minimum: False if a step would lower the cost of A under the loss; the sigmas are then
             rough.
         notes: remarks on the covariance.
         assumed: parameters that were assumed to be constant, such as "the principal point"; "":
             nothing depends on it.
+        loss: loss of the solve of A.
     """
 
     sigmas: Array
@@ -92,6 +96,7 @@ class SigmaMovement:
     is_minimum: bool
     notes: tuple[str, ...]
     assumed: str = ""
+    loss: str = "trivial"
 
     @property
     def median(self) -> float:
@@ -106,24 +111,28 @@ class SigmaMovement:
         return float(known.max()) if len(known) else np.nan
 
 
-def movement_in_sigmas(a: Problem, b: Problem, rows_a: Indices, rows_b: Indices) -> SigmaMovement:
-    """Return the movement of the shared images, whose rows are (n,); A is at its minimum.
+def movement_in_sigmas(
+    a: Problem, b: Problem, rows_a: Indices, rows_b: Indices, solved: SolveOptions
+) -> SigmaMovement:
+    """Return the movement of the shared images, whose rows are (n,).
+
+    `solved` has the loss of the solve of A; what it refined is found here.
 
     Raises:
         InputError: A has no covariance, or a metric scale that B does not have.
     """
-    held = _movement(a, b, rows_a, rows_b, SolveOptions())
+    held = _movement(a, b, rows_a, rows_b, solved)
     if not held.is_minimum or not held.median > 1:
         return held
     assumed = "the principal point"
-    changes: dict[str, Any] = {"refine": (*SolveOptions().refine, "principal_point")}
+    changes: dict[str, Any] = {"refine": (*solved.refine, "principal_point")}
     choices = [(assumed, changes)]
     if a.num_sensors:
         sensors = {"refine_sensor_from_rig": True}
         assumed = "principal point and sensors on rigs"
         choices = [("sensors on rigs", sensors), *choices, (assumed, changes | sensors)]
     for what, more in choices:
-        options = SolveOptions().replace(**more)
+        options = solved.replace(**more)
         try:
             if _decrease(a, options) > REFINED * held.sigma0**2:
                 continue
@@ -155,12 +164,13 @@ def _movement(
     first, second = first[first != second], second[first != second]
     ids = a.image_ids[rows_a]
     pairs = list(zip(ids[first].tolist(), ids[second].tolist(), strict=True))
-    found = covariance(a, options, of=("poses",), relative=pairs, gauge="inner", scale="sigma0")
+    found = covariance(a, options, of=("poses",), relative=pairs, gauge="inner")
+    sigma0 = found.sigma0 if options.loss == "trivial" else _scale_under_loss(a, options)
     change, length = _changes(
         unit_poses(a.cam_from_world[rows_a]), unit_poses(b.cam_from_world[rows_b]),
         first, second, is_metric=is_metric,
     )  # fmt: skip
-    blocks = np.asarray(found.relative_covariance)
+    blocks = sigma0**2 * np.asarray(found.relative_covariance)
     if not is_metric:
         change, blocks = _across(change, blocks, length)
     table = np.full((count, len(anchors)), np.nan)
@@ -174,7 +184,21 @@ def _movement(
         for note in found.notes
         if not note.startswith(NOT_CONVERGED)  # its advice names flags of other commands
     ]
-    return SigmaMovement(sigmas, found.sigma0, is_minimum, tuple(notes))
+    return SigmaMovement(sigmas, sigma0, is_minimum, tuple(notes), loss=options.loss)
+
+
+def _scale_under_loss(problem: Problem, options: SolveOptions) -> float:
+    """Return sigma0 under a loss in pixels, from the poses of the sandwich."""
+    request = SolveRequest(problem=problem, options=options.replace(gauge="two_cameras"))
+    sandwich, weights = (
+        np.diagonal(recipe.compute([]).pose_covariance, axis1=1, axis2=2)
+        for recipe in (
+            Recipe(request, ("poses",), "two_cameras", "unit", robust, long_sums=False)
+            for robust in ("sandwich", "weights")
+        )
+    )
+    known = np.isfinite(sandwich) & (weights > 0)
+    return float(np.sqrt(np.median(sandwich[known] / weights[known])))
 
 
 def _check_scale(a: Problem, b: Problem, rows_a: Indices, rows_b: Indices) -> None:

@@ -320,7 +320,9 @@ def _poses(result: Mapping[str, Any]) -> str:
 def _moved(movement: SigmaMovement) -> str:
     far = int((movement.sigmas > FAR).sum())
     if not movement.is_minimum:
-        meaning = "no measure of quality, because A is not at a minimum of least squares"
+        cost = "least squares" if movement.loss == "trivial" else f"the {movement.loss} loss"
+        meaning = f"no measure of quality, because A is not at a minimum of {cost}"
+        meaning += "; if its solve had a loss, give it (--loss)" * (movement.loss == "trivial")
     elif movement.median <= 1:
         meaning = "within the uncertainty of A"
         meaning += f", except {plural(far, 'image')} beyond {FAR}" if far else ""
