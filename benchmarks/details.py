@@ -9,6 +9,7 @@ from benchmarks import (
     flops,
     judging,
     practitioners,
+    report,
     scale,
     scaling,
     table,
@@ -24,7 +25,8 @@ _SHARE_SOLVERS = (REFERENCE, targets.CERES, targets.PEER)
 
 def page(results: Results, heading: str, plots: dict[str, str]) -> str:
     """Return the page; ``plots`` maps "gap" and "scaling" to paths as its links have them."""
-    parts = ["# Benchmarks", heading]
+    parts = ["# Benchmarks", report.answer(results)]
+    parts += ["## Method", heading]
     parts.append(
         "Written by `benchmarks/run.py`; the method is in "
         "[benchmarks/README.md](../benchmarks/README.md). Brackets show the spread of the runs."
@@ -56,13 +58,13 @@ def page(results: Results, heading: str, plots: dict[str, str]) -> str:
         parts.append(f"![Cost gap against time]({plots['gap']})")
     for problem in results.kinds:
         size = results.size(problem)
-        counts = ", ".join(f"{size[key]:,} {key}" for key in ("images", "points", "observations"))
+        kinds = ("images", "points", "observations") if size else ()
+        counts = ", ".join(f"{size[kind]:,} {kind}" for kind in kinds)
         parts += [
-            f"### {problem}",
-            f"{counts}; best known cost {results.best_cost(problem):.9e}; ratios to {REFERENCE}."
-            if size
-            else f"Best known cost {results.best_cost(problem):.9e}; ratios to {REFERENCE}.",
+            f"<details><summary>{problem}: {counts}</summary>",
+            f"Best known cost {results.best_cost(problem):.9e}; ratios to {REFERENCE}.",
             table.of_problem(results.rows_of(problem)),
+            "</details>",
         ]
     return "\n\n".join(parts) + "\n"
 

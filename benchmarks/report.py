@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import statistics
 from pathlib import Path
 
 from benchmarks import table, targets
@@ -29,6 +30,44 @@ def heading(results: Results) -> str:
         f"above {REPEAT_BELOW:g} s is not repeated). {listed}. Stopping rule of all: {stopping}. "
         f"`{results.command}`"
     )
+
+
+def _measured(results: Results) -> str:
+    """Return when and on what, in a line."""
+    machine = results.machine
+    return (
+        f"Measured {machine['date']} on {machine['cpu']}, {machine['cores']} cores, "
+        f"{results.settings['threads']} threads."
+    )
+
+
+def answer(results: Results) -> str:
+    """Return how fast, for whom, and where not: a list, before all tables."""
+    lines = []
+    for what, of in (
+        ("A step", lambda row: row.step),
+        ("A total, build and solve,", lambda row: row.total),
+        ("Peak memory", lambda row: row.memory),
+    ):
+        for peer in (targets.PEER, targets.CERES):
+            ratios = {
+                name: ratio
+                for name in results.kinds
+                if (ours := results.row(name, REFERENCE))
+                and (row := results.row(name, peer))
+                and (ratio := targets.quotient(of(row), of(ours)))
+            }
+            if ratios:
+                least = min(ratios, key=ratios.__getitem__)
+                most = max(ratios, key=ratios.__getitem__)
+                lines.append(
+                    f"- **{what}** of `{peer}` is {statistics.median(ratios.values()):.1f} times "
+                    f"bundle's (median of {len(ratios)} problems; least {ratios[least]:.2f}, "
+                    f"{least}; most {ratios[most]:.1f}, {most})."
+                )
+    missed = [goal for goal in targets.of(results) if not goal.met]
+    lines += [f"- **Not met**: {targets.in_words(goal)}." for goal in missed]
+    return "\n".join(lines)
 
 
 def chosen(results: Results) -> list[tuple[Row, Row]]:
@@ -85,12 +124,12 @@ def markdown(results: Results, page: str, image: str) -> str:
         short_table(results),
         "Totals are build and solve under one stopping rule. 2.00x: twice as long, or twice as "
         "large, as bundle; in brackets the spread of the runs.",
-        heading(results),
+        _measured(results),
     ]
     if image:
         parts.insert(0, f"![Total time of pycolmap and of Ceres, divided by bundle's]({image})")
     if page:
-        parts.append(f"Every solver on every problem, targets, growth, threads: [{page}]({page}).")
+        parts.append(f"Versions, commands, every solver on every problem: [{page}]({page}).")
     return "\n\n".join(part for part in parts if part) + "\n"
 
 

@@ -344,9 +344,16 @@ def _extreme(
 
 def as_table(goals: Sequence[Target]) -> str:
     """Return one line a target: what, the measured value, the limit, and whether it is met."""
-    lines = []
-    for goal in goals:
-        measured = "not measured" if goal.value is None else f"{goal.value:.3g}"
-        limit = f"{'at least' if goal.is_least else 'at most'} {goal.limit:g}"
-        lines.append([goal.what, measured, limit, "yes" if goal.met else "no"])
+    lines = [[goal.what, *_numbers(goal), "yes" if goal.met else "no"] for goal in goals]
     return table.grid(["target", "measured", "limit", "met"], lines)
+
+
+def in_words(goal: Target) -> str:
+    """Return what was measured and wanted."""
+    measured, limit = _numbers(goal)
+    return f"{goal.what}: {measured}, wanted {limit}"
+
+
+def _numbers(goal: Target) -> list[str]:
+    measured = "not measured" if goal.value is None else f"{goal.value:.3g}"
+    return [measured, f"{'at least' if goal.is_least else 'at most'} {goal.limit:g}"]

@@ -218,6 +218,11 @@ def test_the_page_has_every_part_and_whole_tables():
     ):
         assert f"## {title}" in text
     assert "1.80" in text.split("## Threads")[1].split("##")[0]
+    first = text.split("## ")[0]
+    assert "`pycolmap auto`" in first and "median of 3 problems" in first
+    missed = [goal.what for goal in targets.of(measured) if not goal.met]
+    assert missed and all(f"**Not met**: {what}" in first for what in missed)
+    assert text.count("<details>") == text.count("</details>") == 3
     assert "(s.png)" in text
     assert "(g.png)" in text
     width = 0
