@@ -44,10 +44,10 @@ def _measured(results: Results) -> str:
 def answer(results: Results) -> str:
     """Return how fast, for whom, and where not: a list, before all tables."""
     lines = []
-    for what, of in (
-        ("A step", lambda row: row.step),
-        ("A total, build and solve,", lambda row: row.total),
-        ("Peak memory", lambda row: row.memory),
+    for what, field in (
+        ("A step", "step"),
+        ("A total, build and solve,", "total"),
+        ("Peak memory", "memory"),
     ):
         for peer in (targets.PEER, targets.CERES):
             ratios = {
@@ -55,7 +55,7 @@ def answer(results: Results) -> str:
                 for name in results.kinds
                 if (ours := results.row(name, REFERENCE))
                 and (row := results.row(name, peer))
-                and (ratio := targets.quotient(of(row), of(ours)))
+                and (ratio := targets.quotient(getattr(row, field), getattr(ours, field)))
             }
             if ratios:
                 least = min(ratios, key=ratios.__getitem__)
