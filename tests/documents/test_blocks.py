@@ -18,7 +18,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from tools.quoted_outputs import QUOTE
 
@@ -89,71 +88,6 @@ PAGES = [
 ]
 
 
-def names_of(page: str, folder: Path) -> dict[str, Any]:
-    """Return the names that the Python blocks of a page take from the text around them."""
-    if page == "README.md":
-        problem = bundle.load(folder / "sparse" / "0")
-        return {"gps": dict(zip([1, 2, 3], problem.projection_centers, strict=False))}
-    if page in ("docs/constraints.md", "docs/positions.md", "docs/pictures.md"):
-        problem = bundle.load(folder / "sparse" / "0")
-        centers = dict(zip(problem.image_names, problem.projection_centers, strict=True))
-        axis = bundle.pictures.figure(1, 1)[1][0, 0] if page == "docs/pictures.md" else None
-        return {
-            "bundle": bundle,
-            "problem": problem,
-            "surveyed": centers,
-            "ax": axis,
-            "one": problem,
-            "another": problem,
-        }
-    if page == "docs/gravity.md":
-        problem = bundle.load(folder / "sparse" / "0")
-        known = bundle.georeference.read_attitudes(problem, gravity="gravity.txt").priors
-        rows = zip(problem.image_names, known, strict=True)
-        measured = {name: getattr(prior, "direction") for name, prior in rows}  # noqa: B009
-        return {"bundle": bundle, "problem": problem, "measured": measured}
-    if page == "docs/marginalization.md":
-        return {"bundle": bundle, "graph": chain()}
-    return inertia() if page == "docs/inertia.md" else {"bundle": bundle}
-
-
-def chain() -> bundle.FactorGraph:
-    """Five positions in a row."""
-    graph = bundle.FactorGraph()
-    for k in range(5):
-        graph.add_variable(f"x{k}", [float(k), 0.0])
-    graph.add_factor(bundle.PriorFactor("x0", [0.0, 0.0], 1.0))
-    for k in range(4):
-        graph.add_factor(bundle.BetweenFactor(f"x{k}", f"x{k + 1}", [1.0, 0.0], 100.0))
-    return graph
-
-
-def no_solution(_frames: list[Any], _deadline: float) -> None:
-    """A window that never has one."""
-
-
-def inertia() -> dict[str, Any]:
-    """Half a second at rest, and a graph with the state at its end."""
-    graph = bundle.FactorGraph()
-    pose, rest = [0.0, 0, 0, 1, 0, 0, 0], np.tile([0.0, 0.0, 9.81], (100, 1))
-    graph.add_variable("x1", pose, "se3")
-    graph.add_variable("v1", [0, 0, 0])
-    graph.add_variable("b1", [0] * 6)
-    return {
-        "bundle": bundle,
-        **{"gyro_bias": [0, 0, 0], "accel_bias": [0, 0, 0], "graph": graph, "pose": pose},
-        **{"gyro": np.zeros((100, 3)), "accel": rest, "dt": np.full(100, 0.005)},
-        **{"new_gyro_bias": [0.01, 0, 0], "new_accel_bias": [0, 0.1, 0], "timestamp_ns": 10**9},
-        **{"state": [*pose, *[0.0] * 9], "solve": no_solution, "frame": "frame"},
-        **{
-            "information": np.eye(6),
-            "first_ns": 10**9 - 1,
-            "second_ns": 10**9,
-            "measurement": pose,
-        },
-    }
-
-
 @pytest.fixture
 def few_methods(monkeypatch: pytest.MonkeyPatch) -> None:
     few = {"solvers": ["dense_schur", "sparse_schur"], "backends": ["fused"], "repeat": 1}
@@ -164,7 +98,6 @@ def few_methods(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda path: path.relative_to(ROOT).as_posix())
 @pytest.mark.usefixtures("few_methods")
-@pytest.mark.filterwarnings("ignore:Attempt to set non-positive")  # one axis for all pictures
 def test_the_blocks_of_a_page_run(
     page: Path,
     tmp_path: Path,
@@ -184,27 +117,22 @@ def test_the_blocks_of_a_page_run(
         workspace.base(tmp_path)
     if name in WITH_DATA:
         WITH_DATA[name](tmp_path, request.getfixturevalue("bundle_data"))
-    names, said = names_of(name, tmp_path), ""
-    try:
-        for number, (language, text) in enumerate(blocks(page)):
-            if language == "python":
-                capsys.readouterr()
-                exec(compile(text, f"{name}, block {number}", "exec"), names)
-                said = capsys.readouterr().out
-            elif language == "output":
-                check_output(page, text, said)
-            elif language in ("", "sh"):
-                for words in commands(text):
-                    few = words[0] == "validate" and not shown_lines(text)
-                    words += ["--folds", "2"] * few + ["--quiet"]
-                    assert main(words) == 0, f"{name}, block {number}: {words}"
-                printed = capsys.readouterr().out.splitlines()
-                for line in shown_lines(text):
-                    assert any(agree(line, other) for other in printed), f"{name}: {line}"
-    finally:
-        for value in names.values():
-            if isinstance(value, bundle.WindowLoop | bundle.ClosureLoop):
-                value.close()
+    names, said = dict[str, Any](), ""
+    for number, (language, text) in enumerate(blocks(page)):
+        if language == "python":
+            capsys.readouterr()
+            exec(compile(text, f"{name}, block {number}", "exec"), names)
+            said = capsys.readouterr().out
+        elif language == "output":
+            check_output(page, text, said)
+        elif language in ("", "sh"):
+            for words in commands(text):
+                few = words[0] == "validate" and not shown_lines(text)
+                words += ["--folds", "2"] * few + ["--quiet"]
+                assert main(words) == 0, f"{name}, block {number}: {words}"
+            printed = capsys.readouterr().out.splitlines()
+            for line in shown_lines(text):
+                assert any(agree(line, other) for other in printed), f"{name}: {line}"
 
 
 def check_output(page: Path, shown: str, said: str) -> None:
