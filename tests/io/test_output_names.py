@@ -5,7 +5,7 @@ import json
 import pytest
 
 import bundle
-from bundle.io.formats.registry import format_written
+from bundle.io.formats.registry import BUILT_IN, format_written
 from bundle.io.open import output_format
 from tests.scenes import make_problem
 
@@ -13,7 +13,7 @@ from tests.scenes import make_problem
 @pytest.mark.parametrize("source", ["bal", "colmap", "memory"])
 def test_a_suffix_of_letters_names_a_format_or_is_refused(tmp_path, source):
     for name in ("x.foo", "x.FOO", "x.gz", "a.b.refined"):
-        with pytest.raises(bundle.InputError, match=r"expected a name without a suffix.*--format"):
+        with pytest.raises(bundle.InputError, match=r"expected a name of a folder.*--format"):
             output_format(source, tmp_path / name)
     own = "bal" if source == "bal" else "colmap"
     for name in ("x", "x.v2", "x.2024", ".x", "x.bz2"):
@@ -21,12 +21,21 @@ def test_a_suffix_of_letters_names_a_format_or_is_refused(tmp_path, source):
     assert output_format(source, f"{tmp_path}/x.foo/") == "colmap"
     assert output_format(source, tmp_path / "x.foo", "colmap-text") == "colmap-text"
     assert output_format("opensfm", tmp_path / "opensfm.refined") == "opensfm"
-    with pytest.raises(bundle.InputError, match="expected a name without a suffix"):
+    with pytest.raises(bundle.InputError, match="expected a name of a folder"):
         output_format("nvm", tmp_path / "x.foo")
     (tmp_path / "old.foo").mkdir()
     (tmp_path / "file.foo").touch()  # perhaps INPUT itself
     assert output_format(source, tmp_path / "old.foo") == "colmap"
     assert output_format(source, tmp_path / "file.foo") == own
+
+
+def test_the_refusal_lists_what_is_written(tmp_path):
+    for name in ("x.foo", "x.json", "x.sfm"):
+        with pytest.raises(bundle.InputError) as caught:
+            bundle.save(make_problem(), tmp_path / name)
+        for suffix in (".txt.gz", *(s for f in BUILT_IN if f.writes for s in f.suffixes)):
+            assert suffix in str(caught.value)
+    assert not list(tmp_path.iterdir())
 
 
 def test_convert_writes_no_folder_of_such_a_name(tmp_path, capsys):

@@ -37,6 +37,8 @@ from bundle.io.formats.registry import (
     find_format,
     format_for_name,
     format_written,
+    names_read,
+    names_written,
 )
 from bundle.io.georeference_file import remove_georeference
 from bundle.io.recognition import (
@@ -94,9 +96,7 @@ def load(
     if by_name is not None and by_name.reads:
         return by_name.reading().read(path, options)  # type: ignore[no-any-return]  # states the fault
     if other is not None:
-        raise InputError(
-            f"{shown(path)}: expected a BAL file or the folder of a COLMAP model, found {other}"
-        )
+        raise InputError(f"{shown(path)}: expected {names_read()}, found {other}")
     return bal.load(path, progress)
 
 
@@ -227,14 +227,14 @@ def output_format(
     known = None if folder.is_dir() else format_written(folder)
     if known is not None:
         return known.name
-    check_name(path, "a folder or of a BAL file (.txt, .txt.gz, .txt.bz2)", compressed=".txt")
+    check_name(path, names_written(), compressed=".txt")
     own = find_format(source_format)
     if own is not None and own.writes and own.is_folder:
         return own.name  # the name of a project is free
     if _WORD.fullmatch(folder.suffix) and not folder.exists():
         raise InputError(
-            f"{shown(path)}: expected a name without a suffix, or with that of a format, found "
-            f"{shown(folder.suffix)}; a slash at the end makes it a folder, or give --format"
+            f"{shown(path)}: expected a name of {names_written()}, found a name in "
+            f"{shown(folder.suffix)}; --format gives any name a format"
         )
     if own is not None and own.writes:
         return own.name

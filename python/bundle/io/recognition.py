@@ -137,8 +137,8 @@ def is_pose_graph_file(path: object) -> TypeGuard[str | os.PathLike[str]]:
 def other_format_at(path: Path) -> str | None:
     """Return the format of a file that is neither a BAL file nor a pose graph.
 
-    The content decides first, then the name. None if both are unknown, for pipes, and for files
-    that begin with a number, as BAL files do.
+    The content decides first, then the name. None for pipes, for files that begin with a number, as
+    BAL files do, and for unknown text in a file with the name of a BAL file.
     """
     if not path.is_file():
         return None
@@ -154,7 +154,8 @@ def other_format_at(path: Path) -> str | None:
     if written is not None:
         return f"{written.what}, which has cameras and no tracks"
     known = (words for begin, words in _BEGINNINGS.items() if beginning.startswith(begin))
-    by_name = format_of_name(path) if path.suffix.lower() != ".txt" else None
+    is_bal = path.suffix.lower() in (".txt", *_COMPRESSIONS)
+    by_name = None if is_bal else format_of_name(path) or "no known format"
     return next(known, by_name)
 
 

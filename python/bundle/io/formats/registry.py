@@ -22,6 +22,7 @@ from typing import Any
 
 from bundle.base.records import dataclass
 from bundle.errors import InputError, shown
+from bundle.interface.option_fields import join
 
 GROUP = "bundle.formats"
 
@@ -133,6 +134,18 @@ BUILT_IN = (
 
 FOLDERS = frozenset({"colmap", "colmap-text", "opensfm"})
 """Formats whose output is a folder."""
+
+
+def names_read() -> str:
+    """Return the names of all inputs that are reconstructions, for messages."""
+    others = (known.what for known in BUILT_IN if known.reads)
+    return join(("the folder of a COLMAP model", "a BAL file", *others))
+
+
+def names_written() -> str:
+    """Return the names of outputs with their formats, for messages."""
+    suffixes = (suffix for known in BUILT_IN if known.writes for suffix in known.suffixes)
+    return f"a folder (COLMAP) or of a file in .txt, .txt.gz, .txt.bz2 (BAL), {join(suffixes)}"
 
 
 def _all(*, others: bool = True) -> Iterator[Format]:
