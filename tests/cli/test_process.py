@@ -74,7 +74,7 @@ def test_a_process_ends_after_its_last_exit_function(earlier):
 
 
 def test_help_shows_every_option_with_its_default(spawn):
-    out = " ".join(spawn("refine", "--help").out.split())
+    out = " ".join(spawn("refine", "--help-all").out.split())
     assert "default: points-first)" in out
     assert "default: poses,points,focal,extra)" in out
     assert "default: 1e-06)" in out

@@ -27,6 +27,9 @@ from bundle.cli.main import COMMANDS
         (["refine", "MODEL", "-o", "x", "--max_iterations", "3"], ["mean --max-iterations"]),
         (["refine", "MODEL", "-o", "x", "--solver", "dense-shur"], ["mean dense-schur"]),
         (["--versoin"], []),
+        (["filter", "MODEL"], ["mean refine?"]),
+        (["georegister", "MODEL"], ["mean align?"]),
+        (["help", "optimize"], ["mean refine?"]),
         (["info", "--zzz", "MODEL"], []),
         (["convert", "MODEL", "b", "c"], ["'c'"[1:-1]]),
     ],
@@ -39,6 +42,12 @@ def test_misspelt(run, model, words, suggested):
     for suggestion in suggested:
         assert suggestion in err
     assert suggested or ("mean" not in err and "has" not in err)
+
+
+def test_other_words_for_a_command_belong_to_one_command():
+    words = [word for row in COMMANDS.values() for word in row.also.split()]
+    assert len(words) == len(set(words)) > 20
+    assert not set(words) & set(COMMANDS)
 
 
 def test_after_two_dashes_everything_is_a_name(run):

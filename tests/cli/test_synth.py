@@ -126,7 +126,7 @@ def test_the_table_names_files_and_counts(run, tmp_path):
 
 def test_help_has_every_default_and_unit(run, capsys):
     with pytest.raises(SystemExit):
-        run("synth", "--help")
+        run("synth", "--help-all")
     text = " ".join(capsys.readouterr().out.split())
     for words in (
         "--images N", "default: 40", "--image-size WIDTH HEIGHT", "default: 1280 960", "in pixels",

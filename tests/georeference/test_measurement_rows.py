@@ -177,7 +177,7 @@ def refine(run, folder, *words):  # noqa: F811
 def test_flags_and_help_have_the_kind(run, model, capsys):  # noqa: F811
     for command in ("refine", "covariance", "diagnose"):
         with pytest.raises(SystemExit):
-            run(command, "--help")
+            run(command, "--help-all")
         text = capsys.readouterr().out
         assert "heights of images:" in text and "They are above z = 0." in text
         assert "--heights FILE" in text and "--height-sigma METRES" in text
@@ -193,7 +193,7 @@ def test_flags_and_help_have_the_kind(run, model, capsys):  # noqa: F811
 
 def test_without_the_row_nothing_knows_it(run, model, capsys):  # noqa: F811
     with pytest.raises(SystemExit):
-        run("refine", "--help")
+        run("refine", "--help-all")
     assert "--heights" not in capsys.readouterr().out
     with pytest.raises(InputError, match=r"priors: expected PositionPriors.* at \[0\]"):
         find_priors(bundle.load(model[0] / "model"), [HeightPrior(1, 0.0, 1.0)])

@@ -122,7 +122,9 @@ def arguments_of(name: str, parser: argparse.ArgumentParser) -> list[nodes.Node]
     found: list[nodes.Node] = [nodes.paragraph("", sentence(parser.description or ""))]
     for group in parser._action_groups:
         actions = [
-            action for action in group._group_actions if "--help" not in action.option_strings
+            action
+            for action in group._group_actions
+            if not {"--help", "--help-all"} & set(action.option_strings)
         ]
         if not actions:
             continue

@@ -91,6 +91,7 @@ class Command(Row):
             whose error names the kind.
         kind: function that returns the kind.
         is_for_each: True to run on each of several inputs.
+        also: other words that users type for the command; its error suggests the command.
     """
 
     help: str
@@ -99,6 +100,7 @@ class Command(Row):
     ways: Mapping[str, Way]
     kind: Callable[[argparse.Namespace], str] = staticmethod(_detected)
     is_for_each: bool = False
+    also: str = ""
 
     def way(self, kind: str) -> Way:
         """Return the steps on a kind of INPUT."""
@@ -132,6 +134,7 @@ _OF_CHECKS = "samples_per_image all seed tolerance num_threads html"
 COMMANDS: dict[str, Command] = {
     "info": Command(
         help="counts, cameras, tracks, reprojection errors [px], and warnings",
+        also="stats statistics show describe",
         usage="INPUT... [options]",
         arguments=lambda a: (
             a.given_input("inputs", nargs="+"),
@@ -150,6 +153,7 @@ COMMANDS: dict[str, Command] = {
     ),
     "inspect": Command(
         help="predict nonzeros, fill-in, flops, memory and time per step of each solver",
+        also="predict sparsity",
         usage="INPUT [options]\n       bundle inspect --graph FILE [options]",
         arguments=lambda a: (
             a.INSPECTED,
@@ -173,6 +177,7 @@ COMMANDS: dict[str, Command] = {
     ),
     "refine": Command(
         help="bundle adjustment of a model, or optimisation of a pose graph (.g2o)",
+        also="adjust ba bundle_adjuster filter optimize optimise solve",
         usage="INPUT -o OUTPUT [options]",
         arguments=lambda a: (
             a.INPUT,
@@ -209,6 +214,7 @@ COMMANDS: dict[str, Command] = {
     ),
     "compare": Command(
         help="solve from the same start with several solvers, and recommend one",
+        also="benchmark",
         usage="INPUT... [options]",
         arguments=lambda a: (
             a.COMPARED,
@@ -240,6 +246,7 @@ COMMANDS: dict[str, Command] = {
     ),
     "validate": Command(
         help="cross-validate lens models, sharing of cameras and losses, and recommend one",
+        also="crossvalidate",
         usage="INPUT [options]",
         arguments=lambda a: (
             a.INPUT,
@@ -276,6 +283,7 @@ COMMANDS: dict[str, Command] = {
     "check": Command(
         help="check the analytic Jacobians of this problem, or of your own factors "
         "(FILE.py:NAME), and name mistakes",
+        also="gradients jacobians",
         arguments=lambda a: (
             a.INPUT,
             a.group(
@@ -297,6 +305,7 @@ COMMANDS: dict[str, Command] = {
     "covariance": Command(
         help="marginal covariances of poses, points and intrinsics, or of the poses of a "
         "pose graph",
+        also="uncertainty",
         usage="INPUT -o FILE.npz [options]",
         arguments=lambda a: (
             a.INPUT,
@@ -342,6 +351,7 @@ COMMANDS: dict[str, Command] = {
     "diagnose": Command(
         help="find undetermined parameters of a model or pose graph: rank, weak directions, "
         "components, suspicious edges",
+        also="gauge rank",
         usage="INPUT [options]",
         arguments=lambda a: (
             a.INPUT,
@@ -383,6 +393,7 @@ COMMANDS: dict[str, Command] = {
     ),
     "align": Command(
         help="georeference a model by GPS or control points, or align it to another model",
+        also="georegister georeference register model_aligner",
         usage="INPUT -o OUTPUT [--gcp FILE] [--gps exif|FILE] [options]",
         arguments=lambda a: (
             a.INPUT,
@@ -395,6 +406,7 @@ COMMANDS: dict[str, Command] = {
     ),
     "merge": Command(
         help="merge two models that share images",
+        also="join model_merger",
         usage="A B -o OUTPUT [options]",
         arguments=lambda a: (
             a.a_model("a", "a COLMAP model, whose frame, poses and ids stay"),
@@ -406,6 +418,7 @@ COMMANDS: dict[str, Command] = {
     ),
     "evaluate": Command(
         help="errors of a model or trajectory A against a reference: truth, or another model",
+        also="ape rpe evo",
         usage="A --reference B [options]",
         arguments=lambda a: (
             a.EVALUATED,
@@ -427,6 +440,7 @@ COMMANDS: dict[str, Command] = {
     "report": Command(
         help="write a page (HTML, no network) on a model or pose graph: verdicts, residuals, "
         "worst images or edges, a 3-D view",
+        also="html page",
         usage="INPUT -o FILE.html [options]",
         arguments=lambda a: (
             a.INPUT,
@@ -447,6 +461,7 @@ COMMANDS: dict[str, Command] = {
     "triage": Command(
         help="name the cause of the difference between two reports of one input: ordering, fill, "
         "prior, Jacobian, machine, data, options or convergence",
+        also="diff",
         usage="OLD.json NEW.json [options]",
         arguments=lambda a: (
             a.a_report("old", "earlier"),
@@ -466,6 +481,7 @@ COMMANDS: dict[str, Command] = {
     ),
     "vio": Command(
         help="visual-inertial odometry from images, a recording or feature tracks, and IMU samples",
+        also="odometry slam",
         usage="SEQUENCE -o FILE.tum [options]",
         arguments=lambda a: (
             *a.ODOMETRY,
@@ -476,6 +492,7 @@ COMMANDS: dict[str, Command] = {
     ),
     "convert": Command(
         help="convert between formats, and list what is lost",
+        also="export import model_converter",
         arguments=lambda a: (
             a.INPUT,
             a.output("output"),
@@ -493,6 +510,7 @@ COMMANDS: dict[str, Command] = {
     ),
     "synth": Command(
         help="make a seeded scene with ground truth, from toy to millions of observations",
+        also="generate simulate synthesize",
         arguments=lambda a: (
             *a.SCENE_OUTPUTS,
             a.options("SceneOptions", "options of the scene"),

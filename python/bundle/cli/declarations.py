@@ -74,12 +74,14 @@ COMMON = (
         metavar="FILE",
         type=report_path,
         help="also write a report for programs; -: to standard output, which then has nothing else",
+        use=91,
     ),
     argument("--quiet", action="store_true", help="no progress on standard error (default: shown)"),
     argument(
         "--verbose",
         action="store_true",
         help="show all tables and findings after the headline (default: off)",
+        use=92,
     ),
 )
 
@@ -93,11 +95,11 @@ def given_input(name: str = "input", **settings: Any) -> Declaration:
         name,
         metavar="INPUT",
         type=reconstruction,
-        help="the folder of a COLMAP model (binary or text), a BAL file, a Bundler, NVM or OpenMVG "
-        "file (all plain, .gz or .bz2), an OpenSfM project or, "
-        "for info, refine, compare, inspect, diagnose, covariance and convert, a pose graph "
-        "(g2o, plain, .gz or .bz2), or, for info and convert, the folder of a visual-inertial "
-        "sequence or of its images (mav0); the format is detected automatically",
+        help="the folder of a COLMAP model (binary or text), a BAL, Bundler, NVM or OpenMVG file "
+        "(plain, .gz or .bz2), or an OpenSfM project; info, refine, compare, inspect, diagnose, "
+        "covariance and convert also take a pose graph (.g2o, plain, .gz or .bz2), info and "
+        "convert also the folder of a visual-inertial sequence or of its images (mav0); the "
+        "content decides the format",
         **settings,
     )
 
@@ -124,7 +126,7 @@ INSPECTED = argument(
     type=reconstruction,
     nargs="?",
     help="a BAL file (plain, .gz or .bz2) or the folder of a COLMAP model (binary or text) or a "
-    "pose graph (g2o); the format is detected automatically",
+    "pose graph (g2o); the content decides the format",
 )
 COMPARED = argument(
     "inputs",
@@ -137,7 +139,7 @@ COMPARED = argument(
 EVALUATED = a_model(
     "a",
     "a COLMAP model, a BAL file, or a file of poses: TUM, EuRoC, KITTI, or a list with lines of "
-    "name qw qx qy qz tx ty tz; told by its content",
+    "name qw qx qy qz tx ty tz; the content decides the format",
 )
 TRUTH = argument(
     "--reference",
@@ -235,6 +237,7 @@ def output(
         help="output path, which may be INPUT; NAME.txt, .txt.gz and .txt.bz2 are BAL files, .out "
         "Bundler, .nvm NVM, sfm_data.json OpenMVG, NAME/ and existing folders COLMAP models; "
         "other names get the format of INPUT",
+        use=1,
         **settings,
     )
     overwrite = argument(
@@ -247,7 +250,7 @@ def output(
 
 def page(written: str, help: str) -> Declaration:
     """Declare the flag --html."""
-    return argument("--html", metavar="FILE", type=page_path(written), help=help)
+    return argument("--html", metavar="FILE", type=page_path(written), help=help, use=90)
 
 
 PAGE_OUTPUT = argument(
@@ -257,6 +260,7 @@ PAGE_OUTPUT = argument(
     type=page_path(),
     required=True,
     help="the page to write, a single file",
+    use=1,
 )
 ARRAYS = argument(
     "-o",
@@ -267,6 +271,7 @@ ARRAYS = argument(
     help="arrays for NumPy: pose_ids, pose_covariance (n, 6, 6; rotation in radians, left "
     "perturbation of cam_from_world, then translation), point_ids, point_covariance, "
     "camera_ids, camera_covariance, sigma0, dof and others",
+    use=1,
 )
 SUFFIX = r"(\.txt(\.gz|\.bz2)?)?$"
 """Suffix of a BAL file."""
@@ -305,6 +310,7 @@ SCENE_OUTPUTS = (
         type=PathArgument("ground truth", is_data=True, otherwise=ground_truth_path),
         help="output path of the true solution, with the same observations (default: "
         "OUTPUT_ground_truth, next to OUTPUT)",
+        use=16,
     ),
     argument(
         "--overwrite",

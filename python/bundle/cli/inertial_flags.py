@@ -110,12 +110,14 @@ RECORDING = group(
         help="calibration in place of that in the sequence: calibration.yaml, or Kalibr's "
         "camchain-imucam.yaml and, given by a second --calibration or beside it, imu.yaml "
         "(default: sensor.yaml of mav0, or dso/camchain.yaml beside it; bags and videos have none)",
+        use=5,
     ),
     argument(
         "--camera",
         metavar="NAME",
         help="camera whose images are tracked: a folder of mav0, an entry of a camchain (default: "
         "cam0)",
+        use=6,
     ),
     argument(
         "--imu",
@@ -123,6 +125,7 @@ RECORDING = group(
         type=a_path,
         help="samples of the IMU for a video: a csv of stamp, angular rate x y z [rad/s], specific "
         "force x y z [m/s^2]; stamps are integers of nanoseconds, or seconds with a decimal point",
+        use=7,
     ),
     argument(
         "--frame-times",
@@ -159,12 +162,14 @@ ODOMETRY = (
         required=True,
         help="poses world_from_imu of the solved images, one per line: timestamp in seconds, tx ty "
         "tz, qx qy qz qw; z is up",
+        use=1,
     ),
     argument(
         "--ground-truth",
         metavar="FILE",
         type=a_path,
         help="compare with it: EuRoC's csv or a TUM file",
+        use=4,
     ),
     argument(
         "--telemetry",
@@ -177,6 +182,7 @@ ODOMETRY = (
         metavar="PAGE",
         type=page_path(),
         help="a page with the curves of the telemetry and the path, a single file",
+        use=90,
     ),
     group(
         "two loops",
@@ -186,6 +192,7 @@ ODOMETRY = (
             type=trajectory_path,
             help="a pose per IMU sample: the last solution of the window, propagated and corrected "
             "by closures",
+            use=20,
         ),
         argument(
             "--loops",

@@ -24,7 +24,7 @@ from bundle.cli.error_lines import (
     describe_error,
     is_interruption,
 )
-from bundle.cli.parser import Parser, unknown_flag
+from bundle.cli.parser import HelpAll, Parser, unknown_flag
 from bundle.cli.standard_streams import complain, open_missing_streams, release_broken_streams
 from bundle.errors import InputError, end_in_one_line
 from bundle.io.atomic.replaced_paths import NoteWarning, recording
@@ -60,6 +60,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _run(words: list[str]) -> int:
     parser = command_parser()
     code = EXIT_DONE
+    if words[:1] == ["help"]:
+        words = [*words[1:], "--help"]
     try:
         if words:
             arguments = parser.parse_args(words)
@@ -126,7 +128,8 @@ def command_parser() -> Parser:
     parser = Parser(
         prog="bundle",
         description="Refines structure-from-motion reconstructions and explains the solve.",
-        epilog="bundle COMMAND --help describes a command.",
+        epilog="bundle help COMMAND describes a command.",
+        spellings={word: name for name, row in COMMANDS.items() for word in row.also.split()},
         explain=lambda found: unknown(found, ""),
     )
     parser.add_argument("--version", action="version", version=f"bundle {__version__}")
@@ -165,6 +168,7 @@ def _declare(name: str, parser: Parser) -> None:
     parser.set_defaults(command=name)
     if row.usage:
         parser.usage = f"bundle {name} {row.usage}"
+    parser.add_argument("--help-all", action=HelpAll, nargs=0, help="show all options and exit")
     add_all(parser, (*row.arguments(declarations), *declarations.COMMON))
     parser.set_defaults(flags=parser.flags_by_name(), taken=parser.taken)
 

@@ -38,7 +38,7 @@ def run_command(main: Callable[[], int]) -> int:
     refusal = _refusal(words)
     if refusal is not None:
         return _refuse(refusal)
-    if not words or words[0] != DIVIDED or {"-h", "--help"} & set(words):
+    if not words or words[0] != DIVIDED or {"-h", "--help", "--help-all"} & set(words):
         return main() if is_first else EXIT_DONE
     comm = _world()
     if comm is None:

@@ -31,8 +31,9 @@ Declaration = Callable[[Container], object]
 
 
 def argument(*names: str, **settings: Any) -> Declaration:
-    """Declare one argument by the settings of ``add_argument``."""
-    return lambda to: to.add_argument(*names, **settings)
+    """Declare one argument by the settings of ``add_argument``; ``use`` is as for an option."""
+    use = settings.pop("use", 0)
+    return lambda to: vars(to.add_argument(*names, **settings)).update(use=use)
 
 
 def fields(kind: str | type, *which: Any, **helps: Any) -> Declaration:
@@ -221,7 +222,8 @@ def _add_option(
     elif isinstance(field.default, int | float):
         settings["type"] = type(field.default)
     text = f"{meaning} ({values}default: {default})".replace("%", "%%")
-    group.add_argument(flag, dest=field.name, default=None, help=text, **settings)
+    added = group.add_argument(flag, dest=field.name, default=None, help=text, **settings)
+    vars(added).update(use=meta["use"])
 
 
 def _shown(field: dataclasses.Field[Any]) -> str:

@@ -5,13 +5,15 @@ from __future__ import annotations
 import argparse
 import sys
 import textwrap
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from typing import Any, NoReturn
 
 from bundle.cli.standard_streams import print_out
 from bundle.errors import InputError, nearest, shown
 
 HELP_COLUMN, WIDEST = 28, 100
+MOST_FLAGS = 30
+"""Flags of a command up to which ``--help`` shows all of them."""
 
 
 class _Formatter(argparse.HelpFormatter):
@@ -33,6 +35,15 @@ class _Formatter(argparse.HelpFormatter):
         return textwrap.wrap(words, width, break_on_hyphens=False, break_long_words=False)
 
 
+class HelpAll(argparse.Action):
+    """Action that prints the help with all options and exits."""
+
+    def __call__(self, parser: Any, *_: Any) -> None:
+        """Print the help."""
+        parser._print_message(parser.format_help())
+        parser.exit()
+
+
 class Parser(argparse.ArgumentParser):
     """Argument parser that raises InputErrors.
 
@@ -42,6 +53,7 @@ class Parser(argparse.ArgumentParser):
     Args:
         declare: function that adds the arguments when they are first needed.
         explain: function that returns the message about an unknown flag or word.
+        spellings: commands by other words that users type for them.
         **settings: arguments of ``argparse.ArgumentParser``.
 
     Attributes:
@@ -53,9 +65,11 @@ class Parser(argparse.ArgumentParser):
         *,
         declare: Callable[[Parser], None] | None = None,
         explain: Callable[[str], str] | None = None,
+        spellings: Mapping[str, str] | None = None,
         **settings: Any,
     ) -> None:
         super().__init__(allow_abbrev=False, formatter_class=_Formatter, **settings)
+        self.spellings = spellings or {}
         self._declare = declare
         self.taken: list[tuple[argparse.Action, list[str]]] = []
         self.check: Callable[[Sequence[argparse.Action], argparse.Namespace], None] | None = None
@@ -67,6 +81,27 @@ class Parser(argparse.ArgumentParser):
         if declare is not None:
             declare(self)
         return self
+
+    def print_help(self, file: Any = None) -> None:
+        """Print the help; of a command with many flags those with a ``use``, in its order."""
+        flags = [action for action in self._actions if action.option_strings]
+        used = [action for action in flags if vars(action).get("use")]
+        if len(flags) <= MOST_FLAGS or not used:
+            super().print_help(file)
+            return
+        formatter = self._get_formatter()
+        formatter.add_usage(self.usage, self._actions, self._mutually_exclusive_groups)
+        formatter.add_text(self.description)
+        helps = [action for action in flags if action.nargs == 0 and action not in used][:2]
+        used.sort(key=lambda action: vars(action)["use"])
+        for title, shown_here in (
+            ("arguments", [action for action in self._actions if not action.option_strings]),
+            (f"most used of {len(flags)} options", [*used, *helps]),
+        ):
+            formatter.start_section(title)
+            formatter.add_arguments(shown_here)
+            formatter.end_section()
+        self._print_message(formatter.format_help(), file)
 
     def error(self, message: str) -> NoReturn:
         """Raise the error as one line that also refers to the help."""
@@ -124,15 +159,15 @@ class Parser(argparse.ArgumentParser):
         if action.choices is None or value in action.choices:
             return
         if isinstance(action, argparse._SubParsersAction):
-            self.error(unknown_command(value, action.choices))
+            self.error(unknown_command(value, action.choices, self.spellings))
         raise argparse.ArgumentError(action, unknown_value(str(value), map(str, action.choices)))
 
 
-def unknown_command(found: str, commands: Iterable[str]) -> str:
+def unknown_command(found: str, commands: Collection[str], spellings: Mapping[str, str]) -> str:
     """Return the message about an unknown command."""
-    names = list(commands)
-    listed = ", ".join(names)
-    return f"expected a command, one of {listed}, found {found!r}{nearest(found, names)}"
+    table = {**{name: name for name in commands}, **spellings}
+    listed = ", ".join(commands)
+    return f"expected a command, one of {listed}, found {found!r}{nearest(found, table)}"
 
 
 def unknown_value(found: str, values: Iterable[str]) -> str:

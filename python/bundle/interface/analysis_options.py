@@ -29,6 +29,7 @@ class CovarianceOptions(Options):
         metavar="LIST",
         value="word",
         unset="all",
+        use=3,
     )
     relative: tuple[tuple[int, int], ...] = option(
         (),
@@ -38,6 +39,7 @@ class CovarianceOptions(Options):
         metavar="A:B,...",
         value="pairs",
         late=True,
+        use=4,
     )
     gauge: str | None = option(
         None,
@@ -48,6 +50,7 @@ class CovarianceOptions(Options):
         choices=(*GAUGES, "first"),
         unset="inner; pose graphs: first",
         late=True,
+        use=5,
     )
     scale: str = option(
         SCALES[0],
@@ -55,6 +58,7 @@ class CovarianceOptions(Options):
         "unit: residuals have a sigma of 1 px; sigma0: the sigma is estimated from the residuals; "
         "priors keep their sigmas",
         choices=SCALES,
+        use=6,
     )
     robust: str | None = option(
         None,
@@ -64,6 +68,7 @@ class CovarianceOptions(Options):
         choices=ROBUST,
         unset="weights",
         late=True,
+        use=7,
     )
 
 

@@ -19,6 +19,7 @@ class LensOptions(Options):
         "model permits, otherwise fitted to the same pixels, and the error is reported",
         metavar="MODEL",
         unset="they keep theirs",
+        use=50,
     )
     share_cameras: tuple[int, ...] | bool | str | None = option(
         None,
@@ -47,6 +48,7 @@ class RuleOptions(Options):
         "parameters of the camera model, or position and rotation; may be given several times",
         metavar="RULE",
         value="several",
+        use=60,
     )
     constraints: str | None = option(
         None,

@@ -41,6 +41,7 @@ class GeoreferenceOptions(Options):
         "OpenSfM's reconstruction.json or its folder, or COLMAP's database (pose priors)",
         metavar="exif|FILE",
         value="exif or path",
+        use=40,
     )
     images: str | None = option(
         None,
@@ -49,6 +50,7 @@ class GeoreferenceOptions(Options):
         metavar="DIR",
         value="path",
         needs=("gps", "orientations", "velocities"),
+        use=41,
     )
     gps_sigma: str = option(
         GPS_SIGMA,
@@ -57,6 +59,7 @@ class GeoreferenceOptions(Options):
         "gives none",
         metavar="H[/V]",
         needs=("gps",),
+        use=42,
     )
     gps_offset: str = option(
         "none",
@@ -107,6 +110,7 @@ class GeoreferenceOptions(Options):
         "OpenDroneMap's gcp_list.txt, or OpenSfM's ground_control_points.json or its folder",
         metavar="FILE",
         value="path",
+        use=43,
     )
     gcp_sigma: str = option(
         GCP_SIGMA,

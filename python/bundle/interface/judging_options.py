@@ -138,6 +138,7 @@ class HoldOutOptions(Options):
         minimum=0.0,
         maximum=MOST_PERCENT,
         metavar="PERCENT",
+        use=70,
     )
     hold_out_seed: int = option(
         0,
@@ -161,6 +162,7 @@ class ValidationOptions(Options):
         metavar="LIST",
         value="words",
         unset="those of INPUT's kind, from the smallest to the largest",
+        use=3,
     )
     share: tuple[str, ...] | None = option(
         None,
@@ -170,6 +172,7 @@ class ValidationOptions(Options):
         metavar="LIST",
         value="words",
         unset="those that make a difference",
+        use=4,
     )
     losses: tuple[str, ...] | None = option(
         None,
@@ -178,6 +181,7 @@ class ValidationOptions(Options):
         metavar="LIST",
         value="words",
         unset="cauchy",
+        use=5,
     )
     refine_sets: tuple[tuple[str, ...], ...] | None = option(
         None,
@@ -195,6 +199,7 @@ class ValidationOptions(Options):
         minimum=2,
         maximum=1000,
         metavar="K",
+        use=6,
     )
     seed: int = option(
         0, "--seed", "seed of the folds; another seed divides otherwise", minimum=0, metavar="N"

@@ -38,6 +38,7 @@ def option(
     idle: str = "error",
     needs: tuple[str, ...] = (),
     late: bool = False,
+    use: int = 0,
 ) -> Any:
     """Return a dataclass field with the metadata of the command line and of :func:`checked`.
 
@@ -64,6 +65,7 @@ def option(
             "note" (a warning of the solve): only the way to the result would differ.
         needs: other options. The command line requires one of them together with this option.
         late: leave the check of the value to the function that uses it.
+        use: place in the short help of a command, in the order of use; 0: only in ``--help-all``.
     """
     metadata = {
         "flag": flag,
@@ -81,6 +83,7 @@ def option(
         "idle": idle,
         "needs": needs,
         "late": late,
+        "use": use,
     }
     return dataclasses.field(default=default, metadata=metadata)
 

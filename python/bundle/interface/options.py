@@ -149,7 +149,9 @@ class SolveOptions(Options):
     max_lm_diagonal: float = trust_region.lm_diagonal("max", 1e32)
     use_nonmonotonic_steps: bool = trust_region.nonmonotonic_steps()
     max_consecutive_nonmonotonic_steps: int = trust_region.most_nonmonotonic_steps()
-    loss: str = option("trivial", "--loss", "robust loss of a reprojection error", choices=LOSSES)
+    loss: str = option(
+        "trivial", "--loss", "robust loss of a reprojection error", choices=LOSSES, use=10
+    )
     loss_scale: float = option(
         1.0,
         "--loss-scale",
@@ -157,9 +159,10 @@ class SolveOptions(Options):
         above=0.0,
         metavar="PIXELS",
         only_with=("loss", LOSSES[1:]),
+        use=11,
     )
     max_num_iterations: int = option(
-        100, "--max-iterations", "maximum number of steps to try", minimum=0, metavar="N"
+        100, "--max-iterations", "maximum number of steps to try", minimum=0, metavar="N", use=80
     )
     convergence: str = option(
         "sigmas",
@@ -195,6 +198,7 @@ class SolveOptions(Options):
         "number of threads, capped at the number of cores; 0: all cores",
         minimum=0,
         metavar="N",
+        use=81,
     )
     deterministic: bool = option(
         False,
@@ -209,6 +213,7 @@ class SolveOptions(Options):
         + ", ".join((*REFINABLE, SENSORS)).replace("_", "-")
         + "; --refine-sensor-from-rig adds the last, the poses of sensors on their rigs",
         metavar="LIST",
+        use=30,
     )
     fixed_camera_ids: tuple[int, ...] = option(
         (),
@@ -224,6 +229,7 @@ class SolveOptions(Options):
         "their sensors are not refined",
         metavar="IMAGES",
         value="images",
+        use=61,
     )
     fixed_point_ids: tuple[int, ...] = option(
         (), "--fix-points", "ids of constant points", metavar="IDS", value="ids"

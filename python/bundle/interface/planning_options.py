@@ -68,9 +68,11 @@ COMPARED = {
 """Options of a solve that are compared, with the arguments (and flags) that list their values."""
 
 
-def _listed(default: tuple[str, ...], flag: str, words: str, choices: tuple[str, ...]) -> Any:
-    every = ", ".join(choices).replace("_", "-")
-    return option(default, flag, f"{words}out of {every}", metavar="LIST", value="words", late=True)
+def _listed(
+    default: tuple[str, ...], flag: str, words: str, choices: tuple[str, ...], use: int = 0
+) -> Any:
+    text = f"{words}out of {', '.join(choices).replace('_', '-')}"
+    return option(default, flag, text, metavar="LIST", value="words", late=True, use=use)
 
 
 @documented
@@ -82,13 +84,14 @@ class CompareOptions(Options):
         InputError: an option has a value outside its range; the message names option and value.
     """
 
-    solvers: tuple[str, ...] = _listed(SOLVERS, "--solvers", "", LINEAR_SOLVER_TYPES)
-    backends: tuple[str, ...] = _listed(BACKENDS, "--backends", "", EVERY_BACKEND)
+    solvers: tuple[str, ...] = _listed(SOLVERS, "--solvers", "", LINEAR_SOLVER_TYPES, use=3)
+    backends: tuple[str, ...] = _listed(BACKENDS, "--backends", "", EVERY_BACKEND, use=4)
     preconditioners: tuple[str, ...] = _listed(
         PRECONDITIONERS,
         "--preconditioners",
         "for iterative solvers, ",
         ("auto", *PRECONDITIONER_TYPES),
+        use=5,
     )
     orderings: tuple[str, ...] = _listed(
         ORDERINGS, "--orderings", "which blocks are eliminated first, ", EVERY_ORDERING
@@ -106,6 +109,7 @@ class CompareOptions(Options):
         metavar="LIST",
         value="counts",
         late=True,
+        use=81,
     )
     repeat: int = option(
         REPEAT,
@@ -114,6 +118,7 @@ class CompareOptions(Options):
         f"{SECONDS_NOT_REPEATED:g} s is not repeated",
         minimum=1,
         metavar="N",
+        use=7,
     )
     timeout: float = option(
         TIMEOUT,
@@ -139,6 +144,7 @@ class CompareOptions(Options):
         minimum=0.0,
         maximum=LARGEST_PERTURBATION,
         metavar="SIZE",
+        use=6,
     )
     seed: int = option(0, "--seed", "seed of --perturb", minimum=0, metavar="N")
 

@@ -40,6 +40,7 @@ class RoundOptions(Options):
         "remaining problem is then adjusted once more. 0: adjust once, remove nothing",
         minimum=0,
         metavar="N",
+        use=20,
     )
     max_error: float = option(
         4.0,
@@ -48,6 +49,7 @@ class RoundOptions(Options):
         above=0.0,
         metavar="PIXELS",
         needs=("num_rounds",),
+        use=21,
     )
     min_angle: float = option(
         1.5,
@@ -76,6 +78,7 @@ class RoundOptions(Options):
         "--hold-out. It is only read",
         metavar="FILE",
         value="path",
+        use=22,
     )
 
 

@@ -67,9 +67,10 @@ class SceneOptions(Options):
         "photo-collection: clusters of very different cameras around landmarks; drone-grid: strips "
         "of a drone that looks down",
         choices=SCENES,
+        use=3,
     )
-    num_images: int = option(40, "--images", "number of images", minimum=2, metavar="N")
-    num_points: int = option(3000, "--points", "number of points", minimum=20, metavar="N")
+    num_images: int = option(40, "--images", "number of images", minimum=2, metavar="N", use=4)
+    num_points: int = option(3000, "--points", "number of points", minimum=20, metavar="N", use=5)
     mean_track_length: float = option(
         0.0,
         "--track-length",
@@ -77,9 +78,10 @@ class SceneOptions(Options):
         "small scene permit",
         minimum=0.0,
         metavar="X",
+        use=6,
     )
     camera_model: str = option(
-        "SIMPLE_RADIAL", "--camera-model", "COLMAP's camera model", choices=CAMERA_MODELS
+        "SIMPLE_RADIAL", "--camera-model", "COLMAP's camera model", choices=CAMERA_MODELS, use=7
     )
     cameras: str = option(
         "auto",
@@ -87,6 +89,7 @@ class SceneOptions(Options):
         "one camera for all images, or one camera per image; auto: individual for "
         "photo-collection, shared for other scenes",
         choices=CAMERAS,
+        use=8,
     )
     image_size: tuple[int, int] = option(
         (1280, 960),
@@ -94,6 +97,7 @@ class SceneOptions(Options):
         "width and height in pixels; individual cameras of a photo-collection spread around it",
         minimum=64,
         metavar=("WIDTH", "HEIGHT"),
+        use=9,
     )
     pixel_noise: float = pixel_noise_option()
     outlier_share: float = outlier_share_option()
@@ -163,6 +167,7 @@ class SceneOptions(Options):
         maximum=1.0,
         metavar="SHARE",
         only_with=("scene", ("street", "orbit", "drone_grid")),
+        use=13,
     )
     gravity_sigma: float = option(
         0.0,
@@ -189,6 +194,7 @@ class SceneOptions(Options):
         minimum=0,
         maximum=math.inf,
         metavar="N",
+        use=12,
     )
 
     def _check(self, fields: Iterable[dataclasses.Field[Any]]) -> None:
@@ -254,9 +260,15 @@ class FlightOptions(Options):
         "of acceleration and lane changes, then constant velocity; hover: some seconds of room, "
         "then in one place; rotation-only: turns about the IMU",
         choices=MOTIONS,
+        use=14,
     )
     duration: float = option(
-        30.0, "--duration", "seconds, including the rest at the start", above=0.0, metavar="SECONDS"
+        30.0,
+        "--duration",
+        "seconds, including the rest at the start",
+        above=0.0,
+        metavar="SECONDS",
+        use=15,
     )
     rest: float = option(
         2.0, "--rest", "seconds at rest at the start", minimum=0.0, metavar="SECONDS"

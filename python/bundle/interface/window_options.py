@@ -22,6 +22,7 @@ class WindowOptions(Options):
         ("keyframes in the window, in addition to the newest frame"),
         minimum=2,
         metavar="N",
+        use=3,
     )
     marginalize: str = option(
         "marginalize",
@@ -55,6 +56,7 @@ class WindowOptions(Options):
         "--loss",
         "robust loss of reprojection errors",
         choices=("trivial", "huber", "soft_l1", "cauchy"),
+        use=10,
     )
     loss_scale: float = option(
         1.0,
@@ -62,6 +64,7 @@ class WindowOptions(Options):
         ("error at which this loss begins to bend, in sigmas"),
         above=0.0,
         metavar="X",
+        use=11,
     )
     pixel_sigma: float = option(
         0.0,
@@ -77,6 +80,7 @@ class WindowOptions(Options):
         "include vibration",
         above=0.0,
         metavar="X",
+        use=8,
     )
     integration: str = option(
         "zero_order_hold",
@@ -93,7 +97,7 @@ class WindowOptions(Options):
         False, "--refine-time-offset", "refine the time offset of the images, too"
     )
     max_num_iterations: int = option(
-        8, "--max-iterations", "maximum number of steps per frame", minimum=1, metavar="N"
+        8, "--max-iterations", "maximum number of steps per frame", minimum=1, metavar="N", use=80
     )
     time_budget: float = option(
         0.04,
