@@ -1,4 +1,4 @@
-"""Write the stubs of bundle and bundle.georeference: public names for type checkers and editors.
+"""Write the stubs of packages of public names, for type checkers and editors.
 
 Their ``__init__.py`` have one table of names and import each on first use.
 """
@@ -12,7 +12,8 @@ import bundle
 import bundle.georeference
 
 TARGETS = {
-    Path(str(one.__file__)).with_suffix(".pyi"): one for one in (bundle, bundle.georeference)
+    Path(str(one.__file__)).with_suffix(".pyi"): one
+    for one in (bundle, bundle.georeference, bundle.constraints)
 }
 
 
@@ -21,10 +22,15 @@ def stub(package: ModuleType) -> str:
     tables, root = vars(package), package.__name__
     places = {name: f"{root}.{place}" for name, place in tables.get("_MODULES", {}).items()}
     homes = {name: place.rpartition(".")[::2] for name, place in places.items()}
-    homes |= {name: (f"{root}.{home}", name) for name, home in tables["_MODULE_OF"].items()}
+    homes |= {
+        name: (f"{root}.{home}", name)
+        for home, names in tables["_DEFERRED"].items()
+        for name in names.split()
+    }
     lines = sorted(f"from {home} import {own} as {name}" for name, (home, own) in homes.items())
     names = "".join(f'    "{name}",\n' for name in sorted(homes))
-    head = f'"""{package.__doc__}\n\nWritten by tools/public_stub.py; do not edit.\n"""\n\n'
+    doc = (package.__doc__ or "").rstrip()
+    head = f'"""{doc}\n\nWritten by tools/public_stub.py; do not edit.\n"""\n\n'
     return head + "\n".join(lines) + f"\n\n__all__ = [\n{names}]\n"
 
 

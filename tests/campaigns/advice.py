@@ -38,7 +38,7 @@ import numpy as np
 import bundle
 from bundle.cli.main import command_parser
 from bundle.cli.main import main as run_bundle
-from bundle.cli.next_run import DROPPED
+from bundle.cli.run import DROPPED
 from bundle.model.problem import Problem
 from bundle.model.reprojection import errors_or_nan, summarize_clipped
 from tests.campaigns import findings

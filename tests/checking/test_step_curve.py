@@ -4,11 +4,7 @@ import numpy as np
 import pytest
 
 import bundle
-from bundle.checking.step_curve import (
-    Line,
-    acquitted,
-    walk,
-)
+from bundle.checking.step_curve import Line, acquitted, walk
 from tests.checking.reprojection import check_few
 
 

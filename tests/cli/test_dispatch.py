@@ -8,7 +8,7 @@ import pytest
 
 from bundle.cli.commands import COMMANDS, FLIGHT, GRAPH_FILE, resolve
 from bundle.cli.main import command_parser
-from bundle.interface.option_classes import option_class
+from bundle.interface.option_class import option_class
 from bundle.io.recognition import Kind, recognize
 
 WAYS = [

@@ -8,7 +8,7 @@ import pytest
 
 from bundle.cli import path_checks
 from bundle.cli.main import command_parser
-from bundle.cli.next_run import DROPPED, repeated_flags
+from bundle.cli.run import DROPPED, repeated_flags
 from bundle.judging.findings.next_command import NextCommand
 
 BESIDE = {*DROPPED, "input", "command", "kind", "flags", "taken"}

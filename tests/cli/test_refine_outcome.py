@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from bundle.cli import refine_outcome
+from bundle.cli import refine
 from bundle.interface.finding import Finding
 from bundle.judging.findings.next_command import NextCommand
 
@@ -29,13 +29,13 @@ def judged(
         return (Finding(kind="found", sentence=""),)
 
     broken = Finding(kind="broken", sentence="")
-    monkeypatch.setattr(refine_outcome, "find", find)
+    monkeypatch.setattr(refine, "find", find)
 
     def broken_parts(_, held=()):
         given["held"] = held
         return (broken,)
 
-    monkeypatch.setattr(refine_outcome, "broken_parts", broken_parts)
+    monkeypatch.setattr(refine, "broken_parts", broken_parts)
     asked = SimpleNamespace(source="IN", target="OUT", given=("--a", "1"), constraints=(rule,))
     opened = SimpleNamespace(
         sliced=sliced, known=SimpleNamespace(priors=(PRIOR,)), problem=PROBLEM, options=OPTIONS
@@ -48,7 +48,7 @@ def judged(
         reprojection_error_before=SimpleNamespace(rmse=1.0, median=200.0),
         iterations={"cost": np.zeros(steps + 1)},
     )  # fmt: skip
-    found = refine_outcome.judge(asked, opened, solved, inertial)
+    found = refine.judge(asked, opened, solved, inertial)
     return [one.kind for one in found], given, found
 
 
@@ -100,7 +100,7 @@ def test_a_result_without_use_has_findings_about_its_start(monkeypatch, is_far):
         seen.append(measured)
         return Finding(kind="positions", sentence="") if is_far else None
 
-    monkeypatch.setattr(refine_outcome, "positions_of_start", of_start)
+    monkeypatch.setattr(refine, "positions_of_start", of_start)
     kinds, given, _ = judged(monkeypatch, usable=False)
     assert kinds == ["positions"] * is_far and given == {}
     warned = ("observations_behind", "too_many_behind")
@@ -124,7 +124,7 @@ def test_steps_from_a_far_start_become_shorter(radius, advised, kind):
         summary=SimpleNamespace(warning_kinds=("far_origin", kind)),
     )
     command = NextCommand("IN", "OUT", ("--initial-trust-region-radius", "7", "--loss", "tukey"))
-    found = refine_outcome.far_start(solved, command)
+    found = refine.far_start(solved, command)
     flags = f" --loss tukey --initial-trust-region-radius {advised}"
     assert found.command == (f"bundle refine IN -o OUT{flags}" if advised else "")
     assert found.is_problem and found.evidence == {"median": 200.0, "radius": radius}
@@ -135,4 +135,4 @@ def test_a_solve_that_failed_otherwise_has_no_far_start():
     solved = SimpleNamespace(
         options=OPTIONS, reprojection_error_before=SimpleNamespace(median=2.0), summary=summary
     )
-    assert refine_outcome.far_start(solved, NextCommand()) is None
+    assert refine.far_start(solved, NextCommand()) is None

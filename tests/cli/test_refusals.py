@@ -18,7 +18,7 @@ from bundle.cli.main import command_parser, main
 from bundle.cli.option_flags import own_options
 from bundle.cli.run import refuse_others
 from bundle.errors import InputError
-from bundle.interface.option_classes import option_class
+from bundle.interface.option_class import option_class
 from bundle.io.recognition import Kind
 from bundle.model.problem_keys import MOST_IDS
 from tests.cli.test_bad_input import assert_refused, snapshot

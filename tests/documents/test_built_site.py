@@ -10,7 +10,7 @@ from urllib.parse import unquote, urlparse
 
 import pytest
 
-from bundle.interface.option_classes import OPTION_CLASSES
+from bundle.interface.option_class import OPTION_CLASSES
 from tests.reports.page.conftest import browser  # noqa: F401 (a fixture)
 
 SITE = Path(__file__).parents[2] / "build" / "site"

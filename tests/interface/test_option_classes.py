@@ -18,8 +18,7 @@ from bundle.georeference.control_point import parse_sigma
 from bundle.georeference.survey_priors import gcp_priors, gps_priors
 from bundle.graphs.loops.loop_graph import close_loops
 from bundle.interface.georeference_options import GeoreferenceOptions
-from bundle.interface.option_class import Options
-from bundle.interface.option_classes import OPTION_CLASSES, option_class
+from bundle.interface.option_class import OPTION_CLASSES, Options, option_class
 from bundle.interface.pose_graph_options import LoopOptions
 from bundle.interface.round_options import CheckpointOptions, LocalOptions, RoundOptions
 

@@ -18,7 +18,7 @@ from sphinx.util.docutils import SphinxDirective
 from tools.site.derivations import text_nodes
 
 from bundle.cli.main import COMMANDS, command_parser
-from bundle.interface.option_classes import OPTION_CLASSES, option_class
+from bundle.interface.option_class import OPTION_CLASSES, option_class
 
 
 def entry(names: Iterable[str], anchor: str, text: str, details: str = "") -> nodes.Node:

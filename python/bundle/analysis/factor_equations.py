@@ -25,18 +25,8 @@ from bundle.analysis.diagnosis.diagnose_graph import (
     graph_diagnosis,
     tests_of,
 )
-from bundle.analysis.diagnosis.diagnosis_result import (
-    Component,
-    Diagnosis,
-    WeakMode,
-)
-from bundle.analysis.normal_equations import (
-    Floats,
-    Pairs,
-    SelectedInverse,
-    TermTests,
-    Words,
-)
+from bundle.analysis.diagnosis.diagnosis_result import Component, Diagnosis, WeakMode
+from bundle.analysis.normal_equations import Floats, Pairs, SelectedInverse, TermTests, Words
 from bundle.base.words import named, number, plural
 from bundle.errors import brief
 from bundle.graphs.factors.contents import factor_name

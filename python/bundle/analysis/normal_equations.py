@@ -15,9 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import bundle._core as _core
-from bundle.graphs.pose_graphs.edge_weights import (
-    WeightedGraph,
-)
+from bundle.graphs.pose_graphs.edge_weights import WeightedGraph
 from bundle.graphs.pose_graphs.joints import Joints, find_joints
 
 AT_MINIMUM = 1e-4

@@ -1,4 +1,4 @@
-"""Tails of the F and chi-squared distributions.
+"""Tails of the F and chi-squared distributions, and quantiles of chi squared.
 
 With x = m / (m + k f), the probability that F with k and m degrees of freedom exceeds f is the
 regularised incomplete beta function I_x(m/2, k/2), computed by its continued fraction (Press et
@@ -67,3 +67,81 @@ def _beta_fraction(a: float, b: float, x: float) -> float:
 
 def _not_zero(value: float) -> float:
     return value if abs(value) > 1e-300 else 1e-300
+
+
+# Quantiles of chi squared by degrees of freedom.
+#
+# Tables hold exact values (SciPy's ``chi2.isf``), so that solves do not need SciPy. For many
+# degrees of freedom, the approximation of E. Wilson and M. Hilferty (1931) is used: the cube root
+# of chi2 / k is nearly normal, with mean 1 - 2 / (9 k) and variance 2 / (9 k).
+
+ONE_IN_2000 = {3: 17.72999622894616, 6: 24.102798994983747}
+"""99.95 % quantiles: limit of a squared error that one correct edge in 2000 exceeds."""
+
+ONE_IN_A_MILLION = {
+    1: 23.928126976934827,
+    2: 27.631021115928547,
+    3: 30.664849706213598,
+    4: 33.37684158171984,
+    5: 35.888186879672865,
+    6: 38.25833637720969,
+}
+"""Quantiles at 1 - 1e-6: limit of a squared error that one correct edge in a million exceeds."""
+
+_MEDIANS = {
+    1: 0.454936423119572,
+    2: 1.386294361119891,
+    3: 2.3659738843753377,
+    4: 3.3566939800333224,
+    5: 4.351460191095526,
+    6: 5.348120627447118,
+}
+"""Medians."""
+
+_NORMAL_QUANTILE = 3.2905267314918945
+"""99.95 % quantile of the standard normal distribution."""
+
+_NORMAL_ONE_IN_A_MILLION = 4.753424308822899
+"""Quantile of the standard normal distribution at 1 - 1e-6."""
+
+
+def chi2_quantile(degrees: int) -> float:
+    """Return the 99.95 % quantile of chi2, accurate to a percent (Wilson and Hilferty)."""
+    return _quantile(degrees, _NORMAL_QUANTILE)
+
+
+def chi2_limit(degrees: int) -> float:
+    """Return the quantile at 1 - 1e-6; infinite without degrees of freedom."""
+    if degrees < 1:
+        return float("inf")
+    return ONE_IN_A_MILLION.get(degrees) or _quantile(degrees, _NORMAL_ONE_IN_A_MILLION)
+
+
+def chi2_bound(degrees: int, probability: float) -> float:
+    """Return the value that chi2 exceeds with a small probability.
+
+    It is exact for one degree of freedom, and that of Wilson and Hilferty for more.
+    """
+    from statistics import NormalDist  # slow, and most solves need the tables alone
+
+    if degrees == 1:
+        return NormalDist().inv_cdf(1 - probability / 2) ** 2
+    return _quantile(degrees, NormalDist().inv_cdf(1 - probability))
+
+
+def chi2_median(degrees: int) -> float:
+    """Return the median."""
+    return _MEDIANS.get(degrees) or _quantile(degrees, 0.0)
+
+
+def chi2_interval(degrees: float, is_certain: bool = False) -> tuple[float, float]:
+    """Return the interval of 99.9 % of all values, or of all but 2 in a million."""
+    normal = _NORMAL_ONE_IN_A_MILLION if is_certain else _NORMAL_QUANTILE
+    return _quantile(degrees, -normal), _quantile(degrees, normal)
+
+
+def _quantile(degrees: float, normal: float) -> float:
+    if degrees < 1:
+        return 0.0
+    variance = 2 / (9 * degrees)
+    return float(degrees * max(1 - variance + normal * variance**0.5, 0.0) ** 3)

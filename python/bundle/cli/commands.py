@@ -402,7 +402,7 @@ COMMANDS: dict[str, Command] = {
             a.group("another model", a.ALIGNED_TO),
             a.options("GeoreferenceOptions", "robustness", a.ROBUST),
         ),
-        ways={Kind.RECONSTRUCTION: Way(main="cli.align:run")},
+        ways={Kind.RECONSTRUCTION: Way(main="cli.models:align_model")},
     ),
     "merge": Command(
         help="merge two models that share images",

@@ -26,22 +26,10 @@ from bundle.cli.option_flags import (  # noqa: F401 (in rows)
     own_options,
     widen,
 )
-from bundle.cli.path_checks import (
-    PathArgument,
-    a_path,
-    page_path,
-    reconstruction,
-    report_path,
-)
+from bundle.cli.path_checks import PathArgument, a_path, page_path, reconstruction, report_path
 from bundle.errors import InputError
-from bundle.georeference.measurements import (
-    ROBUST,
-    ROWS,
-    Measurement,
-    fields_of,
-    options_class,
-)
-from bundle.interface.option_classes import option_class
+from bundle.georeference.measurements import ROBUST, ROWS, Measurement, fields_of, options_class
+from bundle.interface.option_class import option_class
 from bundle.interface.options import INFORMATION, LINEARIZATION, PATTERN  # noqa: F401 (in rows)
 from bundle.io.formats.read_options import ORIGINS, ReadOptions
 from bundle.io.georeference_file import GEOREFERENCE

@@ -10,13 +10,7 @@ from typing import TYPE_CHECKING
 from bundle.cli.carried_georeference import georeference_at
 from bundle.cli.option_flags import flags_of, naming_flags, options_given
 from bundle.errors import InputError, shown
-from bundle.georeference.measurements import (
-    ROWS,
-    Measurements,
-    kinds_given,
-    options_class,
-    readers,
-)
+from bundle.georeference.measurements import ROWS, Measurements, kinds_given, options_class, readers
 from bundle.interface.georeference_options import GeoreferenceOptions
 from bundle.interface.option_fields import join
 

@@ -21,11 +21,13 @@ from bundle.cli.error_lines import (
     EXIT_BAD_INPUT,
     EXIT_DONE,
     EXIT_INTERRUPTED,
+    complain,
     describe_error,
     is_interruption,
+    open_missing_streams,
+    release_broken_streams,
 )
 from bundle.cli.parser import HelpAll, Parser, unknown_flag
-from bundle.cli.standard_streams import complain, open_missing_streams, release_broken_streams
 from bundle.errors import InputError, end_in_one_line
 from bundle.io.atomic.replaced_paths import NoteWarning, recording
 

@@ -13,8 +13,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from bundle.cli.error_lines import EXIT_BAD_INPUT, EXIT_DONE, describe_error
-from bundle.cli.standard_streams import complain
+from bundle.cli.error_lines import EXIT_BAD_INPUT, EXIT_DONE, complain, describe_error
 from bundle.solving.ranks.launch import (
     know_processes,
     rank_by_launcher,

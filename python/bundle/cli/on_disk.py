@@ -12,7 +12,7 @@ from bundle.base.words import format_size
 from bundle.cli.option_flags import flags_of
 from bundle.cli.refinement import OF_PLAIN, Refinement
 from bundle.errors import InputError, shown
-from bundle.interface.option_classes import OPTION_CLASSES, option_class
+from bundle.interface.option_class import OPTION_CLASSES, option_class
 from bundle.interface.options import SolveOptions
 from bundle.io.atomic.model_files import ROLLING_SHUTTER, is_text_model, missing_model_files
 from bundle.io.open import output_format, recover

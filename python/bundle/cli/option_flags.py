@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from bundle.cli.path_checks import PathArgument, a_path
 from bundle.errors import InputError
-from bundle.interface.option_class import Options
-from bundle.interface.option_classes import option_class
+from bundle.interface.option_class import Options, option_class
 from bundle.interface.option_fields import join
 from bundle.model.problem_keys import MOST_IDS, find_images, id_range
 

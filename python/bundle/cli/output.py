@@ -15,7 +15,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, Protocol, Self
 
 from bundle.base.tables import Block, is_terminal, print_styled, render, screen_width, terminal
-from bundle.cli.standard_streams import print_out
+from bundle.cli.error_lines import print_out
 from bundle.errors import InputError, shown
 from bundle.io.atomic import atomic_write as atomic
 from bundle.io.open import has_same_images

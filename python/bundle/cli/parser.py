@@ -8,7 +8,7 @@ import textwrap
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from typing import Any, NoReturn
 
-from bundle.cli.standard_streams import print_out
+from bundle.cli.error_lines import print_out
 from bundle.errors import InputError, nearest, shown
 
 HELP_COLUMN, WIDEST = 28, 100

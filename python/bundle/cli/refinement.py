@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING, Any
 
 from bundle.base.records import dataclass
 from bundle.cli.declarations import read_options
+from bundle.cli.error_lines import complain
 from bundle.cli.georeference_flags import georeference_given, prior_flags
 from bundle.cli.inertial_flags import InertialFiles, inertial_given
-from bundle.cli.next_run import repeated_flags
 from bundle.cli.option_flags import naming_flags, options_given
 from bundle.cli.problem_edits import rules_as_options, rules_of
-from bundle.cli.standard_streams import complain
+from bundle.cli.run import repeated_flags
 from bundle.errors import InputError, shown
 from bundle.interface.camera_edit_options import LensOptions, RuleOptions, ShutterOptions
 from bundle.interface.georeference_options import GeoreferenceOptions

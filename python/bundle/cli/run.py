@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from bundle.cli.commands import COMMANDS, Command, Way, resolve
 from bundle.cli.declarations import read_options
+from bundle.cli.error_lines import complain
 from bundle.cli.inertial_flags import RECORDED
 from bundle.cli.option_flags import (
     flags_of,
@@ -25,11 +26,10 @@ from bundle.cli.option_flags import (
 )
 from bundle.cli.output import Progress, publish
 from bundle.cli.problem_edits import rules_as_options, rules_of, with_rigs
-from bundle.cli.standard_streams import complain
 from bundle.errors import InputError, shown
+from bundle.georeference.measurements import ROWS
 from bundle.interface.camera_edit_options import RuleOptions
-from bundle.interface.option_class import Options
-from bundle.interface.option_classes import option_class
+from bundle.interface.option_class import Options, option_class
 from bundle.io.recognition import Kind, recognize
 from bundle.reports.sections import Report, several
 
@@ -224,7 +224,6 @@ class Run:
 
     def judge(self, **known: Any) -> None:
         """Search for findings about INPUT."""
-        from bundle.cli.next_run import repeated_flags  # few commands judge
         from bundle.judging.findings.find import find
 
         self.progress.stage("judging")
@@ -325,3 +324,40 @@ def refuse_recording_flags(arguments: argparse.Namespace) -> None:
         raise InputError(
             f"{flag}: valid only with images of a visual-inertial sequence, found an input without"
         )
+
+
+# Flags of this run that the next command of a finding repeats.
+#
+# The parser records the words that are values of a flag (``Parser.taken``), so no word is guessed
+# to be INPUT, a flag or a value.
+
+DROPPED = ("output", "json", "html", "quiet", "verbose", "check_gradients")
+"""Arguments about the files and the output of a run, which do not affect the model."""
+CHECKPOINTS = {"resume": "--checkpoint"}
+"""A checkpoint belongs to the options of its run: the next run begins it anew."""
+
+
+def repeated_flags(arguments: argparse.Namespace) -> tuple[str, ...]:
+    """Return the flags of a run with their values, without those about its output."""
+    reads_images = any(
+        row.from_photographs and getattr(arguments, row.source, None) == row.from_photographs
+        for row in ROWS
+    )
+    dropped = DROPPED if reads_images else (*DROPPED, "images")
+    words: dict[int | str, tuple[str, ...]] = {}
+    for place, (action, values) in enumerate(arguments.taken):
+        if not action.option_strings or action.dest in dropped:
+            continue
+        flag = CHECKPOINTS.get(action.dest, action.option_strings[-1])
+        if isinstance(action, argparse.BooleanOptionalAction):
+            flag = action.option_strings[0 if getattr(arguments, action.dest) else -1]
+        # Only an argument that collects its values has an effect more than once.
+        collects = isinstance(action, argparse._AppendAction)
+        words[place if collects else flag] = _words(flag, values)
+    return tuple(word for one in words.values() for word in one)
+
+
+def _words(flag: str, values: list[str]) -> tuple[str, ...]:
+    if len(values) == 1 and values[0].startswith("-"):
+        return (f"{flag}={values[0]}",)
+    return (flag, *values)

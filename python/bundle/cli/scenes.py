@@ -15,11 +15,10 @@ from typing import TYPE_CHECKING
 
 from bundle.cli.commands import FLIGHT
 from bundle.cli.declarations import ground_truth_path, path_beside
-from bundle.cli.error_lines import EXIT_DONE
+from bundle.cli.error_lines import EXIT_DONE, print_out
 from bundle.cli.option_flags import naming_flags, own_options
 from bundle.cli.output import check_new
 from bundle.cli.run import given_flags
-from bundle.cli.standard_streams import print_out
 from bundle.errors import InputError, shown
 from bundle.interface.scene_options import FlightOptions, SceneOptions
 from bundle.io.atomic import atomic_write as atomic

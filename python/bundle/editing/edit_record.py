@@ -7,11 +7,7 @@ from collections.abc import Iterable
 from typing import Any
 
 from bundle.base.records import dataclass
-from bundle.editing.camera_sharing import (
-    cameras_by_size,
-    share_cameras,
-    split_cameras,
-)
+from bundle.editing.camera_sharing import cameras_by_size, share_cameras, split_cameras
 from bundle.editing.model_change import CameraModelChange, change_camera_model
 from bundle.errors import InputError
 from bundle.model.problem import Problem

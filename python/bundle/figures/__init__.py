@@ -5,10 +5,7 @@ from bundle.figures.lens_figures import LensCurve, lens_curve, most_observed_cam
 from bundle.figures.marks import Figure, Line, line_figure
 from bundle.figures.odometry_figures import odometry_figures
 from bundle.figures.placement_figures import Placement, placement
-from bundle.figures.projection_uncertainty import (
-    ProjectionUncertainty,
-    projection_uncertainty,
-)
+from bundle.figures.projection_uncertainty import ProjectionUncertainty, projection_uncertainty
 from bundle.figures.residual_field import (
     RadialProfile,
     ResidualField,

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from typing import Any
+from bundle.base.public_modules import deferred
 
 _DEFERRED = {
     "alignment": "align",
@@ -23,20 +21,4 @@ _DEFERRED = {
     "velocities": "Velocities VelocityPrior read_velocities",
 }
 """Modules with their public names, imported on first use, as in ``bundle/__init__.py``."""
-_MODULE_OF = {name: module for module, names in _DEFERRED.items() for name in names.split()}
-
-__all__ = sorted(_MODULE_OF)  # noqa: PLE0605 (the stub has a list)
-
-
-def __getattr__(name: str) -> Any:
-    import importlib
-
-    if name not in _MODULE_OF:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = getattr(importlib.import_module(f"{__name__}.{_MODULE_OF[name]}"), name)
-    globals()[name] = value
-    return value
-
-
-def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+__all__, __getattr__, __dir__ = deferred(__name__, _DEFERRED)

@@ -28,11 +28,7 @@ from bundle.georeference.problem_attitudes import (
     log,
 )
 from bundle.georeference.similarity import Similarity, moved
-from bundle.interface.georeference_options import (
-    GRAVITY_SIGMA,
-    ORIENTATION_SIGMA,
-    ROBUST_SCALES,
-)
+from bundle.interface.georeference_options import GRAVITY_SIGMA, ORIENTATION_SIGMA, ROBUST_SCALES
 from bundle.interface.option_fields import choice, number
 from bundle.interface.options import LOSSES
 from bundle.model.problem import Problem

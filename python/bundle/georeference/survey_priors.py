@@ -26,11 +26,7 @@ from bundle.georeference.control_point import (
 )
 from bundle.georeference.exif_gps import read_exif_gps
 from bundle.georeference.gcp_list import given_control_points, with_check_points
-from bundle.georeference.georeferenced import (
-    Georeference,
-    origin_text,
-    rig_notes,
-)
+from bundle.georeference.georeferenced import Georeference, origin_text, rig_notes
 from bundle.georeference.gps_positions import (
     GpsPositions,
     matched,

@@ -11,17 +11,13 @@ from bundle.base.words import SHARE_OF_FREE_MEMORY, parse_size
 from bundle.errors import InputError
 from bundle.interface.option_class import Options, documented
 from bundle.interface.option_fields import checked, option
-from bundle.interface.options import (
-    BACKENDS as EVERY_BACKEND,
-)
+from bundle.interface.options import BACKENDS as EVERY_BACKEND
 from bundle.interface.options import (
     LINEAR_SOLVER_TYPES,
     PRECONDITIONER_TYPES,
     TRUST_REGION_STRATEGIES,
 )
-from bundle.interface.options import (
-    ORDERINGS as EVERY_ORDERING,
-)
+from bundle.interface.options import ORDERINGS as EVERY_ORDERING
 
 # Options of a comparison, with the defaults of :func:`bundle.compare`.
 #

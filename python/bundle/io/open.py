@@ -22,11 +22,7 @@ from bundle.errors import InputError, brief, shown
 from bundle.interface.option_fields import choice
 from bundle.io import bal, colmap
 from bundle.io.atomic import atomic_write as atomic
-from bundle.io.atomic.model_files import (
-    MODEL_FILES,
-    is_text_model,
-    missing_model_files,
-)
+from bundle.io.atomic.model_files import MODEL_FILES, is_text_model, missing_model_files
 from bundle.io.atomic.replaced_paths import RecoveryWarning
 from bundle.io.colmap import check_is_model
 from bundle.io.formats.read_options import ORIGINS, ReadOptions

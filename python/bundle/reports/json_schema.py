@@ -17,8 +17,7 @@ from typing import Any
 
 from bundle.georeference.measurements import ROWS
 from bundle.interface.finding import Finding
-from bundle.interface.option_class import Options
-from bundle.interface.option_classes import option_class
+from bundle.interface.option_class import Options, option_class
 from bundle.reports.sections import SCHEMA
 
 Schema = dict[str, Any]

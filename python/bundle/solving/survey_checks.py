@@ -34,12 +34,7 @@ import bundle._core as _core
 from bundle._core import evaluate_loss
 from bundle.base.records import dataclass
 from bundle.errors import InputError
-from bundle.georeference.point_check import (
-    OffsetCheck,
-    PointCheck,
-    SurveyChecks,
-    scaled_tail,
-)
+from bundle.georeference.point_check import OffsetCheck, PointCheck, SurveyChecks, scaled_tail
 from bundle.georeference.position_offset import PositionOffset
 from bundle.georeference.target_priors import TargetPriors, survey_sigmas
 from bundle.graphs.factors.factors import Factor, PositionFactor

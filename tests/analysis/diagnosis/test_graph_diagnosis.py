@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import chi2 as chi2_distribution
 
 import bundle
-from bundle.graphs.pose_graphs.chi2_quantiles import chi2_limit, chi2_median
+from bundle.base.tails import chi2_limit, chi2_median
 from tests import scenes
 from tests.graphs.pose_graphs import graphs
 from tests.graphs.pose_graphs.test_wrong_closures import with_wrong_closures

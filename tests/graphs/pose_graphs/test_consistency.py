@@ -11,8 +11,8 @@ from scipy.stats import chi2 as chi2_distribution
 
 import bundle
 from bundle import _core
+from bundle.base.tails import ONE_IN_A_MILLION
 from bundle.graphs.pose_graphs import consistency, lie_groups
-from bundle.graphs.pose_graphs.chi2_quantiles import ONE_IN_A_MILLION
 from bundle.graphs.pose_graphs.consistency import odometry_chain
 from tests.graphs.pose_graphs import graphs
 from tests.graphs.pose_graphs.test_wrong_closures import certain_loop, distance, with_wrong_closures

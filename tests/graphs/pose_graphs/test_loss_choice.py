@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import bundle
-from bundle.graphs.pose_graphs.chi2_quantiles import ONE_IN_2000
+from bundle.base.tails import ONE_IN_2000
 from bundle.graphs.pose_graphs.edge_weights import weighted_graph
 from bundle.graphs.pose_graphs.truncated_search import choose_loss, loss_cost, truncated_cost
 from bundle.interface.pose_graph_options import PoseGraphOptions

@@ -6,8 +6,8 @@ from scipy.stats import chi2 as chi2_distribution
 
 import bundle
 from bundle import _core
+from bundle.base.tails import ONE_IN_2000, chi2_quantile
 from bundle.graphs.pose_graphs import truncated_search
-from bundle.graphs.pose_graphs.chi2_quantiles import ONE_IN_2000, chi2_quantile
 from bundle.graphs.pose_graphs.gnc_solve import _joins_all
 from bundle.graphs.pose_graphs.truncated_search import TruncatedSearch, find_doubt, flip_gains
 from tests.graphs.pose_graphs import graphs

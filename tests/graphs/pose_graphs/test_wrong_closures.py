@@ -10,7 +10,7 @@ from scipy.stats import chi2 as chi2_distribution
 
 import bundle
 from bundle import _core
-from bundle.graphs.pose_graphs.chi2_quantiles import ONE_IN_2000, ONE_IN_A_MILLION
+from bundle.base.tails import ONE_IN_2000, ONE_IN_A_MILLION
 from bundle.graphs.pose_graphs.gnc_solve import graduate, tls_weights
 from tests.graphs.pose_graphs import graphs
 

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 import bundle
 from bundle import _core
-from bundle.graphs.pose_graphs.chi2_quantiles import ONE_IN_2000
+from bundle.base.tails import ONE_IN_2000
 from tests.graphs.pose_graphs.graphs import matrix, pose_of
 
 

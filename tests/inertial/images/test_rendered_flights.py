@@ -15,12 +15,7 @@ from bundle.cli.main import main
 from bundle.inertial.vio.trajectory_comparison import compare_trajectories, states_at
 from bundle.io.sequences.trajectory_files import load_trajectory
 from bundle.reports.json_schema import described_entries, report_schema
-from tests.inertial.images.rendered_flight import (
-    SMALL,
-    SMALL_FISHEYE,
-    Flight,
-    render,
-)
+from tests.inertial.images.rendered_flight import SMALL, SMALL_FISHEYE, Flight, render
 
 SHARE = 0.02  # of the path
 

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from bundle.graphs.pose_graphs.chi2_quantiles import chi2_bound
+from bundle.base.tails import chi2_bound
 from bundle.inertial.offline.imu_agreement import (
     Agreement,
     ClockErrors,

@@ -12,12 +12,7 @@ from scipy.spatial.transform import Rotation
 import bundle
 from bundle.georeference.pose_alignment import align_centers, moved_poses
 from bundle.georeference.similarity import Similarity
-from bundle.model.pose_table import (
-    ErrorStatistics,
-    PoseTable,
-    absolute_errors,
-    relative_errors,
-)
+from bundle.model.pose_table import ErrorStatistics, PoseTable, absolute_errors, relative_errors
 from tests.judging.evaluation import worked_example as example
 from tests.scenes import make_problem
 

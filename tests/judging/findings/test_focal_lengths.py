@@ -7,11 +7,7 @@ import pytest
 
 import bundle
 from bundle.judging.findings.find import find
-from bundle.judging.findings.focal_lengths import (
-    FocalLengths,
-    focal_drift,
-    undetermined_intrinsics,
-)
+from bundle.judging.findings.focal_lengths import FocalLengths, focal_drift, undetermined_intrinsics
 from bundle.judging.findings.next_command import NextCommand
 from tests.campaigns.findings import make
 

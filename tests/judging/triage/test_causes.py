@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from bundle.judging.triage.causes import causes_of
+from bundle.judging.triage.triage_reports import causes_of
 from tests.judging.triage.test_difference import FLIGHT, GRAPH, between
 
 DENSER = {"information_nonzeros": 3e4, "factor_nonzeros": 6e4, "factor_flops": 9e6}

@@ -31,7 +31,6 @@ from bundle.planning.inspection.graph_inspection import inspect_graph
 from bundle.planning.inspection.problem_inspection import inspect
 from bundle.planning.inspection.rank_prediction import NETWORK
 from bundle.reports.sections import Report
-from bundle.reports.terminal import align as align_report
 from bundle.reports.terminal import analyses, compare, info, judged, outputs, refine
 from bundle.reports.terminal import inspect as inspect_report
 from bundle.reports.terminal.screen import laid_out
@@ -118,7 +117,7 @@ def aligned(_):
     object.__setattr__(flight.gcps[5], "measurements", flight.gcps[5].measurements[:1])
     found = align(flight.problem, gcps=flight.gcps, check_points=["t4"])
     output = {"path": "placed/", "format": "colmap"}
-    return align_report.alignment("garden/sparse/0", flight.problem, found, output, ())
+    return outputs.alignment("garden/sparse/0", flight.problem, found, output, ())
 
 
 def synthesized(_):

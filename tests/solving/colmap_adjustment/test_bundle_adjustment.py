@@ -11,13 +11,7 @@ import bundle
 from bundle.model.pycolmap import adjustment_objects
 from bundle.solving.colmap_adjustment import adjusted_part
 from tests.scenes import make_problem
-from tests.solving.colmap_adjustment.option_space import (
-    CHANGES,
-    EARLY,
-    images_alone,
-    request,
-    rigs,
-)
+from tests.solving.colmap_adjustment.option_space import CHANGES, EARLY, images_alone, request, rigs
 
 MODELS = {"alone": images_alone, "rigs": rigs}
 DETERMINED = {  # changes with which constant variables determine a part of the world

@@ -24,9 +24,9 @@ from bundle.analysis.normal_equations import NormalEquations, PoseEquations
 from bundle.base.arrays import check_type
 from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
+from bundle.base.tails import chi2_interval, chi2_median
 from bundle.base.words import number
 from bundle.errors import InputError, brief
-from bundle.graphs.pose_graphs.chi2_quantiles import chi2_interval, chi2_median
 from bundle.graphs.pose_graphs.edge_weights import WeightedGraph, is_graph, weighted_graph
 
 if TYPE_CHECKING:

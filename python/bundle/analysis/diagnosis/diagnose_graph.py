@@ -17,8 +17,8 @@ from bundle.analysis.diagnosis.diagnosis_result import (
 )
 from bundle.analysis.normal_equations import NormalEquations, PoseEquations, TermTests, Words
 from bundle.base.arrays import freeze
+from bundle.base.tails import chi2_limit, chi2_median
 from bundle.base.words import named, number, plural, sorted_ids
-from bundle.graphs.pose_graphs.chi2_quantiles import chi2_limit, chi2_median
 from bundle.graphs.pose_graphs.edge_weights import WeightedGraph, weighted_graph
 from bundle.graphs.pose_graphs.joints import Joint, Joints
 from bundle.interface.finding import Finding

@@ -20,11 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 import bundle._core as _core
 from bundle.analysis.diagnosis.diagnose_graph import diagnose_graph
-from bundle.analysis.diagnosis.diagnosis_result import (
-    CollapsedCluster,
-    Component,
-    Diagnosis,
-)
+from bundle.analysis.diagnosis.diagnosis_result import CollapsedCluster, Component, Diagnosis
 from bundle.analysis.diagnosis.findings import EquationCounts, Unknowns, findings, scale_drift
 from bundle.analysis.diagnosis.modes import component_modes, null_modes, rotation_modes, weak_modes
 from bundle.analysis.diagnosis.shutter_modes import shutter_modes

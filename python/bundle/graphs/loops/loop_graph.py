@@ -38,6 +38,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.base.components import component_roots
+from bundle.base.tails import ONE_IN_2000
 from bundle.graphs.factors.factors import RelativePoseFactor
 from bundle.graphs.loops.covisibility_edges import (
     MIN_SHARED,
@@ -52,7 +53,6 @@ from bundle.graphs.loops.loop_closing import (
     images_of,
 )
 from bundle.graphs.loops.similarity_graph import Nodes, SimilarityGraph
-from bundle.graphs.pose_graphs.chi2_quantiles import ONE_IN_2000
 from bundle.interface.option_fields import choice, number
 from bundle.interface.pose_graph_options import LOOP_LOSSES
 from bundle.io.files import Source, as_problem

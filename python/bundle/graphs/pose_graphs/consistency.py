@@ -60,9 +60,9 @@ import bundle._core as _core
 from bundle.base.arrays import freeze
 from bundle.base.optional_packages import require_package
 from bundle.base.records import dataclass
+from bundle.base.tails import ONE_IN_A_MILLION
 from bundle.base.words import plural
 from bundle.errors import InputError
-from bundle.graphs.pose_graphs.chi2_quantiles import ONE_IN_A_MILLION
 from bundle.graphs.pose_graphs.edge_weights import checked_information
 from bundle.graphs.pose_graphs.lie_groups import adjoints, compose, inverse, logarithm
 from bundle.graphs.pose_graphs.pose_graph_result import LeftOutEdge, PoseGraphResult

@@ -18,9 +18,9 @@ import bundle._core as _core
 from bundle.base.arrays import check_type, refuse_row
 from bundle.base.paths import as_path, is_path
 from bundle.base.records import dataclass
+from bundle.base.tails import ONE_IN_2000
 from bundle.base.words import distinct, plural
 from bundle.errors import InputError
-from bundle.graphs.pose_graphs.chi2_quantiles import ONE_IN_2000
 from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
 from bundle.interface.option_fields import choice
 from bundle.interface.pose_graph_options import POSE_ERRORS, PoseGraphOptions

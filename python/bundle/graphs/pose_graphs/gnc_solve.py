@@ -39,7 +39,7 @@ from numpy.typing import NDArray
 
 import bundle._core as _core
 from bundle.base.arrays import freeze
-from bundle.graphs.pose_graphs.chi2_quantiles import ONE_IN_2000
+from bundle.base.tails import ONE_IN_2000
 from bundle.graphs.pose_graphs.truncated_search import Settled, TruncatedSearch
 from bundle.interface.pose_graph_options import PoseGraphOptions
 from bundle.interface.solve_record import Progress

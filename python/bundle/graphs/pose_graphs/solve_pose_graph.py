@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 import bundle._core as _core
 from bundle.base.arrays import check_function, check_type
+from bundle.base.tails import ONE_IN_2000, ONE_IN_A_MILLION
 from bundle.base.words import plural
 from bundle.errors import InputError
-from bundle.graphs.pose_graphs.chi2_quantiles import ONE_IN_2000, ONE_IN_A_MILLION
 from bundle.graphs.pose_graphs.edge_weights import checked_information
 from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult, PoseGraphSummary
 from bundle.interface.ordering_alarm import BestOrder, with_ordering_alarm

@@ -44,8 +44,8 @@ from numpy.typing import NDArray
 
 import bundle._core as _core
 from bundle.base.records import dataclass
+from bundle.base.tails import chi2_quantile
 from bundle.base.words import number, plural
-from bundle.graphs.pose_graphs.chi2_quantiles import chi2_quantile
 from bundle.interface.pose_graph_options import PoseGraphOptions
 from bundle.model.pose_graph_arrays import PoseGraph
 

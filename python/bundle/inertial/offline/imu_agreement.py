@@ -27,7 +27,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.graphs.pose_graphs.chi2_quantiles import chi2_bound, chi2_median
+from bundle.base.tails import chi2_bound, chi2_median
 from bundle.model.sequence.calibration import ImuNoise
 from bundle.model.sequence.sequence_findings import quietest_noise
 

@@ -21,10 +21,7 @@ from bundle.inertial.offline.imu_agreement import (
 )
 from bundle.inertial.offline.path_tests import ArmError, ForceScale
 from bundle.inertial.offline.rotation_map import RotationMap
-from bundle.model.rigid_motions import (
-    quaternion_from_matrix,
-    rotation_matrices,
-)
+from bundle.model.rigid_motions import quaternion_from_matrix, rotation_matrices
 from bundle.model.sequence.sequence_findings import LONGEST_BRIDGE, UNDERSTATED, BadStretch
 
 Array = NDArray[np.float64]

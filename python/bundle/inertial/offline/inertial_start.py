@@ -29,10 +29,7 @@ from numpy.typing import NDArray
 
 from bundle.inertial.preintegration.preintegration import Preintegration
 from bundle.inertial.vio.window_frame import ImuInterval
-from bundle.model.rigid_motions import (
-    quaternion_from_matrix,
-    vector_from_quaternion,
-)
+from bundle.model.rigid_motions import quaternion_from_matrix, vector_from_quaternion
 from bundle.model.sequence.calibration import ImuNoise
 
 Array = NDArray[np.float64]

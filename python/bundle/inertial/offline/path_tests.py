@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.graphs.pose_graphs.chi2_quantiles import chi2_bound
+from bundle.base.tails import chi2_bound
 from bundle.inertial.offline.inertial_start import segment_rows, segments
 from bundle.inertial.offline.motion_solve import ACCEL_BIAS_SIGMA
 from bundle.inertial.preintegration.preintegration import Preintegration

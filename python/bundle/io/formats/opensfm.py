@@ -27,13 +27,7 @@ from bundle.base.words import plural
 from bundle.errors import InputError, brief, shown
 from bundle.io.atomic import atomic_write as atomic
 from bundle.io.formats.file_values import Node, parsed
-from bundle.io.formats.imported_model import (
-    Imported,
-    all_differ,
-    by_camera,
-    pixels,
-    unique_keys,
-)
+from bundle.io.formats.imported_model import Imported, all_differ, by_camera, pixels, unique_keys
 from bundle.io.formats.opensfm_cameras import (
     PRISM,
     RADIAL,

@@ -15,11 +15,7 @@ from numpy.typing import NDArray
 from bundle.errors import InputError, shown
 from bundle.model.colmap.source_records import number_keypoints
 from bundle.model.problem import Problem
-from bundle.model.pycolmap.problem_source import (
-    LOST_SIGMAS,
-    beside_the_problem,
-    source_records,
-)
+from bundle.model.pycolmap.problem_source import LOST_SIGMAS, beside_the_problem, source_records
 
 Array = NDArray[np.float64]
 _BLOCK = 1 << 16

@@ -20,11 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.base.records import dataclass
-from bundle.editing.camera_sharing import (
-    cameras_by_size,
-    share_cameras,
-    split_cameras,
-)
+from bundle.editing.camera_sharing import cameras_by_size, share_cameras, split_cameras
 from bundle.editing.model_change import change_camera_model
 from bundle.interface.options import SolveOptions
 from bundle.model.cameras import camera_models, param_kinds, reach

@@ -14,12 +14,7 @@ from bundle.errors import InputError
 from bundle.interface.option_fields import choice, number
 from bundle.interface.options import LOSSES, SolveOptions
 from bundle.io.files import Source, as_problem
-from bundle.judging.validation.candidate_fits import (
-    CandidateFit,
-    Fitting,
-    Progress,
-    fit_candidates,
-)
+from bundle.judging.validation.candidate_fits import CandidateFit, Fitting, Progress, fit_candidates
 from bundle.judging.validation.candidates import SHARES, Candidate, default_candidates
 from bundle.judging.validation.decision import DecisionRule
 from bundle.judging.validation.judgement import judged

@@ -18,9 +18,12 @@ lens, or nearer to the axis if this angle is beyond the fold.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.optional_packages import has_pycolmap
 from bundle.model.cameras import project
 from bundle.model.lenses.exact_image import PERSPECTIVE, focal_and_center
 
@@ -149,3 +152,37 @@ def _chart_jacobian(chart: NDArray[np.float64]) -> NDArray[np.float64]:
     jacobian[:, [0, 1], [0, 1]] += ratio[:, None]
     jacobian[:, 2] = -ratio[:, None] * chart
     return jacobian
+
+
+# From pixels to the plane z = 1 of the camera, by COLMAP's inverse of its models (Newton's method,
+# src/colmap/sensor/models.h, CamFromImg). Without pycolmap, the inverse above serves, which has
+# machine precision but is slower.
+
+
+def normalized(model: str, params: Sequence[float], xy: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return undistorted coordinates (N, 2) on the plane z = 1 of the camera.
+
+    Args:
+        params: parameters of the model in COLMAP's order, without padding.
+        xy: (N, 2) pixels.
+    """
+    if not has_pycolmap():
+        directions, seen = pixel_rays(model, np.array(params, np.float64), xy)
+        plane: NDArray[np.float64] = directions[:, :2] / directions[:, 2:]
+        return np.where(seen[:, None], plane, np.nan)
+    import pycolmap
+
+    # The size of the image has no effect.
+    lens = pycolmap.Camera(model=model, width=1, height=1, params=list(params))
+    rays: NDArray[np.float64] = np.asarray(lens.cam_from_img(xy), np.float64)
+    return rays
+
+
+def pixel_directions(
+    model: str, params: Sequence[float], xy: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the directions (N, 3) of pixels in the frame of the camera, with z = 1.
+
+    Args: see :func:`normalized`.
+    """
+    return np.column_stack([normalized(model, params, xy), np.ones(len(xy))])

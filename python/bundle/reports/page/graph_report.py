@@ -29,10 +29,7 @@ from bundle.graphs.pose_graphs.pose_graph_result import (
 )
 from bundle.interface.finding import Finding
 from bundle.model.pose_graph_arrays import PoseGraph
-from bundle.planning.inspection.elimination_costs import (
-    CONVENTION,
-    FactorGraphInspection,
-)
+from bundle.planning.inspection.elimination_costs import CONVENTION, FactorGraphInspection
 from bundle.reports.page.graph_facts import (
     ODOMETRY,
     GraphFacts,

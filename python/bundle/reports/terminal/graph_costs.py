@@ -11,10 +11,7 @@ from bundle.graphs.pose_graphs.edge_weights import densest_set
 from bundle.model.content_digests import content_digests
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.planning.comparison.graph_comparison import GraphComparison, GraphRun
-from bundle.planning.inspection.elimination_costs import (
-    CONVENTION,
-    FactorGraphInspection,
-)
+from bundle.planning.inspection.elimination_costs import CONVENTION, FactorGraphInspection
 from bundle.planning.inspection.inspection_result import EliminationCost
 from bundle.reports.sections import Column, Report, Section, Table, fields, records
 from bundle.reports.terminal.inputs import about_input, input_facts

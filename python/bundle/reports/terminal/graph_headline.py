@@ -14,11 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from bundle.analysis.diagnosis.chi2_kinds import (
-    Chi2Kind,
-    chi2_kinds,
-    information_sentence,
-)
+from bundle.analysis.diagnosis.chi2_kinds import Chi2Kind, chi2_kinds, information_sentence
 from bundle.base.words import number, plural, rounded
 from bundle.graphs.pose_graphs.pose_graph_result import (
     CERTIFIED,

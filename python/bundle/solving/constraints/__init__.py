@@ -3,28 +3,12 @@
 Names are imported on first use: an adjustment with resolved rules needs none of them.
 """
 
-from typing import TYPE_CHECKING, Any
+from __future__ import annotations
 
-if TYPE_CHECKING:
-    from bundle.solving.constraints.rule_list import Constraints, rules_of
-    from bundle.solving.constraints.rules import Bounds, Fixed, Prior, Ratio, Rule, Share, Target
+from bundle.base.public_modules import deferred
 
-__all__ = [
-    "Bounds",
-    "Constraints",
-    "Fixed",
-    "Prior",
-    "Ratio",
-    "Rule",
-    "Share",
-    "Target",
-    "rules_of",
-]
-
-
-def __getattr__(name: str) -> Any:
-    if name not in __all__:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from bundle.solving.constraints import rule_list
-
-    return getattr(rule_list, name)
+_DEFERRED = {
+    "rule_list": "Constraints rules_of",
+    "rules": "Bounds Fixed Prior Ratio Rule Share Target",
+}
+__all__, __getattr__, __dir__ = deferred(__name__, _DEFERRED)
