@@ -70,7 +70,7 @@ def run(arguments: argparse.Namespace) -> int:
         written, lost = _write(opened, solved, measured, progress)
         save_time = perf_counter() - begun
         statistics_time = _measure(opened, solved, progress)
-        findings = judge(asked, opened, solved, inertial)
+        findings = judge(asked, opened, solved, inertial, measured)
         if asked.page is not None:
             progress.stage(f"writing {shown(asked.page)}")
             write_page(asked, asked.page, opened, solved, measured, findings)
@@ -229,7 +229,11 @@ OUT_OF_VIEW = {"too_many_behind", "invalid_solution"}
 
 
 def judge(
-    asked: Refinement, opened: Opened, solved: Result, inertial: InertialAdjustment | None
+    asked: Refinement,
+    opened: Opened,
+    solved: Result,
+    inertial: InertialAdjustment | None,
+    measured: Sequence[MeasurementErrors] = (),
 ) -> tuple[Finding, ...]:
     """Return the findings about the result, those of an IMU first.
 
@@ -277,7 +281,20 @@ def judge(
     is_held = inertial is not None or any(one.target.kind == "image" for one in asked.constraints)
     held = set(solved.problem.image_ids.tolist()) if is_held else {*solved.options.fixed_image_ids}
     held |= {getattr(prior, "image", None) for prior in priors}
-    return one_list(about_imu, limited, broken_parts(solved.problem, held), found)
+    surveyed = _about_control_points(measured, command)
+    return one_list(about_imu, limited, broken_parts(solved.problem, held), surveyed, found)
+
+
+def _about_control_points(
+    measured: Sequence[MeasurementErrors], command: NextCommand
+) -> tuple[Finding, ...]:
+    place = place_of(measured)
+    if place is None or not place.control_points:
+        return ()
+    from bundle.judging.findings.control_points import control_points  # few runs need it
+
+    found = control_points(place.control_points, command)
+    return () if found is None else (found,)
 
 
 def _shifted_input(opened: Opened, solved: Result, command: NextCommand) -> tuple[Finding, ...]:

@@ -273,14 +273,31 @@ def point_errors(
     return (Display(title=title, head=(*head, "[px]"), rows=tuple(cells), left=2),)
 
 
+def is_contradiction(points: Iterable[ControlPointError]) -> bool:
+    """Return True if most control points fail their test: then no single one is wrong."""
+    used = [point.suspect for point in points if point.role == "control"]
+    return 2 * sum(used) > len(used)
+
+
 def suspicions(points: Iterable[ControlPointError]) -> list[str]:
-    """Return one sentence per point with a probable gross error, one for points without a check."""
+    """Return one sentence per point with a probable gross error, one for points without a check.
+
+    If most points fail, one sentence on all of them replaces the first.
+    """
     points = tuple(points)
     unchecked = [shown(point.name) for point in points if point.is_unchecked]
     said = [
         f"{', '.join(unchecked)} cannot be checked: the other measurements hardly predict "
         f"{'it' if len(unchecked) == 1 else 'them'}."
     ]
+    if is_contradiction(points):
+        used = [point for point in points if point.role == "control"]
+        wrong = sum(point.suspect for point in used)
+        return [
+            *(said if unchecked else []),
+            f"{wrong} of {plural(len(used), 'control point')} contradict the others: no single one "
+            "is wrong, but their sigmas are too small.",
+        ]
     return (said if unchecked else []) + [
         f"{shown(point.name)} is probably wrong: the other points place it "
         f"{', '.join(_offsets(point.leave_one_out))} of its coordinates."

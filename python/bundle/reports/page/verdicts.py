@@ -316,7 +316,7 @@ QUESTIONS: tuple[tuple[Callable[[Judged], Verdict | None], str], ...] = (
     (_positions, "scale_drift no_covariance images_with_few_observations undetermined_poses"),
     (_tracks, "duplicate_points collapsed_points far_points points_not_seen points_seen_once"),
     (_connection, "weak_joint disconnected images_without_observations"),
-    (_place, "positions attitudes"),
+    (_place, "positions attitudes gps_offset control_points"),
 )
 """Functions that answer a question, and the kinds of findings about its subject."""
 
