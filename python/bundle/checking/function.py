@@ -75,7 +75,9 @@ class UserFunction:
             return None
 
     def _call(self, blocks: Sequence[Array]) -> tuple[Any, Sequence[Any]]:
-        answer = self.function([block.copy() for block in blocks])
+        given = [block.copy() for block in blocks]
+        answer = self.function(given)
+        check_unchanged("function", given, blocks)
         if not isinstance(answer, tuple | list) or len(answer) != 2:
             raise InputError(
                 f"function: expected (residual, list of Jacobians), found {type(answer).__name__}"
@@ -116,6 +118,16 @@ class UserFunction:
                 )
             result.append(matrix.reshape(expected))
         return result
+
+
+def check_unchanged(name: str, given: Sequence[Array], before: Sequence[Array]) -> None:
+    """Raise an InputError if a call has changed its arguments."""
+    for b, (one, other) in enumerate(zip(given, before, strict=True)):
+        if one.tobytes() != other.tobytes():
+            raise InputError(
+                f"{name}: expected a function that does not change its arguments, found block {b} "
+                "changed by a call; compute with a copy of it"
+            )
 
 
 Probe = tuple[bool, Array | None, Array | None, str]

@@ -318,7 +318,7 @@ def _pull(problem: Problem, positions: list[PositionFactor]) -> tuple[Array, flo
         weight = _weight(one, length)
         gradient += weight * pull
         squares += weight * length
-        count += int((np.diag(one.information) > KNOWN).sum())
+        count += int((np.diag(np.asarray(one.information)) > KNOWN).sum())
     return gradient, squares / count if count > 0 else 1.0, float(count)
 
 

@@ -285,7 +285,8 @@ def test_any_hashable_object_is_a_key(kind):
         (-1.0, "from -1 to -1"),
         (np.eye(3), "(2, 2)"),
         ([[1, 0]], "(2, 2)"),
-        ([1, 1], "(2, 2)"),
+        ([1, 1, 1], "(2, 2)"),
+        ([1, -1], "from -1 to 1"),
     ],
 )
 def test_information_is_symmetric_and_positive_definite(information, words):

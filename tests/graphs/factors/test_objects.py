@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import bundle
+from bundle.graphs.factors.image_factors import VelocityFactor
 
 EYE = [0.0, 0, 0, 1]
 
@@ -209,3 +210,74 @@ def test_factors_can_be_made_anew_with_a_change():
 def test_an_antenna_without_a_lever_arm_is_at_the_camera():
     factor = bundle.PositionFactor(("image", 1), [1.0, 2.0, 3.0], 1.0)
     assert np.asarray(factor.lever_arm).tolist() == [0.0, 0.0, 0.0]
+
+
+WEIGHTED = {
+    "prior": lambda **given: bundle.PriorFactor("x", [0.0, 0, 0], **given),
+    "between": lambda **given: bundle.BetweenFactor("x", "y", [0.0, 0, 0], **given),
+    "position": lambda **given: bundle.PositionFactor("x", [0.0, 0, 0], **given),
+    "rotation": lambda **given: bundle.RotationFactor("x", [0.0, 0, 0, 1], **given),
+    "velocity": lambda **given: VelocityFactor(
+        ("image", 1), ("twist", 1), ("readout", 1), [0.0, 0, 0], **given
+    ),
+}
+
+
+@pytest.mark.parametrize("make", WEIGHTED.values(), ids=WEIGHTED)
+def test_an_information_is_a_matrix_a_diagonal_or_sigmas(make):
+    matrix = np.diag([100.0, 25.0, 400.0])
+    for given in (
+        {"information": [100, 25, 400]}, {"sigmas": [0.1, 0.2, 0.05]}, {"information": matrix},
+    ):  # fmt: skip
+        np.testing.assert_allclose(make(**given).information, matrix, rtol=1e-14)
+    np.testing.assert_allclose(make(sigma=0.2).information, 25.0)
+    again = pickle.loads(pickle.dumps(dataclasses.replace(make(sigma=0.2), loss="huber")))
+    np.testing.assert_allclose(again.information, 25.0)
+    assert not np.asarray(again.information).flags.writeable
+    for wrong in (
+        {}, {"sigma": 1, "information": 1}, {"sigma": 1, "sigmas": [1, 1, 1]}, {"sigma": 0},
+        {"sigma": [1, 1, 1]}, {"sigmas": 1}, {"sigmas": [1, -1, 1]}, {"sigma": np.nan},
+    ):  # fmt: skip
+        with pytest.raises(bundle.InputError, match="sigma"):
+            make(**wrong)
+
+
+def test_as_many_sigmas_as_coordinates():
+    graph = bundle.FactorGraph()
+    graph.add_variable("x", [0.0, 0, 0], "se2")
+    for given in ({"sigmas": [1.0]}, {"sigmas": [1.0, 1.0]}, {"information": [1.0, 1.0]}):
+        with pytest.raises(bundle.InputError, match=r"expected shape \(3, 3\)"):
+            graph.add_factor(bundle.PriorFactor("x", [0.0, 0, 0], **given))
+    graph.add_factor(bundle.PriorFactor("x", [0.1, 0, 0], sigmas=[0.1, 1, 1]))
+    assert graph.cost() == pytest.approx(0.5)
+
+
+def test_a_reprojection_has_one_pixel_by_default():
+    for given, expected in (({}, 1.0), ({"sigma": 0.5}, 4.0), ({"information": 3.0}, 3.0)):
+        factor = bundle.ReprojectionFactor("p", "c", "x", [1, 2], "PINHOLE", **given)
+        assert float(np.asarray(factor.information)) == expected
+
+
+@pytest.mark.parametrize(
+    ("name", "here"),
+    [("optimize", "solve"), ("marginal_covariance", "bundle.covariance"), ("slove", "solve")],
+)
+def test_names_of_other_packages_point_to_those_here(name, here):
+    with pytest.raises(AttributeError, match=here):
+        getattr(bundle.FactorGraph(), name)
+    assert not hasattr(bundle.FactorGraph(), "_repr_latex_")
+
+
+def test_a_function_that_changes_its_arguments_is_named():
+    def doubled(values):
+        x = values[0]
+        x *= 2
+        return [x[0] - 3, x[1]], [np.eye(2)]
+
+    graph = bundle.FactorGraph()
+    graph.add_variable("a", [1.0, 2.0])
+    graph.add_factor(bundle.FunctionFactor(["a"], doubled))
+    with pytest.raises(bundle.InputError, match=r"FunctionFactor.*change its arguments.*block 0"):
+        graph.check_gradients()
+    with pytest.raises(bundle.InputError, match=r"^function: .*change its arguments.*block 0"):
+        bundle.check_gradients(doubled, [[1.0, 2.0]])

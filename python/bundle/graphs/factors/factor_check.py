@@ -23,7 +23,7 @@ import numpy as np
 import bundle._core as _core
 from bundle.base.arrays import as_flag
 from bundle.base.records import dataclass
-from bundle.checking.function import SamplePoint, UserFunction
+from bundle.checking.function import SamplePoint, UserFunction, check_unchanged
 from bundle.checking.gradient_report import GradientReport
 from bundle.checking.residual_blocks import Block, Layout, Manifold, sample
 from bundle.checking.sample_check import check_samples
@@ -257,6 +257,9 @@ def check_graph(
         name = factor_name(positions[id(factor)], factor)
         own = [variables[key] for key in factor.keys]
         arguments = factor.core_arguments(name, tuple(len(v.coordinates) for v in own))
+        is_own = isinstance(factor, FunctionFactor)
+        if is_own:
+            arguments = (_watched(name, *arguments),)
         given = (
             factor.kind,
             name,
@@ -270,11 +273,22 @@ def check_graph(
         except Exception as error:
             error.add_note(name)
             raise
-        is_own = isinstance(factor, FunctionFactor)
         return CheckedFactor(name, _label(factor), kinds[place], own, function, is_own)
 
     chosen = choose(kinds, most_of_a_kind)
     return check_each(map(make, chosen), settings, num_factors=len(factors), progress=progress)
+
+
+def _watched(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a function of a factor that refuses changes of its arguments."""
+
+    def call(values: list[Array], jacobians: bool) -> Any:
+        before = [value.copy() for value in values]
+        answer = function(values, jacobians)
+        check_unchanged(name, values, before)
+        return answer
+
+    return call
 
 
 def choose(kinds: Sequence[Hashable], most: int | None) -> list[int]:

@@ -12,7 +12,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from time import perf_counter
-from typing import Any, NamedTuple, Unpack
+from typing import TYPE_CHECKING, Any, NamedTuple, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,7 @@ from bundle.base.arrays import as_flag, check_function
 from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
 from bundle.base.words import change, plural, seconds
-from bundle.errors import InputError, brief
+from bundle.errors import InputError, brief, nearest
 from bundle.graphs.factors.check_solve import Conditioning, SolvedGraph, checked
 from bundle.graphs.factors.factor_check import check_graph
 from bundle.graphs.factors.factor_report import FactorCheck
@@ -81,6 +81,20 @@ _OF_OTHERS = (
     "cheirality",
 )
 """Options of reconstructions that a factor graph does not support."""
+
+_ELSEWHERE = {
+    "optimize": "graph.solve()",
+    "optimise": "graph.solve()",
+    "minimize": "graph.solve()",
+    "error": "graph.cost()",
+    "add": "graph.add_factor(factor)",
+    "push_back": "graph.add_factor(factor)",
+    "insert": "graph.add_variable(key, value)",
+    "marginal_covariance": "bundle.covariance(graph)",
+    "marginals": "bundle.covariance(graph)",
+    "marginal_information": "graph.information([key])",
+}
+"""Calls of this package by names of other packages, such as GTSAM."""
 
 _MOST_COLUMNS_LOOKED_AT = 3000
 """A QR factorisation of this many columns takes about as long as a few steps."""
@@ -246,6 +260,14 @@ class FactorGraph(GraphMarginals):
             f"step, a QR factorisation {digits.square_root}."
         )
         return True, why, found
+
+    if not TYPE_CHECKING:  # a type checker refuses unknown names
+
+        def __getattr__(self, name: str) -> Any:
+            """Raise an AttributeError that points to the name of this package."""
+            own = {one: one for one in dir(type(self)) if not one.startswith("_")}
+            hint = "" if name.startswith("_") else nearest(name, own | _ELSEWHERE)
+            raise AttributeError(f"FactorGraph has no attribute {name!r}{hint}")
 
     def cost(self) -> float:
         """Return 1/2 sum rho(||r||^2) at the variables' values."""

@@ -98,8 +98,6 @@ class MeasuredFactor(Factor):
     def __post_init__(self) -> None:
         super().__post_init__()
         self._freeze_row(*self._rows)
-        if "information" in self._given:
-            self._freeze_matrix("information")
 
     @cached_property
     def keys(self) -> tuple[Key, ...]:
@@ -121,14 +119,58 @@ def as_information(name: str, information: Array, size: int) -> Array:
         return float(information.reshape(())) * np.eye(size)
     if information.shape != (size, size):
         raise InputError(
-            f"{name}: information: expected shape ({size}, {size}) or one number, "
-            f"found {information.shape}"
+            f"{name}: information: expected shape ({size}, {size}), {size} numbers of its diagonal "
+            f"or one number, found shape {information.shape}"
         )
     return information
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PriorFactor(MeasuredFactor):
+class WeightedFactor(MeasuredFactor):
+    """Base class of factors with an information matrix, which is given in one of three ways.
+
+    Attributes:
+        sigma: in place of the information, one standard deviation of all coordinates of the error;
+            None after the construction, which computes the information.
+        sigmas: in place of the information, a standard deviation of each coordinate; None after the
+            construction.
+    """
+
+    sigma: float | None = field(default=None, kw_only=True)
+    sigmas: ArrayLike | None = field(default=None, kw_only=True)
+
+    if TYPE_CHECKING:
+
+        @property
+        def information(self) -> ArrayLike | None:
+            """Number, or matrix."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        ways = {name: getattr(self, name) for name in ("information", "sigma", "sigmas")}
+        given = [name for name, value in ways.items() if value is not None]
+        if len(given) != 1:
+            raise InputError(
+                f"{self.name}: expected one of information, sigma and sigmas, "
+                f"found {' and '.join(given) or 'none'}"
+            )
+        array = as_array(f"{self.name}: {given[0]}", ways[given[0]])
+        if given[0] != "information":
+            if array.ndim != (given[0] == "sigmas") or not (array > 0).all():
+                expected = "a number above 0" if given[0] == "sigma" else "numbers above 0"
+                raise InputError(
+                    f"{self.name}: {given[0]}: expected {expected}, found {brief(array.tolist())}"
+                )
+            array = np.asarray(1 / array**2)
+        if given[0] == "sigmas" or (array.ndim == 1 and len(array) > 1):
+            array = np.diag(array)
+        self._set("information", freeze(np.array(array)))
+        self._set("sigma", None)
+        self._set("sigmas", None)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PriorFactor(WeightedFactor):
     """Prior on one variable X: e = Log(value^-1 X).
 
     On a Euclidean variable e = X - value: a prior on a point or on the parameters of a camera.
@@ -137,7 +179,9 @@ class PriorFactor(MeasuredFactor):
         key: the variable.
         value: prior value, in the manifold's representation.
         information: symmetric positive definite, in the tangent coordinates of the variable (listed
-            by :class:`bundle.FactorGraph`), or a number that multiplies the identity.
+            by :class:`bundle.FactorGraph`), or its diagonal, or a number that multiplies the
+            identity. All factors with an information take ``sigma`` (a number) or ``sigmas`` (one
+            per coordinate) in its place.
 
     Raises:
         InputError: an argument is not numeric. :meth:`bundle.FactorGraph.add_factor` refuses values
@@ -146,7 +190,7 @@ class PriorFactor(MeasuredFactor):
 
     key: Key
     value: ArrayLike
-    information: ArrayLike
+    information: ArrayLike | None = None
 
     kind = "prior"
     _rows, _given = ("value",), ("value", "information")
@@ -192,13 +236,13 @@ class ScalarPriorFactor(MeasuredFactor):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class _RelativeFactor(MeasuredFactor):
+class _RelativeFactor(WeightedFactor):
     """Base class of measurements between two variables."""
 
     a: Key
     b: Key
     measurement: ArrayLike
-    information: ArrayLike
+    information: ArrayLike | None = None
 
     _keys, _rows, _given = ("a", "b"), ("measurement",), ("measurement", "information")
 
@@ -219,7 +263,8 @@ class BetweenFactor(_RelativeFactor):
         b: key of the variable B.
         measurement: measured Z = A^-1 B, in the manifold's representation.
         information: symmetric positive definite, in the tangent coordinates of the manifold (listed
-            by :class:`bundle.FactorGraph`; se3 has the rotation first), or a number.
+            by :class:`bundle.FactorGraph`; se3 has the rotation first), or its diagonal, or a
+            number.
 
     Raises:
         InputError: an argument is not numeric, or both keys are the same.
@@ -240,7 +285,8 @@ class RelativePoseFactor(_RelativeFactor):
         a: key of the pose A, on se3.
         b: key of the pose B, on se3.
         measurement: measured Z, cam_b_from_cam_a: qx qy qz qw tx ty tz.
-        information: (6, 6) symmetric positive definite, rotation first, or a number.
+        information: (6, 6) symmetric positive definite, rotation first, or its diagonal (6,), or a
+            number.
 
     Raises:
         InputError: an argument is not numeric, or both keys are the same.
@@ -251,13 +297,14 @@ class RelativePoseFactor(_RelativeFactor):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PositionFactor(MeasuredFactor):
+class PositionFactor(WeightedFactor):
     """Measured position of an antenna on a camera: e = R^T (lever_arm - t) - position.
 
     Attributes:
         key: pose cam_from_world (R, t), on se3.
         position: (3,) position of the antenna in the world frame.
-        information: (3, 3) symmetric positive definite, along the world axes, or a number.
+        information: (3, 3) symmetric positive definite, along the world axes, or its diagonal (3,),
+            or a number.
         lever_arm: (3,) position of the antenna in the camera frame; zeros: the projection centre.
         offset: another pose, whose translation times `axes` is added to e: an unknown offset that
             positions have in common; None: they have none.
@@ -269,7 +316,7 @@ class PositionFactor(MeasuredFactor):
 
     key: Key
     position: ArrayLike
-    information: ArrayLike
+    information: ArrayLike | None = None
     lever_arm: ArrayLike = field(default=(0.0, 0.0, 0.0), kw_only=True)
     offset: Key | None = field(default=None, kw_only=True)
     axes: ArrayLike = field(default=(1.0, 1.0, 1.0), kw_only=True)
@@ -286,7 +333,7 @@ class PositionFactor(MeasuredFactor):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ReprojectionFactor(MeasuredFactor):
+class ReprojectionFactor(WeightedFactor):
     """Observation of a point in an image: e = projection(R X + t) - observation, in pixels.
 
     A point behind its camera keeps the error of this formula.
@@ -297,7 +344,8 @@ class ReprojectionFactor(MeasuredFactor):
         point: key of the point X, Euclidean (3,).
         observation: (2,) pixels.
         model: COLMAP's name of the camera model.
-        information: (2, 2) symmetric positive definite, or a number; 1 is a sigma of one pixel.
+        information: (2, 2) symmetric positive definite, or its diagonal (2,), or a number; by
+            default 1, a sigma of one pixel.
 
     Raises:
         InputError: an argument is not numeric.
@@ -308,13 +356,15 @@ class ReprojectionFactor(MeasuredFactor):
     point: Key
     observation: ArrayLike
     model: str
-    information: ArrayLike = 1.0
+    information: ArrayLike | None = None
 
     kind = "reprojection"
     _keys, _rows = ("pose", "camera", "point"), ("observation",)
     _given, _size = ("model", "observation", "information"), 2
 
     def __post_init__(self) -> None:
+        if self.information is None and self.sigma is None and self.sigmas is None:
+            self._set("information", 1.0)
         super().__post_init__()
         self._set("model", choice(f"{self.name}: model", self.model, camera_models()))
 

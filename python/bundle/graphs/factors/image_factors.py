@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from bundle.base.records import dataclass
 from bundle.errors import InputError, brief
-from bundle.graphs.factors.factors import MeasuredFactor
+from bundle.graphs.factors.factors import MeasuredFactor, WeightedFactor
 from bundle.graphs.factors.variables import Key
 from bundle.interface.option_fields import number
 from bundle.model.problem import Problem
@@ -77,21 +77,21 @@ class DirectionFactor(_AttitudeFactor):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class RotationFactor(_AttitudeFactor):
+class RotationFactor(WeightedFactor, _AttitudeFactor):
     """Measured rotation Z of cam_from_world: e = Log(Z^T R), along the axes of the world.
 
     Attributes:
         key: pose cam_from_world (R, t), on se3.
         rotation: (4,) quaternion qx qy qz qw of Z.
         information: (3, 3) symmetric positive definite, along the world axes, in 1 / radians
-            squared, or a number.
+            squared, or its diagonal (3,), or a number.
 
     Raises:
         InputError: an argument is not numeric.
     """
 
     rotation: ArrayLike
-    information: ArrayLike
+    information: ArrayLike | None = None
 
     kind = "rotation"
     _rows, _given, _size = ("rotation",), ("rotation", "information"), 3
@@ -202,7 +202,7 @@ def twist_ties(
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class VelocityFactor(MeasuredFactor):
+class VelocityFactor(WeightedFactor):
     """Measured velocity of an antenna on a camera with a rolling shutter.
 
     e = -R^T (v + w x lever_arm) / readout - velocity, with the twist (w, v) of the image.
@@ -212,7 +212,8 @@ class VelocityFactor(MeasuredFactor):
         twist: key of the twist, ``("twist", image_id)``.
         readout: key of the readout, ``("readout", camera_id)``; above 0.
         velocity: (3,) velocity of the antenna in the world frame, length units per frame.
-        information: (3, 3) symmetric positive definite, along the world axes, or a number.
+        information: (3, 3) symmetric positive definite, along the world axes, or its diagonal (3,),
+            or a number.
         lever_arm: (3,) position of the antenna in the camera frame; zeros: the projection centre.
 
     Raises:
@@ -223,7 +224,7 @@ class VelocityFactor(MeasuredFactor):
     twist: Key
     readout: Key
     velocity: ArrayLike
-    information: ArrayLike
+    information: ArrayLike | None = None
     lever_arm: ArrayLike = field(default=(0.0, 0.0, 0.0), kw_only=True)
 
     kind = "velocity"
