@@ -100,6 +100,8 @@ def test_the_headline_is_true(run, tmp_path, monkeypatch, name):
     if shown(rmse[1]) != shown(rmse[0]) and rmse[1] > rmse[0] and case.interrupt is None:
         reasons = ("RMSE of all rises because", "RMSE rises because", "The edits raised RMSE")
         assert any(reason in text for reason in reasons), text
+    if "RMSE rises because" in text and "--gps" in case.flags:
+        assert "the cost of positions falls" in text
 
 
 def check_errors(data, first, rmse, median, count, compared):

@@ -359,6 +359,11 @@ def move_models(priors: Sequence[Any]) -> bool:
     return any(row.moves for row in _kinds(priors))
 
 
+def kinds_of(priors: Sequence[Any]) -> tuple[Measurement, ...]:
+    """Return the kinds of priors, without repetition."""
+    return tuple(dict.fromkeys(_kinds(priors)))
+
+
 def _kinds(priors: Sequence[Any]) -> Iterator[Measurement]:
     """Yield the kind of each prior."""
     rows = [(_code(row.prior), row) for row in ROWS] if priors else []

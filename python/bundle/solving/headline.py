@@ -225,7 +225,12 @@ def _pulls(result: Result) -> list[str]:
     before, after = float(result.factor_costs_before.sum()), float(result.factor_costs_after.sum())
     if not after < before:
         return []
-    factors = plural(result.summary.num_factors, "factor", grouped=True)
+    count = result.summary.num_factors
+    factors = plural(count, "factor", grouped=True)
+    if count <= len(result.priors):  # a factor of each that is used, and no others
+        from bundle.georeference.measurements import kinds_of  # few runs need it
+
+        factors = " and ".join(row.noun for row in kinds_of(result.priors))
     return [f"RMSE rises because the cost of {factors} falls, {number(before)} -> {number(after)}."]
 
 

@@ -117,7 +117,7 @@ def _with_findings(one: Verdict, findings: Iterable[Finding], kinds: Collection[
     order = ("unknown", "good", "attention", "problem")
     marks = [one.mark, *("problem" if each.is_problem else "attention" for each in about)]
     named = dict.fromkeys(each.kind.replace("_", " ") for each in about)
-    known = (one.name.lower(), one.number)
+    known = f"{one.name.lower()} {one.number}"
     words = [one.number, *(name for name in named if name not in known)]
     return Verdict(one.name, max(marks, key=order.index), "; ".join(words))
 

@@ -196,13 +196,28 @@ function start() {
     draw();
   }
 
+  function inView(centers) {
+    const at = new THREE.Vector3();
+    for (let i = 0; i < centers.length; i += 3) {
+      at.fromArray(centers, i).project(camera);
+      if (!(Math.abs(at.x) < 0.95 && Math.abs(at.y) < 0.95 && at.z < 1)) return false;
+    }
+    return true;
+  }
+
   function home() {
     const up = new THREE.Vector3(...scene3d.up), forward = new THREE.Vector3(...scene3d.forward);
     const side = new THREE.Vector3().crossVectors(forward, up);
     const eye = side.multiplyScalar(0.6).addScaledVector(up, 0.55).addScaledVector(forward, -0.75);
     controls.target.set(...scene3d.middle);
-    camera.position.copy(controls.target).addScaledVector(eye.normalize(), 2.7 * scene3d.reach);
-    controls.update();
+    eye.normalize();
+    // Far enough that the view has every camera.
+    for (let away = 2.7 * scene3d.reach, k = 0; k < 30; away *= 1.1, k += 1) {
+      camera.position.copy(controls.target).addScaledVector(eye, away);
+      controls.update();
+      camera.updateMatrixWorld();
+      if (inView(states.after.centers)) break;
+    }
     draw();
   }
 
