@@ -24,6 +24,7 @@ else:
 import pytest  # noqa: E402
 
 import bundle  # noqa: E402
+from tests import made_up_machine  # noqa: E402
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 
@@ -45,6 +46,14 @@ def bundle_data() -> Path:
             pytest.fail(reason)
         pytest.skip(reason)
     return folder
+
+
+@pytest.fixture(scope="session", autouse=True)
+def predictions_for_a_made_up_machine() -> Iterator[None]:
+    """Calibrate nothing: the rates of this machine take ten seconds and differ between runs."""
+    with pytest.MonkeyPatch.context() as patch:
+        made_up_machine.predict_for_it(patch)
+        yield
 
 
 @pytest.fixture(params=["ceres", "fused"])

@@ -12,13 +12,13 @@ from bundle import _core
 from bundle.cli.main import command_parser
 from bundle.planning.inspection import problem_inspection
 from bundle.planning.inspection.graph_inspection import GRAPH_ORDERINGS
-from tests.planning.inspection.conftest import RATES
+from tests.made_up_machine import RATES
 from tests.printed import figures, table
 
 
 @pytest.fixture(autouse=True)
 def rates(monkeypatch):
-    """No calibration: predictions are those for a made-up machine."""
+    """Answers to the questions of the rates whether to measure them again."""
     asked = []
 
     def made_up(*_threads, recalibrate):

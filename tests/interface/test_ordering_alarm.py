@@ -19,9 +19,6 @@ from bundle.interface.ordering_alarm import (
 )
 from tests.campaigns import orderings
 from tests.campaigns.triage_inputs import chain_of_poses, graph_of
-from tests.planning.inspection.conftest import factor_graph_seconds, pose_graph_rates
-
-__all__ = ["factor_graph_seconds", "pose_graph_rates"]
 
 
 @pytest.fixture(autouse=True)
@@ -144,7 +141,6 @@ def test_growth_of_a_real_graph(cache):
     assert again.warning_kinds == ("ordering",)  # one sentence, although both signs hold
 
 
-@pytest.mark.usefixtures("factor_graph_seconds", "pose_graph_rates")
 def test_factor_graphs_are_compared_with_metis(monkeypatch):
     monkeypatch.setattr(factor_graph, "LEAST_FLOPS", 1.0)
     monkeypatch.setattr(ordering_alarm, "LEAST_FLOPS", 1.0)

@@ -2,12 +2,8 @@
 
 import pytest
 
-from tests.planning.inspection.conftest import factor_graph_seconds, pose_graph_rates
-
-__all__ = ["factor_graph_seconds", "pose_graph_rates"]
-
 
 @pytest.fixture
 def unpredicted(monkeypatch):
-    """Leave predictions out: they calibrate the machine, and want a place to keep the rates."""
+    """Leave predictions out."""
     monkeypatch.setattr("bundle.planning.comparison.work.predict", lambda *_: {})

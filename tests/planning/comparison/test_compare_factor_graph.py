@@ -8,7 +8,7 @@ from tests.analysis.uncertainty.test_factor_graph_covariance import landmarks
 from tests.graphs.factors import both_ways
 from tests.graphs.pose_graphs import graphs
 
-pytestmark = pytest.mark.usefixtures("unpredicted", "factor_graph_seconds", "pose_graph_rates")
+pytestmark = pytest.mark.usefixtures("unpredicted")
 
 
 def test_a_pose_graph_has_the_rows_of_its_file(tmp_path):

@@ -3,8 +3,6 @@
 import dataclasses
 import math
 
-import pytest
-
 import bundle
 from bundle.base.tables import render
 from bundle.base.words import number
@@ -25,14 +23,6 @@ METHODS = expand(
     orderings=["points_first", "cameras_first", "automatic"],
     threads=[1],
 )
-
-
-@pytest.fixture(scope="module", autouse=True)
-def rates(tmp_path_factory):
-    """Keep the rates of this machine with the test's files."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
-        yield
 
 
 def test_each_method_has_its_own_prediction():

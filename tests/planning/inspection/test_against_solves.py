@@ -60,7 +60,6 @@ def predicted(problem, summary, **options):
     return row
 
 
-@pytest.mark.usefixtures("rates")
 @pytest.mark.parametrize("solver", [*DIRECT, "sparse_normal_cholesky"])
 @pytest.mark.parametrize("name", CASES)
 def test_the_factor_is_the_predicted_one(name, solver, backend):
@@ -159,7 +158,6 @@ def test_what_ceres_chose_to_eliminate_is_not_guessed(solver):
     assert_no_factor(summary_of(OWN, "ceres", solver, refine=("poses", "focal")))
 
 
-@pytest.mark.usefixtures("rates")
 @pytest.mark.parametrize("name", ["bal/problem-49-7776-pre.txt.bz2", "colmap/batmo_rigs"])
 @pytest.mark.parametrize("solver", DIRECT)
 def test_real_data(bundle_data, name, solver):

@@ -9,6 +9,7 @@ import pytest
 import bundle
 from bundle.planning.inspection import factor_graph_time, machine_rates
 from bundle.planning.inspection.factor_graph_time import FEATURES, factor_work, step_terms
+from tests.made_up_machine import FACTOR_GRAPH_SECONDS
 
 
 def landmarks(values):
@@ -132,15 +133,15 @@ def test_kinds_beyond_the_time_limit_take_the_mean(monkeypatch):
     np.testing.assert_allclose(work.evaluation, 17e-3)
 
 
-def test_terms_add_up_and_functions_in_python_take_one_thread(factor_graph_seconds):
+def test_terms_add_up_and_functions_in_python_take_one_thread():
     graph = mixed_graph()
     work = factor_work(graph)
     counts = {"entries": 100, "cholmod_flops": 1000}
-    one, two = (step_terms(factor_graph_seconds, work, counts, n) for n in (1, 2))
+    one, two = (step_terms(FACTOR_GRAPH_SECONDS, work, counts, n) for n in (1, 2))
     assert one == two and one["factors"] == work.evaluation
-    plain = step_terms(factor_graph_seconds, work._replace(in_python=0.0), counts, 2)
+    plain = step_terms(FACTOR_GRAPH_SECONDS, work._replace(in_python=0.0), counts, 2)
     assert plain["factors"] == work.evaluation / 2
-    seconds = factor_graph_seconds
+    seconds = FACTOR_GRAPH_SECONDS
     assert one["factorisation"] == pytest.approx(100 * seconds["value"] + 1000 * seconds["flop"])
     panels = step_terms(seconds, work, {"entries": 100, "cholmod_flops": 4000}, 1)
     assert panels["factorisation"] == pytest.approx(
@@ -153,7 +154,6 @@ def test_terms_add_up_and_functions_in_python_take_one_thread(factor_graph_secon
     )
 
 
-@pytest.mark.usefixtures("factor_graph_seconds")
 def test_every_order_of_a_factor_graph_has_a_time():
     found = bundle.inspect(mixed_graph(), num_threads=1)
     assert found.num_threads == 1
@@ -162,7 +162,6 @@ def test_every_order_of_a_factor_graph_has_a_time():
     assert "per step" in str(found)
 
 
-@pytest.mark.usefixtures("factor_graph_seconds")
 def test_a_function_that_fails_leaves_the_structure_without_times():
     def broken(_):
         raise RuntimeError("no connection")
@@ -225,7 +224,6 @@ def test_rates_are_cached_apart_from_those_of_pose_graphs(tmp_path, monkeypatch)
     assert calls == [1] * 3
 
 
-@pytest.mark.usefixtures("factor_graph_seconds")
 def test_a_comparison_states_the_predicted_steps():
     found = bundle.compare(mixed_graph(), repeat=1, threads=(1,))
     predicted = {run.method.name: run.predicted_time_per_step_in_seconds for run in found.runs}

@@ -8,7 +8,7 @@ import pytest
 
 import bundle
 from bundle import _core
-from bundle.planning.inspection import graph_rates, machine_rates
+from bundle.planning.inspection import elimination_costs, graph_rates, machine_rates
 from bundle.planning.inspection.problem_pattern import pattern_of_edges
 
 
@@ -225,13 +225,14 @@ def test_rates_are_cached_and_broken_files_are_measured_again(tmp_path, monkeypa
     assert calls == [1] * 5
 
 
-def test_a_prediction_has_the_size_of_a_measured_step():
+def test_a_prediction_has_the_size_of_a_measured_step(monkeypatch):
+    monkeypatch.setattr(elimination_costs, "graph_rates", machine_rates.graph_rates)
     graph = graph_rates.made_graph("near", 3000, 6, seed=5)
     found = bundle.inspect(graph, num_threads=1)
     for cost in found.costs:
         if cost.is_taken:
             assert sum(cost.time_terms.values()) == cost.time_per_step_in_seconds
-            measured = graph_rates.step_time(graph, cost.ordering, 1)
+            measured = min(graph_rates.step_time(graph, cost.ordering, 1) for _ in range(3))
             # a loaded machine; benchmarks/graph_predictions.py measures how close they are
             assert 0.1 < cost.time_per_step_in_seconds / measured < 10
     by_order = {cost.ordering: cost.time_per_step_in_seconds for cost in found.costs}

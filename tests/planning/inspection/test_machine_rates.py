@@ -12,9 +12,9 @@ import bundle
 from bundle.planning.inspection import machine_rates as kept
 from bundle.planning.inspection.machine_rates import cache_path, machine_rates
 from bundle.planning.inspection.rates import FactorRate, implausible
-from tests.planning.inspection import conftest
+from tests import made_up_machine
 
-RATES = dataclasses.replace(conftest.RATES, dense_threaded=conftest.RATES.dense)
+RATES = dataclasses.replace(made_up_machine.RATES, dense_threaded=made_up_machine.CORE)
 
 
 @pytest.fixture(autouse=True)

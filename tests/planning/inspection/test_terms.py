@@ -9,7 +9,7 @@ import pytest
 from bundle.planning.inspection.peak_memory import FactorizedSystem, ceres_memory, fused_memory
 from bundle.planning.inspection.problem_inspection import ceres_time, factor_rate, fused_time
 from bundle.planning.inspection.problem_pattern import FactorCount, PlanSize
-from tests.planning.inspection.conftest import RATES
+from tests.made_up_machine import RATES
 
 PLAN = PlanSize(
     num_points=100,

@@ -175,7 +175,6 @@ REPORTS = {
 }
 
 
-@pytest.mark.usefixtures("rates")
 @pytest.mark.parametrize("name", REPORTS)
 def test_report(name, monkeypatch):
     monkeypatch.setattr(_core, "available_memory", lambda: 16e9)

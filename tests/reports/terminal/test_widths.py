@@ -10,7 +10,6 @@ import bundle
 from bundle import _core
 from bundle.base.tables import columns, render
 from bundle.cli.main import main
-from bundle.planning.inspection import problem_inspection
 from bundle.reports.terminal.compare import compared
 from bundle.reports.terminal.screen import laid_out
 from tests.planning.comparison.fakes import (
@@ -22,7 +21,6 @@ from tests.planning.comparison.fakes import (
     failed,
     prediction,
 )
-from tests.planning.inspection.conftest import RATES
 from tests.scenes import make_problem
 
 LONG = "a_folder_of_a_long_name/and_another/IMG_20240229_{}_with_a_tail.jpg"
@@ -43,7 +41,6 @@ def files(tmp_path):
 @pytest.fixture
 def reports(monkeypatch, files):
     """Run a command and return what it showed, at any width."""
-    monkeypatch.setattr(problem_inspection, "machine_rates", lambda *_, **__: RATES)
     shown = []
     monkeypatch.setattr("bundle.cli.output.show", lambda *parts: shown.extend(parts))
 
