@@ -20,6 +20,9 @@ FIRST_COMMIT = "4464b28"  # subjects are held from here on
 LONGEST_SUBJECT = 72
 CLAUSE = re.compile(r"(what|whether|how|of|that)\b", re.IGNORECASE)
 DUMMY = re.compile(r"\b(found (none|one|others?|some|without|with|neither)|which is none)$")
+SUSPECT = re.compile(
+    r"""["']\s*(what|whether|how|of|that)\b|\b(found|is)[\s"'f]+\w+["']""", re.IGNORECASE
+)
 
 
 def sources(*suffixes: str) -> Iterator[Path]:
@@ -38,9 +41,14 @@ class Texts(NamedTuple):
 
 @functools.cache
 def texts(path: Path) -> Texts:
-    """Return docstrings and /// comments, those of fields among them, and the literals."""
+    """Return docstrings and /// comments, those of fields among them, and the literals.
+
+    Python is parsed, which takes time, only where one of them may begin or end with wrong words.
+    """
     text = path.read_text(encoding="utf-8")
-    return of_python(text) if path.suffix == ".py" else of_cpp(text)
+    if path.suffix != ".py":
+        return of_cpp(text)
+    return of_python(text) if SUSPECT.search(text) else Texts([], [])
 
 
 def of_python(text: str) -> Texts:
