@@ -60,7 +60,7 @@ def _write_inspection(run: Run, inspection: Any, *about: Any, **known: Any) -> N
 def inspect_shape(run: Run) -> Report:
     """Count the flops of a shape."""
     import bundle._core as _core
-    from bundle.planning.inspection.problem_needs import count_schur, needs_of
+    from bundle.planning.inspection.peak_memory import count_schur, needs_of
     from bundle.reports.terminal.inspect import inspected_shape
 
     arguments = run.arguments

@@ -11,14 +11,14 @@ from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
-from bundle.cli.carried_georeference import (
+from bundle.cli.error_lines import EXIT_DONE, EXIT_NO_SOLUTION
+from bundle.cli.georeferencing import (
     carry_georeference,
     check_georeference,
     georeference_at,
+    prior_flags,
     write_georeference,
 )
-from bundle.cli.error_lines import EXIT_DONE, EXIT_NO_SOLUTION
-from bundle.cli.georeference_flags import prior_flags
 from bundle.cli.option_flags import naming_flags, options_given
 from bundle.cli.output import Progress, check_replaced, publish, same_images
 from bundle.cli.problem_edits import cameras_edited, with_rigs

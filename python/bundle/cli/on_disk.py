@@ -111,7 +111,7 @@ def sliced_input(
     if crew is None:
         return None
     from bundle.solving.ranks.mpi_crew import MpiCrew  # only under mpirun
-    from bundle.solving.ranks.one_process import reason_in_options
+    from bundle.solving.ranks.partition import reason_in_options
 
     if not isinstance(crew, MpiCrew):
         return None

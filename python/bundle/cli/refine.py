@@ -14,8 +14,8 @@ import numpy as np
 from bundle.analysis.statistics.suspicions import broken_parts
 from bundle.base.own_process import Waiting, waiting_since
 from bundle.base.words import pixels, plural
-from bundle.cli.carried_georeference import carry_georeference, write_georeference
 from bundle.cli.error_lines import EXIT_DONE, EXIT_NO_SOLUTION, complain
+from bundle.cli.georeferencing import carry_georeference, write_georeference
 from bundle.cli.inertial_flags import adjusted_with_imu
 from bundle.cli.on_disk import on_disk, with_disk_use
 from bundle.cli.output import Progress, publish
@@ -173,7 +173,7 @@ def _write(
     if opened.sliced is None:
         refined = solved.problem
         if place is not None:
-            from bundle.georeference.opensfm_frame import with_origin  # few runs have a place
+            from bundle.georeference.local_frame import with_origin  # few runs have a place
 
             refined = with_origin(refined, place.origin)
         lost = save(refined, **opened.output, progress=progress.text)

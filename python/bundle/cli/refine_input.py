@@ -6,8 +6,7 @@ from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 from bundle.base.records import dataclass
-from bundle.cli.carried_georeference import check_georeference, georeference_at
-from bundle.cli.georeference_flags import priors_of
+from bundle.cli.georeferencing import check_georeference, georeference_at, priors_of
 from bundle.cli.on_disk import input_on_disk, sliced_input
 from bundle.cli.option_flags import with_named_images
 from bundle.cli.output import Progress, check_replaced, same_images

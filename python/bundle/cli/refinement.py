@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from bundle.base.records import dataclass
 from bundle.cli.declarations import read_options
 from bundle.cli.error_lines import complain
-from bundle.cli.georeference_flags import georeference_given, prior_flags
+from bundle.cli.georeferencing import georeference_given, prior_flags
 from bundle.cli.inertial_flags import InertialFiles, inertial_given
 from bundle.cli.option_flags import naming_flags, options_given
 from bundle.cli.problem_edits import rules_as_options, rules_of

@@ -155,7 +155,7 @@ class Run:
     def check_knowledge(self, refined: Iterable[str] = (), *, page: bool = False) -> None:
         """Read the flags of positions, control points and rules, as far as the command has them."""
         if "gps" in self.arguments and self._kind == Kind.RECONSTRUCTION:
-            from bundle.cli.georeference_flags import georeference_given  # few commands need it
+            from bundle.cli.georeferencing import georeference_given  # few commands need it
 
             self.georeference = georeference_given(self.arguments, tuple(refined), page=page)
         if "rules" in self.arguments:
@@ -188,7 +188,7 @@ class Run:
         if isinstance(named, str) and self._kind == Kind.RECONSTRUCTION:
             self.options = with_named_images(self.options, named, self.input)
         if self.georeference is not None:
-            from bundle.cli.georeference_flags import priors_of
+            from bundle.cli.georeferencing import priors_of
 
             self.priors = priors_of(self.georeference, self.input).priors
 
@@ -216,7 +216,7 @@ class Run:
             flags |= flags_of(type(self.options))
         flags |= self.arguments.flags
         if self.georeference is not None:
-            from bundle.cli.georeference_flags import prior_flags
+            from bundle.cli.georeferencing import prior_flags
 
             flags |= prior_flags(self.georeference)
         with naming_flags(**flags):

@@ -27,7 +27,7 @@ from bundle.georeference.control_point import (
 from bundle.georeference.gcp_list import given_control_points, with_check_points
 from bundle.georeference.gps_positions import GpsPositions
 from bundle.georeference.image_index import ImageIndex
-from bundle.georeference.opensfm_frame import with_origin
+from bundle.georeference.local_frame import with_origin
 from bundle.georeference.other_readings import check_readings
 from bundle.georeference.similarity import moved
 from bundle.georeference.similarity_fit import Correspondences, fit_similarity

@@ -18,8 +18,7 @@ from bundle.base.words import plural
 from bundle.errors import InputError, brief, shown
 from bundle.georeference.control_point import Sigma
 from bundle.georeference.image_index import ImageIndex
-from bundle.georeference.local_frame import LocalFrame
-from bundle.georeference.opensfm_frame import frame_of
+from bundle.georeference.local_frame import LocalFrame, frame_of
 from bundle.georeference.reference_system import ReferenceSystem
 from bundle.georeference.text_lines import parse_number, read_lines
 from bundle.io.database_images import open_database

@@ -1,4 +1,4 @@
-"""Local Cartesian coordinates: east, north, up about an origin on the WGS84 ellipsoid.
+"""Local Cartesian coordinates: east, north, up about an origin on WGS84; those of OpenSfM.
 
 With the geocentric coordinates X of a place (PROJ's ``cart``) and X0 of the origin at latitude phi
 and longitude lambda, PROJ's ``topocentric`` step gives
@@ -14,18 +14,25 @@ on the ellipsoid is d^2 / 2R below zero, 8 cm at one kilometre.
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Mapping
 from dataclasses import asdict
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from bundle.base.arrays import at
 from bundle.base.records import dataclass
 from bundle.errors import InputError
 from bundle.interface.option_fields import number
+from bundle.io.formats.file_values import Node
+from bundle.model.problem import Problem
+from bundle.model.pycolmap.problem_source import imported_source
 
-if TYPE_CHECKING:  # start-up: pyproj loads slowly
+if TYPE_CHECKING:
     from pyproj import Transformer
 
 Array = NDArray[np.float64]
@@ -126,3 +133,77 @@ class LocalFrame:
 
     def __getstate__(self) -> dict[str, Any]:
         return self.asdict()
+
+
+# Frame of an OpenSfM project, and its data in a moved frame.
+#
+# The coordinates of a reconstruction are east, north, up in metres about its ``reference_lla``
+# (latitude, longitude, altitude), by the same transformation as :class:`LocalFrame`.
+#
+# Source: opensfm/io.py, opensfm/geo.py of https://github.com/mapillary/OpenSfM.
+
+
+def is_opensfm(path: Path) -> bool:
+    """Return True for the folder of a project and for a JSON file, False for a table."""
+    if path.is_dir():
+        return True
+    with path.open("rb") as file:
+        return file.read(64).lstrip(b"\xef\xbb\xbf \t\r\n")[:1] in (b"[", b"{")
+
+
+def frame_of(node: Node) -> LocalFrame:
+    """Return the frame about a reference_lla.
+
+    Raises:
+        InputError: a value is missing or invalid.
+    """
+    values = (node.get(name).number() for name in ("latitude", "longitude", "altitude"))
+    with at(node.place):
+        return LocalFrame(*values)
+
+
+# OpenSfM's data of a model that was moved to another frame.
+#
+# ``reference_lla`` of reconstruction.json is the origin of its coordinates, and ``gps_position`` of
+# a shot is a position in them. After a move both would be wrong: they are computed about the origin
+# of the new frame, or dropped if the new frame has no known origin.
+
+
+def without_origin(problem: Problem) -> Problem:
+    """Return a moved problem without the OpenSfM data that refer to the old frame."""
+    source = imported_source(problem)
+    if source is None or not source.data.get("reference_lla"):
+        return problem
+    data = dict(source.data)
+    data["moved_from"] = data.pop("reference_lla")
+    return _with_data(problem, data)
+
+
+def with_origin(problem: Problem, origin: LocalFrame | None) -> Problem:
+    """Return a moved problem whose OpenSfM data are about the origin of its new frame."""
+    source = imported_source(problem)
+    if source is None or origin is None or not source.data.get("moved_from"):
+        return problem
+    data = dict(source.data)
+    old = frame_of(Node(data.pop("moved_from"), "reference_lla"))
+    data["reference_lla"] = {
+        "latitude": origin.latitude,
+        "longitude": origin.longitude,
+        "altitude": origin.height,
+    }
+    data["shots"] = {name: _shot(shot, old, origin) for name, shot in data["shots"].items()}
+    return _with_data(problem, data)
+
+
+def _shot(shot: Mapping[str, Any], old: LocalFrame, new: LocalFrame) -> dict[str, Any]:
+    position = shot.get("gps_position")
+    if not isinstance(position, list):
+        return dict(shot)
+    moved = new.to_enu(old.to_geodetic(Node(position, "gps_position").numbers(3)))[0]
+    return {**shot, "gps_position": moved.tolist()}
+
+
+def _with_data(problem: Problem, data: Mapping[str, Any]) -> Problem:
+    source = imported_source(problem)
+    assert source is not None
+    return problem._moved(source=dataclasses.replace(source, data=data))

@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.base.records import dataclass
-from bundle.georeference.opensfm_frame import without_origin
+from bundle.georeference.local_frame import without_origin
 from bundle.model.estimates import VARIABLES, Variable, estimates, with_estimates
 from bundle.model.problem import Problem
 from bundle.model.rig_arrays import placed

@@ -38,9 +38,8 @@ from bundle.georeference.gps_positions import (
     with_fix,
 )
 from bundle.georeference.image_index import ImageIndex
-from bundle.georeference.local_frame import LocalFrame
+from bundle.georeference.local_frame import LocalFrame, is_opensfm
 from bundle.georeference.measurements import KnownPriors, Solved
-from bundle.georeference.opensfm_frame import is_opensfm
 from bundle.georeference.other_readings import check_readings
 from bundle.georeference.point_check import SurveyChecks
 from bundle.georeference.prior_alignment import ProblemPriors, robust_similarity

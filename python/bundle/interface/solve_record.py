@@ -40,6 +40,11 @@ class SolveRecord(Displayed, Tabular):
         object.__setattr__(self.summary, "_iterations", self.iterations)
 
     @property
+    def num_steps(self) -> int:
+        """Number of steps, including rejected steps."""
+        return len(self.iterations["iteration"]) - 1
+
+    @property
     def outcome(self) -> str:
         """Outcome of the solve in one sentence."""
         # Entry 0 is the evaluation at the start, not a step.

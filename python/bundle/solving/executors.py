@@ -13,7 +13,7 @@ from bundle.interface.solve_record import Progress
 from bundle.solving.layout import refuse_shrinking
 from bundle.solving.prepare import Executor, Prepared
 from bundle.solving.ranks.launch import current
-from bundle.solving.ranks.one_process import warning
+from bundle.solving.ranks.partition import warning
 from bundle.solving.result import Result
 
 if TYPE_CHECKING:

@@ -95,7 +95,7 @@ def is_at_minimum(result: Result) -> bool:
 
 def _verdict(result: Result) -> str:
     """Return the outcome with the errors before and after."""
-    kept, done = result.kept, result.work(len(result.iterations["iteration"]) - 1)
+    kept, done = result.kept, result.work(result.num_steps)
     if is_at_minimum(result):
         outcome = f"Already at its minimum ({done}, {_stillness(result)})"
     else:

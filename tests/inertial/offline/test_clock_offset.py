@@ -7,8 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import bundle
-from bundle.inertial.offline.clock_offset import ClockOffset
 from bundle.inertial.offline.image_intervals import ImageIntervals, likely_kinds
+from bundle.inertial.offline.imu_agreement import ClockOffset
 from tests.inertial.offline.models import model_of, world_from_imu
 from tests.inertial.offline.test_imu_adjustment import adjusted, error_of, samples_of
 

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from bundle.inertial.offline.clock_offset import ClockOffset
-from bundle.inertial.offline.imu_agreement import Agreement, ClockErrors
+from bundle.inertial.offline.imu_agreement import Agreement, ClockErrors, ClockOffset
 from bundle.inertial.offline.imu_findings import Evidence, imu_findings
 from bundle.inertial.offline.path_tests import ArmError, ForceScale
 from bundle.inertial.offline.rotation_map import RotationMap

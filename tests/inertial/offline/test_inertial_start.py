@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 import bundle
 from bundle import InputError
 from bundle.inertial.offline import imu_adjustment as adjustment
-from bundle.inertial.offline.clock_offset import MOST, ClockOffset, clock_offset
 from bundle.inertial.offline.image_intervals import ImageIntervals, likely_kinds, read_image_times
+from bundle.inertial.offline.imu_agreement import MOST, ClockOffset, clock_offset
 from bundle.inertial.offline.inertial_result import ImuSamples
 from bundle.inertial.offline.inertial_start import (
     ACCEL_BIAS_SIGMA,

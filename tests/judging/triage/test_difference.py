@@ -5,8 +5,7 @@ from dataclasses import replace
 import pytest
 
 from bundle.interface.judging_options import TriageOptions
-from bundle.judging.triage.difference import Difference
-from bundle.judging.triage.solve_facts import SolveFacts, solve_facts
+from bundle.judging.triage.difference import Difference, SolveFacts, solve_facts
 
 GRAPH = SolveFacts(
     solver="fused SPARSE_SCHUR",

@@ -6,7 +6,7 @@ from scipy.sparse import coo_array, diags_array
 from scipy.sparse.linalg import splu
 
 from bundle import inspect_graph
-from bundle.planning.inspection.problem_needs import count_schur
+from bundle.planning.inspection.peak_memory import count_schur
 from tests.planning.inspection.graphs import chain, cycle, random_closures, revisited_aisles, star
 
 

@@ -7,7 +7,7 @@ import pytest
 
 import bundle
 from bundle.interface.options import TRUST_REGION_STRATEGIES
-from bundle.solving.rounds import segments
+from bundle.solving.rounds import checkpoint
 from tests import scenes
 from tests.campaigns import resumes
 from tests.rig_scenes import rig_problem
@@ -128,7 +128,7 @@ def test_segments_keep_the_radius_and_the_steps(solve, interval, strategy):
         trust_region_strategy_type=strategy, gauge="two_cameras", **{NAME: 1e2}
     )
     one = solve(problem, options)
-    many = segments.solve_in_segments(
+    many = checkpoint.solve_in_segments(
         lambda problem, options, progress: solve(problem, options, progress=progress),
         problem,
         options,
@@ -150,7 +150,7 @@ def test_a_dogleg_beyond_the_largest_radius_goes_on():
     wide = dataclasses.replace(
         first, iterations={**first.iterations, "trust_region_radius": 1e20 * radius}
     )
-    goes_on = segments.solve_in_segments(
+    goes_on = checkpoint.solve_in_segments(
         lambda problem, options, progress: bundle.solve(problem, options, progress=progress),
         first.problem,
         bundle.SolveOptions(),

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import bundle
-from bundle.solving.ranks.one_process import reason_in_options, reason_to_be_alone
+from bundle.solving.ranks.partition import reason_in_options, reason_to_be_alone
 from tests.scenes import scene
 from tests.solving.ranks.thread_crew import processes
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import bundle
-from bundle.solving.rounds import segments
+from bundle.solving.rounds import checkpoint
 from bundle.solving.rounds import solve_rounds as rounds_of_solves
 from bundle.solving.rounds.input_digest import digest, fingerprint_of_options
 from tests.campaigns import resumes
@@ -133,15 +133,15 @@ def test_segments_end_where_one_solve_ends(scene, backend):
     )
     one = bundle.solve(scene, options)
     saved, steps = [], []
-    many = segments.solve_in_segments(
+    many = checkpoint.solve_in_segments(
         lambda problem, options, progress: bundle.solve(problem, options, progress=progress),
         scene, options, 3, save=saved.append, progress=lambda v: steps.append(v["iteration"]),
     )  # fmt: skip
     assert many.summary.final_cost == pytest.approx(one.summary.final_cost, rel=1e-9)
     assert many.summary.initial_cost == one.summary.initial_cost
-    assert len(saved) in ((segments.num_steps(many) - 1) // 3, segments.num_steps(many) // 3)
+    assert len(saved) in ((many.num_steps - 1) // 3, many.num_steps // 3)
     assert len(saved) > 2
-    assert steps == list(range(segments.num_steps(many) + 1))
+    assert steps == list(range(many.num_steps + 1))
     cost = many.iterations["cost"]
     accepted = many.iterations["step_is_successful"].astype(bool)
     assert (np.diff(cost[accepted]) <= 0).all()
@@ -155,23 +155,23 @@ def test_segments_end_where_one_solve_ends(scene, backend):
 def test_joined_segments_add_up_times_and_counts_that_were_measured(scene):
     one, other = (bundle.solve(scene, OPTIONS, max_num_iterations=2) for _ in range(2))
     unknown = dataclasses.replace(other.summary, preprocessor_time_in_seconds=-1.0)
-    joined = segments.join(one, other).summary
+    joined = checkpoint.join(one, other).summary
     for name in ("total_time_in_seconds", "minimizer_time_in_seconds", "num_linear_solves"):
         assert getattr(joined, name) == getattr(one.summary, name) + getattr(other.summary, name)
-    partly = segments.join(one, dataclasses.replace(other, summary=unknown)).summary
+    partly = checkpoint.join(one, dataclasses.replace(other, summary=unknown)).summary
     assert partly.preprocessor_time_in_seconds == -1
     both = one.solve_time_in_seconds + other.solve_time_in_seconds
-    assert segments.join(one, other).solve_time_in_seconds == both
+    assert checkpoint.join(one, other).solve_time_in_seconds == both
 
 
 @pytest.mark.parametrize("limit", [0, 1, 4, 5])
 def test_segments_keep_to_the_limit_of_iterations(scene, limit):
     options = OPTIONS.replace(max_num_iterations=limit, function_tolerance=0.0)
-    result = segments.solve_in_segments(
+    result = checkpoint.solve_in_segments(
         lambda problem, options, progress: bundle.solve(problem, options, progress=progress),
         scene, options, 2, save=lambda _: None,
     )  # fmt: skip
-    assert segments.num_steps(result) == limit
+    assert result.num_steps == limit
     assert result.summary.termination_type == "NO_CONVERGENCE"
 
 

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from bundle.base.paths import numbered_lines
 from bundle.base.words import plural
 from bundle.errors import InputError, brief, shown
-from bundle.inertial.offline.clock_offset import MOST, ClockOffset, clock_offset
-from bundle.inertial.offline.imu_agreement import ClockErrors
+from bundle.inertial.offline.imu_agreement import MOST, ClockErrors, ClockOffset, clock_offset
 from bundle.inertial.offline.inertial_result import ImuSamples
 from bundle.inertial.offline.inertial_start import gyro_bias, preintegrated
 from bundle.inertial.preintegration.preintegration import Preintegration

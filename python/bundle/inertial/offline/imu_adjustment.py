@@ -35,9 +35,13 @@ from bundle.georeference.pose_alignment import align_centers
 from bundle.georeference.similarity import Similarity, moved
 from bundle.graphs.factors.factors import Factor, RelativePoseFactor
 from bundle.graphs.factors.image_factors import DOWN, DirectionFactor
-from bundle.inertial.offline.clock_offset import ClockOffset
 from bundle.inertial.offline.image_intervals import RULES, ImageIntervals, likely_kinds
-from bundle.inertial.offline.imu_agreement import Agreement, noise_ratios, quietest_ratio
+from bundle.inertial.offline.imu_agreement import (
+    Agreement,
+    ClockOffset,
+    noise_ratios,
+    quietest_ratio,
+)
 from bundle.inertial.offline.imu_findings import LONG_ARM, Evidence, imu_findings
 from bundle.inertial.offline.inertial_result import ImuSamples, InertialAdjustment
 from bundle.inertial.offline.inertial_start import InertialStart, preintegrated

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.base.words import plural
-from bundle.inertial.offline.clock_offset import ClockOffset
 from bundle.inertial.offline.imu_agreement import (
     DRIFT,
     DRIFT_SIGMAS,
@@ -18,6 +17,7 @@ from bundle.inertial.offline.imu_agreement import (
     LARGE_NOISE,
     Agreement,
     ClockErrors,
+    ClockOffset,
 )
 from bundle.inertial.offline.path_tests import ArmError, ForceScale
 from bundle.inertial.offline.rotation_map import RotationMap

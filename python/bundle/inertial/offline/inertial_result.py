@@ -12,8 +12,7 @@ from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
 from bundle.base.words import number as rounded
 from bundle.georeference.similarity import Similarity
-from bundle.inertial.offline.clock_offset import ClockOffset
-from bundle.inertial.offline.imu_agreement import Agreement
+from bundle.inertial.offline.imu_agreement import Agreement, ClockOffset
 from bundle.inertial.offline.imu_findings import ImuFinding
 from bundle.inertial.offline.inertial_start import InertialStart
 from bundle.solving.result import Result

@@ -13,7 +13,7 @@ from bundle._core import __version__
 from bundle.base.paths import as_path
 from bundle.base.records import dataclass
 from bundle.errors import InputError, brief, shown
-from bundle.judging.triage.solve_facts import SolveFacts, flight_facts, solve_facts
+from bundle.judging.triage.difference import SolveFacts, flight_facts, solve_facts
 
 SCHEMA = 1
 MOST_DIGITS = 18

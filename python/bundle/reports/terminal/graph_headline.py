@@ -42,7 +42,7 @@ def graph_headline(solved: PoseGraphResult) -> list[str]:
     summary, graph = solved.summary, solved.initial_problem
     if not summary.is_solution_usable and not summary.interrupted:
         return [solved.outcome, "There is no usable solution."]
-    done = short_outcome(summary, plural(len(solved.iterations["iteration"]) - 1, "step"))
+    done = short_outcome(summary, plural(solved.num_steps, "step"))
     edges = plural(graph.num_edges - len(solved.left_out), "edge", grouped=True)
     all_edges = {0: edges, 1: "the only edge"}.get(graph.num_edges, f"all {edges}")
     all_edges = f"the {edges} kept" if solved.left_out else all_edges

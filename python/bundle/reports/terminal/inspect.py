@@ -14,8 +14,7 @@ from bundle.planning.comparison.recommendation import recommended_command
 from bundle.planning.inspection.elimination_costs import CONVENTION
 from bundle.planning.inspection.graph_inspection import GraphInspection
 from bundle.planning.inspection.inspection_result import Inspection, MethodInspection
-from bundle.planning.inspection.peak_memory import ON_DISK
-from bundle.planning.inspection.problem_needs import ProblemNeeds, SchurCounts
+from bundle.planning.inspection.peak_memory import ON_DISK, ProblemNeeds, SchurCounts
 from bundle.planning.inspection.rank_prediction import RankPrediction, find_rank_limit
 from bundle.reports.sections import Column, Report, Section, Table, fields
 from bundle.reports.terminal.inputs import about_input, input_facts

@@ -17,8 +17,7 @@ from bundle.model.problem import Problem
 from bundle.solving.constraints.restrictions import Restrictions
 from bundle.solving.prepare import Executor, Prepared
 from bundle.solving.ranks.crew import Crew, Job, PartOfOutput, Ranks
-from bundle.solving.ranks.one_process import reason_to_be_alone, warning
-from bundle.solving.ranks.partition import divide, factors_of, part_of
+from bundle.solving.ranks.partition import divide, factors_of, part_of, reason_to_be_alone, warning
 
 if TYPE_CHECKING:
     from bundle.interface.solve_record import Progress

@@ -1,4 +1,4 @@
-"""Division of points among processes.
+"""Division of points among processes, and the solves that are not divided.
 
 Points are sorted by the first image that sees them, then by the last one. This order is cut for N
 processes where the cumulative number of observations reaches k/N of all. Therefore
@@ -188,3 +188,44 @@ def factors_of(core: Any, points: NDArray[np.int64]) -> tuple[Any, list[int]]:
     if not kept:
         return None, []
     return ([variables[v] for v in used], own_factors, own_places), kept
+
+
+# Solves that rank 0 runs alone while the other ranks wait, and the reasons.
+#
+# The fused backend divides points among ranks. A solve by Ceres is not divided. A solve that needs
+# points of several ranks at once is not divided either: three points that fix the gauge, or a
+# factor of several points.
+
+_OPEN = ("gauge", "cheirality")
+"""Options that depend on the problem and have no effect on the division among ranks."""
+
+
+def reason_in_options(options: dict[str, Any]) -> str:
+    """Return why no solve with these options can be divided; "" if it can."""
+    if options["gauge"] == "three_points":
+        return "The three points that fix the gauge may be in different parts (gauge)."
+    return _core.reason_for_ceres(options | {name: _core.default_options()[name] for name in _OPEN})
+
+
+def reason_to_be_alone(options: dict[str, Any], core_factors: Any) -> str:
+    """Return why a solve cannot be divided; "" if it can.
+
+    Args:
+        core_factors: variables, factors and places in the form of ``_core.solve``; None without
+            factors.
+    """
+    reason = reason_in_options(options)
+    if reason or core_factors is None:
+        return reason
+    _, factors, places = core_factors
+    for factor in factors:
+        kinds = [places[variable][0] for variable in factor[2]]
+        if "point" in kinds and len(kinds) > 1:
+            return f"{factor[1]} couples a point with another variable (factors)."
+    return ""
+
+
+def warning(reason: str, num_ranks: int) -> str:
+    """Return the warning that the other ranks waited."""
+    others = "the other one" if num_ranks == 2 else f"the other {num_ranks - 1}"
+    return f"One process solved, and {others} waited. {reason}"

@@ -233,7 +233,7 @@ def _adjust(
 
     if checkpoint is None:
         return solve(state.problem, prepared.options, progress)
-    from bundle.solving.rounds.segments import solve_in_segments
+    from bundle.solving.rounds.checkpoint import solve_in_segments
 
     return solve_in_segments(
         solve,
@@ -290,15 +290,13 @@ def _filter(prepared: Prepared, problem: Problem, limits: RoundOptions) -> Filte
 
 def round_of(number: int, result: Result, filtered: Filtered, limits: RoundOptions) -> Round:
     """Return the record of a round."""
-    from bundle.solving.rounds.segments import num_steps
-
     summary, adjusted = result.summary, result.problem
     return Round(
         round=number,
         initial_cost=summary.initial_cost,
         cost=summary.final_cost,
         termination_type=summary.termination_type,
-        num_iterations=num_steps(result),
+        num_iterations=result.num_steps,
         num_points=adjusted.num_points,
         num_observations=adjusted.num_observations,
         num_observations_removed=filtered.num_observations_removed,

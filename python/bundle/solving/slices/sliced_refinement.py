@@ -29,10 +29,15 @@ from bundle.solving.ranks.crew import Crew
 from bundle.solving.ranks.divided_solve import heeding, process_record
 from bundle.solving.request import SolveRequest
 from bundle.solving.result import Result
-from bundle.solving.rounds.checkpoint import check_target, read_by, result_of_record, write
+from bundle.solving.rounds.checkpoint import (
+    check_target,
+    read_by,
+    result_of_record,
+    solve_in_segments,
+    write,
+)
 from bundle.solving.rounds.input_digest import digest_of_parts, plain_fingerprint
 from bundle.solving.rounds.plan import RunPlan, State
-from bundle.solving.rounds.segments import solve_in_segments
 from bundle.solving.slices.slice_process import Process
 from bundle.solving.slices.slice_reading import Meeting, Survey, survey
 
