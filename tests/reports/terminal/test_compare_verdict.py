@@ -39,6 +39,10 @@ def kinds(made):
     return [finding.kind for finding in findings(made)]
 
 
+def commands_of(made):
+    return [section.command for section in compared(made).sections if section.command]
+
+
 def repeated(method, *totals):
     return dataclasses.replace(
         done(method), measurements=tuple(measurement(total) for total in totals)
@@ -124,14 +128,21 @@ def test_an_early_stop_is_a_finding():
 def test_an_unfinished_solve_is_a_finding():
     stopped = dataclasses.replace(measurement().summary, termination_type="NO_CONVERGENCE")
     run = dataclasses.replace(done(DENSE), measurements=(measurement(summary=stopped),))
-    (finding,) = findings(judged(run))
+    made = judged(run)
+    (finding,) = findings(made)
     assert finding.kind == "not-converged" and finding.evidence == {"num_steps": 3}
+    assert "No recommendation" in headline(made)[0] and "--max-iterations" in headline(made)[0]
+    assert commands_of(made) == []
 
 
 def test_a_busy_machine_is_a_finding():
     busy = dataclasses.replace(ENVIRONMENT, load_before=5.2)
-    (finding,) = findings(judged(done(DENSE), environment=busy))
+    made = judged(done(DENSE), environment=busy)
+    (finding,) = findings(made)
     assert finding.kind == "busy-machine" and figures(finding.sentence) == ["5.2", "2", "2"]
+    assert "No recommendation" in headline(made)[0] and "fused DENSE_SCHUR" in headline(made)[0]
+    assert commands_of(made) == []
+    assert commands_of(judged(done(DENSE))) == [made.recommendation.command]
 
 
 def test_problems_with_several_minima_do_not_decide():

@@ -12,7 +12,7 @@ from bundle.interface.summary import share
 from bundle.planning.comparison.comparison_result import GAPS, ComparedProblem, Comparison
 from bundle.planning.comparison.measured_run import Measurement, Method, Prediction, Run
 from bundle.reports.sections import Column, Report, Section, Table, fields, records
-from bundle.reports.terminal.compare_verdict import findings, headline, sigmas
+from bundle.reports.terminal.compare_verdict import doubted, findings, headline, sigmas
 from bundle.reports.terminal.solve_data import solve_options
 
 if TYPE_CHECKING:
@@ -314,7 +314,8 @@ def _recommendation(comparison: Comparison) -> list[Section]:
     single = len(comparison.problems) == 1  # with several, the reason is the headline
     reason = [("reason", found.reason)] if single else []
     verdict = [("prediction", found.verdict)] if found.verdict else []
-    return [Section(facts=[*reason, *verdict]), Section(command=found.command)]
+    command = "" if doubted(comparison) else found.command
+    return [Section(facts=[*reason, *verdict]), *([Section(command=command)] if command else [])]
 
 
 class _Names:

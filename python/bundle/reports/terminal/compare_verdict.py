@@ -45,9 +45,18 @@ def headline(comparison: Comparison) -> list[str]:
     usable = [run for run in comparison.runs if run.is_usable]
     if found is None and not usable:
         sentences.append("No method has a usable solution.")
+    elif found is not None and (doubts := doubted(comparison)):
+        sentences.append(f"No recommendation: {doubts}; {found.method.name} was fastest.")
     elif found is not None:
         sentences.append(_recommended(comparison) if single else f"Recommended: {found.reason}")
     return [*sentences, *_solutions(comparison)]
+
+
+def doubted(comparison: Comparison) -> str:
+    """Return the reason why the fastest method is not recommended; "": it is."""
+    if any(_unfinished(comparison)):
+        return "no solve with the lowest cost converged; allow more steps (--max-iterations)"
+    return "the machine was busy, so that times are not valid" if any(_busy(comparison)) else ""
 
 
 def _recommended(comparison: Comparison) -> str:
