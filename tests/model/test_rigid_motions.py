@@ -7,6 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from bundle.model.rigid_motions import (
+    cross_rows,
     inverse_jacobian_coefficient,
     inverse_poses,
     multiply_as_colmap,
@@ -36,6 +37,12 @@ def test_products_and_inverses_are_those_of_matrices():
     np.testing.assert_allclose(matrices(inverse_poses(a)), np.linalg.inv(matrices(a)), atol=1e-14)
     long = a * np.array([3.0] * 4 + [1.0] * 3)
     np.testing.assert_allclose(unit_poses(long), a, atol=1e-15)
+
+
+def test_cross_products_have_the_bits_of_numpy():
+    a, b = np.random.default_rng(3).normal(size=(2, 50, 3))
+    for one, other in ((a, b), (a[0], b), (a, b[0])):
+        np.testing.assert_array_equal(cross_rows(one, other), np.cross(one, other))
 
 
 @pytest.mark.parametrize("length", [1.0, 1.001])

@@ -31,7 +31,7 @@ import numpy as np
 from bundle.inertial.preintegration.preintegration import Preintegration
 from bundle.inertial.vio.sequence_images import SequenceImages
 from bundle.inertial.vio.window_frame import ImuInterval
-from bundle.model.rigid_motions import cross_matrices, quaternion_from_vector, rotation_matrices
+from bundle.model.rigid_motions import cross_rows, quaternion_from_vector, rotation_matrices
 from bundle.model.sequence.calibration import Calibration
 
 Array = np.ndarray[Any, Any]
@@ -71,13 +71,13 @@ def refined_rotation(
     t = t / np.linalg.norm(t)
     for _ in range(STEPS):
         v = x @ rotation.T
-        essential = cross_matrices(t[None])[0] @ rotation
+        essential = cross_rows(t, rotation.T).T  # [t]x R
         lines = np.hstack([(x @ essential.T)[:, :2], (y @ essential)[:, :2]])
         length = np.maximum(np.linalg.norm(lines, axis=1), 1e-12)
-        error = np.einsum("ni,ni->n", y, np.cross(t, v)) / length
+        error = np.einsum("ni,ni->n", y, cross_rows(t, v)) / length
         tangent = np.linalg.svd(t[None])[2][1:]  # (2, 3)
         by_turn = y * (v @ t)[:, None] - t * np.einsum("ni,ni->n", y, v)[:, None]
-        by_direction = np.cross(v, y) @ tangent.T
+        by_direction = cross_rows(v, y) @ tangent.T
         jacobian = np.hstack([by_turn, by_direction]) / length[:, None]
         weight = 1 / (1 + (error / sigma) ** 2)
         normal = jacobian.T @ (weight[:, None] * jacobian)
@@ -125,7 +125,7 @@ def turns_of_tracks(images: SequenceImages, most: int, apart: float = APART) -> 
         x, y = (each / np.linalg.norm(each, axis=1, keepdims=True) for each in rays)
         interval = images.interval(int(stamps[first]), second)
         rotation = turn_of_samples(interval, images.sequence.calibration)
-        direction = np.linalg.svd(np.cross(y, x @ rotation.T))[2][2]
+        direction = np.linalg.svd(cross_rows(y, x @ rotation.T))[2][2]
         found = [
             refined_rotation(one.xy[a], other.xy[b], turned, shift, sigma)
             for turned, shift in ((rotation, direction), linear_rotation(x, y))

@@ -29,7 +29,7 @@ import numpy as np
 
 from bundle.inertial.preintegration.preintegration import Preintegration
 from bundle.inertial.vio.window_frame import ImuInterval
-from bundle.model.rigid_motions import rotation_matrices
+from bundle.model.rigid_motions import cross_rows, rotation_matrices
 from bundle.model.sequence.calibration import ImuNoise
 
 Array = np.ndarray[Any, Any]
@@ -229,7 +229,7 @@ class _System:
             turns = self._motion(value).rotation
             parts = []
             for i, j, first, second in pairs:
-                normals = np.cross(first @ turns[i].T, second @ turns[j].T)
+                normals = cross_rows(first @ turns[i].T, second @ turns[j].T)
                 way = np.linalg.eigh(normals.T @ normals)[1][:, 0]
                 error = normals @ (way if way[np.argmax(np.abs(way))] > 0 else -way)
                 parts.append(error / np.sqrt(1 + (error / (2 * self.sigma)) ** 2))
