@@ -15,20 +15,26 @@ from bundle.inertial.tracking.rotation_check import (
     check_rotations,
     tracking_findings,
 )
+from bundle.inertial.tracking.track_recording import Tracking
 from bundle.inertial.vio.sequence_images import SequenceImages
 from bundle.interface.window_options import TrackingOptions
 from bundle.io.sequences.recordings import read_mav
-from bundle.model.sequence.sequence import Recording
+from bundle.model.sequence.sequence import Recording, Sequence
 from tests.inertial.images.rendered_flight import SMALL, Flight, render
 
 
 @pytest.fixture(scope="module")
-def given(tmp_path_factory: pytest.TempPathFactory) -> tuple[Recording, list[Turn]]:
-    """A recording, and the rotations of its tracks."""
+def tracked(tmp_path_factory: pytest.TempPathFactory) -> tuple[Recording, Sequence, Tracking]:
+    """A recording, its tracks and their statistics."""
     mav = render(Flight(duration=5.0, seed=3, **SMALL), tmp_path_factory.mktemp("flight"))
     recording = read_mav(mav)
-    sequence, _ = track_recording.track_recording(recording, TrackingOptions())
-    return recording, turns_of_tracks(SequenceImages(sequence), 100)
+    return recording, *track_recording.track_recording(recording, TrackingOptions())
+
+
+@pytest.fixture(scope="module")
+def given(tracked: tuple[Recording, Sequence, Tracking]) -> tuple[Recording, list[Turn]]:
+    """The recording, and the rotations of its tracks."""
+    return tracked[0], turns_of_tracks(SequenceImages(tracked[1]), 100)
 
 
 def test_a_right_calibration_agrees(given: tuple[Recording, list[Turn]]) -> None:
@@ -96,12 +102,15 @@ def posed(recording: Recording, pose: list[float]) -> Recording:
     )
 
 
+@pytest.mark.usefixtures("few")
 @pytest.mark.parametrize("sign", [1, -1])
 def test_images_are_compared_with_the_signs_of_the_forces(
-    given: tuple[Recording, list[Turn]], sign: int, monkeypatch: pytest.MonkeyPatch
+    tracked: tuple[Recording, Sequence, Tracking], sign: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    recording = replace(given[0], accel=sign * given[0].accel)
+    """Forces have no part in tracking."""
+    recording, sequence = (replace(each, accel=sign * each.accel) for each in tracked[:2])
     monkeypatch.setattr(track_recording, "read_recording", lambda *_: recording)
+    monkeypatch.setattr(track_recording, "track_recording", lambda *_: (sequence, tracked[2]))
     found = track_recording.track_images("mav0").findings
     assert [each.kind for each in found] == ([] if sign > 0 else ["accelerometer axes"])
     assert all(each.is_problem and "imu0/data.csv" in each.sentence for each in found)

@@ -39,11 +39,13 @@ def flight() -> SyntheticFlight:
     return synthesize_flight(motion="loop", duration=10.0, num_tracks=50, seed=4)
 
 
+pytestmark = pytest.mark.usefixtures("few")
+
+
 @pytest.fixture(autouse=True)
-def few(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Fewer pairs of images and spans: enough here, and quick."""
+def fewer_pairs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fewer pairs of images: enough here, and quick."""
     monkeypatch.setattr(sequence_axes, "MANY", 70)
-    monkeypatch.setattr(sequence_axes, "SPANS", 3)
 
 
 def changed(flight: SyntheticFlight, gyro: Any = (1, 1, 1), accel: Any = (1, 1, 1)) -> Sequence:

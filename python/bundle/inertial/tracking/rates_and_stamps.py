@@ -33,7 +33,7 @@ from typing import Any
 
 import numpy as np
 
-from bundle.inertial.tracking.relative_rotation import turns_of_tracks
+from bundle.inertial.tracking.relative_rotation import Turn, turns_of_tracks
 from bundle.inertial.tracking.rotation_check import SHIFTS, RotationPairs
 from bundle.inertial.vio.sequence_images import SequenceImages
 from bundle.interface.finding import Finding
@@ -51,7 +51,7 @@ SCALE_PAIRS, SCALE_APART = 60, 0.5  # pairs of images; s
 SIGMAS, SCALE = 5.0, 0.02  # from which a scale is wrong; 0.0024 off in clean flights
 PRIOR = np.repeat([1.0, 0.2, 0.03, 0.1], (1, 3, 1, 3))  # deviations of s, a, d and b
 MOST_VARIANCE = 4.0  # of errors in units of tracks; up to 2.9 in clean flights, 8 with faults
-CHANGE_PAIRS, CHANGE_FEWEST = 200, 25  # pairs of images; on each side of a change
+CHANGE_FEWEST = 25  # pairs of images on each side of a change
 CHANGE_SIGMAS, CHANGE = 20.0, 0.02  # from which the bias changes: deviations, rad/s
 STEPS, MEDIAN_CHI2 = 20, 2.366  # of the weights; with three degrees of freedom
 
@@ -101,9 +101,9 @@ def scale_of_rates(pairs: RotationPairs, lens: Array) -> tuple[float, float]:
     return ratio, ratio**2 * math.sqrt(float(covariance[0, 0]))
 
 
-def bias_findings(images: SequenceImages, recording: Recording) -> tuple[Finding, ...]:
+def bias_findings(recording: Recording, turns: list[Turn]) -> tuple[Finding, ...]:
     """Return a finding if the bias of the gyroscope changes at a time."""
-    pairs = RotationPairs(recording, turns_of_tracks(images, CHANGE_PAIRS), least_turn=0.0)
+    pairs = RotationPairs(recording, turns, least_turn=0.0)
     if len(pairs.camera) < 2 * CHANGE_FEWEST:
         return ()
     biases = (pairs.imu(0.0) - pairs.camera @ _lens(recording)) / (1e-9 * np.diff(pairs.spans))

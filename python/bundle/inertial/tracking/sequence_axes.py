@@ -90,9 +90,10 @@ def explanations(
     if not _measures(sequence):
         return ()
     images, recording = SequenceImages(sequence), _recording(sequence, path)
-    found = tracking_findings(recording, check_tracks(images, recording))
+    turns = turns_of_tracks(images, MANY)
+    found = tracking_findings(recording, check_rotations(recording, turns))
     if all(each.kind == "time offset" for each in found):  # a jump looks like an offset
-        found = bias_findings(images, recording) or found
+        found = bias_findings(recording, turns) or found
     signs = None if found or _is_noisier(sequence) else right_signs(images)
     if signs is not None:
         found = (_reversed(recording, signs, is_problem=False),)
