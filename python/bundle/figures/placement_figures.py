@@ -22,12 +22,18 @@ from bundle.figures.marks import (
     round_down,
     square,
 )
+from bundle.model.cameras import param_kinds, project
 from bundle.model.problem import Problem
+from bundle.model.rigid_motions import rotation_matrices
 
 ROLES = {"control": 0, "check": 1}
 """Colour indices of targets by role; other targets are grey."""
 
 ERRORS = ("error east [m]", "error north [m]")
+MOST_BOUNDED = 10_000
+"""Number of points whose extent is searched."""
+MOST_VIEWED = 500
+"""Number of points whose images are counted."""
 FARTHEST = 1.2
 """Largest drawn error of an image without influence, relative to the height of the plan."""
 
@@ -172,10 +178,13 @@ class Placement:
     def rms(self, kind: str) -> NDArray[np.float64]:
         """Return (5,) root mean squares: east, north, up, horizontal and total [m]; NaN if unknown.
 
-        The kind is "control", "check" or "gps"; "gps" includes only used positions.
+        The kind is "control", "check", "left out" or "gps": "left out" has the errors of control
+        points without their own influence; "gps" includes only used positions.
         """
         if kind == "gps":
             rows = [image.residual for image in self.images if image.used]
+        elif kind == "left out":
+            rows = [target.left_out for target in self.targets if target.role == "control"]
         else:
             rows = [target.residual for target in self.targets if target.role == kind]
         table = np.array(rows, float).reshape(-1, 3)
@@ -188,6 +197,93 @@ class Placement:
         every = horizontal + (squares[2] if np.isfinite(squares[2]) else 0.0)
         result: NDArray[np.float64] = np.sqrt(np.array([*squares, horizontal, every]))
         return result
+
+
+@dataclass(frozen=True)
+class Block:
+    """Dimensions of a georeferenced model; NaN where unknown.
+
+    Attributes:
+        height: median height of a camera above the points that it observes [m].
+        ground_pixel: median over observations of the depth over the focal length [m per pixel].
+        extent: length and width of the smallest rectangle around the points from above, without 1 %
+            at each side [m].
+        overlap: median number of images whose frame contains a point.
+    """
+
+    height: float
+    ground_pixel: float
+    extent: tuple[float, float]
+    overlap: float
+
+    @property
+    def sentence(self) -> str:
+        """All known dimensions in words."""
+        length, width = self.extent
+        words = [f"Points over {length:.3g} x {width:.3g} m"]
+        if self.height > 0:
+            words.append(f"cameras {self.height:.3g} m above them")
+        if math.isfinite(self.ground_pixel):
+            words.append(f"{100 * self.ground_pixel:.3g} cm per pixel (GSD)")
+        if math.isfinite(self.overlap):
+            words.append(f"{self.overlap:.0f} images see a point (median)")
+        return ", ".join(words) + "."
+
+
+def block(problem: Problem) -> Block | None:
+    """Return the dimensions of a model in metres, east, north and up; None without observations."""
+    if not problem.num_observations:
+        return None
+    image, point = problem.observation_image, problem.observation_point
+    rays = problem.points[point] - problem.projection_centers[image]
+    forward = rotation_matrices(problem.cam_from_world[:, :4])[:, 2]
+    depth = np.abs(np.einsum("ni,ni->n", rays, forward[image]))
+    return Block(
+        height=float(np.median([-np.median(rays[image == one, 2]) for one in np.unique(image)])),
+        ground_pixel=float(np.median(depth / _focal_lengths(problem)[problem.image_camera[image]])),
+        extent=_extent(problem.points[:, :2]),
+        overlap=_overlap(problem),
+    )
+
+
+def _focal_lengths(problem: Problem) -> NDArray[np.float64]:
+    """Return (num_cameras,) focal lengths in pixels; NaN for a model without one."""
+    found = []
+    for model, params in zip(problem.camera_models, problem.camera_params, strict=True):
+        kinds = param_kinds(model)
+        focal = [params[k] for k, kind in enumerate(kinds) if kind == "focal"]
+        found.append(float(np.mean(focal)) if focal else math.nan)
+    return np.array(found)
+
+
+def _extent(plan: NDArray[np.float64]) -> tuple[float, float]:
+    """Return length and width of the smallest rectangle, by area, around 98 % of each axis."""
+    some = plan[:: len(plan) // MOST_BOUNDED + 1]
+    sizes = []
+    for angle in np.radians(np.arange(90.0)):
+        turned = some @ np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+        low, high = np.percentile(turned, [1, 99], axis=0)
+        sizes.append(sorted((high - low).tolist(), reverse=True))
+    length, width = min(sizes, key=math.prod)
+    return length, width
+
+
+def _overlap(problem: Problem) -> float:
+    """Return the median number of images that have a point in their frame."""
+    if not problem.camera_sizes[problem.image_camera].all():
+        return math.nan
+    rows = np.linspace(0, problem.num_points - 1, min(problem.num_points, MOST_VIEWED))
+    points = problem.points[rows.astype(np.int64)]
+    turns = rotation_matrices(problem.cam_from_world[:, :4])
+    views = np.zeros(len(points))
+    for turn, pose, camera in zip(
+        turns, problem.cam_from_world, problem.image_camera.tolist(), strict=True
+    ):
+        model = problem.camera_models[camera]
+        params = problem.camera_params[camera, : len(param_kinds(model))]
+        xy, valid = project(model, params, points @ turn.T + pose[4:])
+        views += valid & (xy >= 0).all(axis=1) & (xy <= problem.camera_sizes[camera]).all(axis=1)
+    return float(np.median(views))
 
 
 def placement(problem: Problem, record: Mapping[str, Any]) -> Placement:

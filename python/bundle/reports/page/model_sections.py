@@ -16,7 +16,13 @@ from bundle.figures import structure_figures
 from bundle.figures.cost_figures import iteration_figure
 from bundle.figures.lens_figures import LensCurve, focal_figure, lens_figure, most_observed_cameras
 from bundle.figures.marks import Figure
-from bundle.figures.placement_figures import Placement, plan_figure, position_figure, target_figure
+from bundle.figures.placement_figures import (
+    Block,
+    Placement,
+    plan_figure,
+    position_figure,
+    target_figure,
+)
 from bundle.figures.residual_field import twist_figures
 from bundle.figures.residual_figures import (
     ResidualHistogram,
@@ -141,7 +147,13 @@ def _value(value: object) -> str:
 ROWS = 12
 
 
-def placement_sections(place: Placement) -> list[Section]:
+ROWS_OPEN = 20
+"""Number of control points up to which their table is open."""
+CE90, LE90 = 1.5175, 1.6449
+"""90 % quantiles of normal errors over their RMS: of the horizontal length, and of a height."""
+
+
+def placement_sections(place: Placement, dimensions: Block | None) -> list[Section]:
     """Return tables and figures; all lengths are in metres (east, north, up)."""
     system = place.reference_system
     words = "Metres east, north, up: model minus measurement."
@@ -150,7 +162,9 @@ def placement_sections(place: Placement) -> list[Section]:
     images = [position_figure(place), plan_figure(place)] if place.images else []
     return [
         Section(
-            title="Control points and positions", text=[words], tables=_rms(place),
+            title="Control points and positions",
+            text=[*([] if dimensions is None else [dimensions.sentence]), words],
+            tables=_rms(place),
             figures=[figure for figure in [*targets, *images] if figure is not None],
         ),
         *([_targets(place)] if place.targets else []),
@@ -159,15 +173,27 @@ def placement_sections(place: Placement) -> list[Section]:
 
 
 def _rms(place: Placement) -> list[Table]:
-    head = ["RMS error", "count", "east [m]", "north [m]", "up [m]", "horizontal [m]", "total [m]"]
+    """Return the table of RMS errors: those that tell the accuracy first."""
+    head = ["RMS error", "count", "east [m]", "north [m]", "up [m]", "horizontal [m]", "total [m]",
+            "CE90 [m]", "LE90 [m]"]  # fmt: skip
+    controls = sum(target.role == "control" for target in place.targets)
+    counts = {
+        "check": ("check points", sum(target.role == "check" for target in place.targets)),
+        "left out": ("control points, each left out", controls),
+        "control": ("control points", controls),
+        "gps": ("positions of images", sum(image.used for image in place.images)),
+    }
     rows = []
-    for kind, name in (("control", "control points"), ("check", "check points"),
-                       ("gps", "positions of images")):  # fmt: skip
-        used = [image for image in place.images if image.used]
-        count = len(used) if kind == "gps" else sum(t.role == kind for t in place.targets)
-        if count:
-            rows.append([name, f"{count}", *map(_metres, place.rms(kind))])
-    return [Table.of(head, rows)] if rows else []
+    for kind, (name, count) in counts.items():
+        rms = place.rms(kind)
+        if count and np.isfinite(rms).any():
+            errors = [*rms, CE90 * rms[3], LE90 * rms[2]]
+            rows.append([name, f"{count}", *map(_metres, errors)])
+    legend = (
+        "CE90, LE90: horizontal and vertical errors that 90 % of points do not exceed, if errors "
+    )
+    legend += "are normal and equal in east and north."
+    return [Table.of(head, rows, legend=legend)] if rows else []
 
 
 def _targets(place: Placement) -> Section:
@@ -182,7 +208,7 @@ def _targets(place: Placement) -> Section:
     words = "Left out: length of the error when only the other points place the model."
     table = Table.of(head, rows, left=2, most=ROWS, legend=words)
     title = f"Each of {plural(len(rows), 'control or check point', 'control and check points')}"
-    return Section(title=title, tables=[table], is_detail=True)
+    return Section(title=title, tables=[table], is_detail=len(rows) > ROWS_OPEN)
 
 
 def _positions(place: Placement) -> Section:
