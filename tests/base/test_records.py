@@ -76,6 +76,23 @@ def classes(dataclass):
     class Empty:
         """No fields."""
 
+    @dataclass(frozen=True)
+    class Text:
+        """Annotations in text, as in modules that postpone them."""
+
+        x: "int"
+        tags: "list[str]" = field(default_factory=list)
+        y: "float | None" = None
+
+    @dataclass(frozen=True)
+    class Special:
+        """Annotations in text that are no fields."""
+
+        x: "int"
+        kind: "typing.ClassVar[str]" = "special"
+        _: "dataclasses.KW_ONLY"
+        y: "int" = 2
+
     @dataclass(frozen=True, kw_only=True)
     class Solid(Point):
         """A class that derives from another one."""
@@ -126,6 +143,9 @@ CALLS = [
     ("Own", (3,), {}),
     ("Made", ("12",), {}),
     ("Empty", (), {}),
+    ("Text", (1,), {}),
+    ("Text", (1, ["a"]), {"y": 0.5}),
+    ("Special", (1,), {"y": 3}),
     ("Solid", (1,), {}),
     ("Solid", (1, 2), {"z": 5}),
     ("Plain", (1,), {}),
@@ -144,6 +164,8 @@ WRONG = [
     ("Mixed", (), {}),
     ("Mixed", (1,), {"twice": 2}),
     ("Empty", (1,), {}),
+    ("Text", (), {}),
+    ("Special", (1, 2), {}),
 ]
 
 
@@ -165,6 +187,7 @@ def test_classes_have_the_same_fields_and_signatures(name):
     for one, other in zip(dataclasses.fields(ours), dataclasses.fields(oracle), strict=True):
         assert repr(one).replace(" object at", "") == repr(other).replace(" object at", "")
     assert str(inspect.signature(ours)) == str(inspect.signature(oracle))
+    assert ours.__annotations__ == oracle.__annotations__
     assert ours.__init__.__annotations__ == oracle.__init__.__annotations__
     assert ours.__match_args__ == oracle.__match_args__
     assert repr(ours.__dataclass_params__) == repr(oracle.__dataclass_params__)

@@ -10,6 +10,7 @@ the standard library.
 from __future__ import annotations
 
 import dataclasses
+import re
 import sys
 from reprlib import recursive_repr
 from typing import TYPE_CHECKING, Any
@@ -41,9 +42,9 @@ def _define(kind: type, options: dict[str, bool]) -> type:
     # library.
     derived = any("__dataclass_fields__" in vars(base) for base in kind.__mro__[1:])
     fields_only = dict.fromkeys(METHODS, False) | {"frozen": derived}
-    kind = dataclasses.dataclass(**options | fields_only)(kind)
-    if any("InitVar" in str(field.type) for field in vars(kind)["__dataclass_fields__"].values()):
+    if any("InitVar" in str(written) for written in kind.__annotations__.values()):
         raise TypeError(f"{kind.__name__}: frozen dataclasses of this package have no InitVar")
+    kind = _with_fields(kind, options | fields_only)
     for option, names in METHODS.items():
         is_asked = options.get(option, True)
         setattr(vars(kind)["__dataclass_params__"], option, is_asked)
@@ -52,6 +53,23 @@ def _define(kind: type, options: dict[str, bool]) -> type:
                 shared = vars(_Shared).get(name)
                 setattr(kind, name, shared if shared is not None else _Constructor(kind))
     return kind
+
+
+def _with_fields(kind: type, options: dict[str, bool]) -> type:
+    """Return a dataclass; the standard decorator analyses annotations in text for 10 us a field."""
+    written = vars(kind).get("__annotations__", {})
+    if not all(isinstance(text, str) and not _SPECIAL.search(text) for text in written.values()):
+        return dataclasses.dataclass(**options)(kind)
+    kind.__annotations__ = dict.fromkeys(written, object)
+    kind = dataclasses.dataclass(**options)(kind)
+    kind.__annotations__ = written
+    for name, text in written.items():
+        vars(kind)["__dataclass_fields__"][name].type = text
+    return kind
+
+
+_SPECIAL = re.compile("ClassVar|KW_ONLY")
+"""Names of annotations that are no fields; annotations do not use them by other names."""
 
 
 class _Shared:
