@@ -95,9 +95,11 @@ def immutable(name: str, value: Any, dtype: type) -> NDArray[Any]:
     usable = given.dtype == dtype and given.flags.c_contiguous and given.flags.aligned
     if usable and _core.is_immutable(given):
         return given.view()
+    if given.dtype == dtype:
+        return freeze(np.array(given, order="C", copy=True))
     with np.errstate(invalid="ignore", over="ignore"):  # of integers below, infinity by callers
         array: NDArray[Any] = np.array(given, dtype=dtype, order="C", copy=True)
-    if np.issubdtype(dtype, np.integer) and given.dtype != array.dtype:
+    if np.issubdtype(dtype, np.integer):
         refuse_row(
             given.ravel() != array.ravel(),
             lambda k: f"{name}: expected whole numbers of {array.dtype}, found {given.flat[k]}",
