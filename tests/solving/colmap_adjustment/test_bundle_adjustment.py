@@ -395,6 +395,33 @@ def test_a_point_that_is_deleted_during_the_solve_is_named():
     assert len(after["points"]) == len(before["points"]) - 1
 
 
+def test_points_that_change_places_during_the_solve_get_their_own_values():
+    """Points are found again by their ids: memory of one may belong to another by then."""
+    mine, expected = rigs(0), rigs(0)
+    config, wide = local_config(mine)
+    bundle.bundle_adjustment(expected, None, config)
+    moved = {}
+
+    def exchange(_):
+        if moved:
+            return
+        for key in wide[:4]:
+            track = mine.point3D(key).track.elements
+            places = [(element.image_id, element.point2D_idx) for element in track]
+            moved[key] = mine.point3D(key).xyz.copy(), places
+        for key in moved:
+            mine.delete_point3D(key)
+        for key, (xyz, places) in moved.items():  # into the memory of the last first
+            point = pycolmap.Point3D(xyz=xyz)
+            for place in places:
+                point.track.add_element(*place)
+            mine.add_point3D_with_id(key, point)
+
+    bundle.bundle_adjustment(mine, None, config, progress=exchange)
+    assert len(moved) == 4
+    assert (values(mine)["points"] == values(expected)["points"]).all()
+
+
 def test_an_empty_configuration_does_nothing():
     summary = bundle.bundle_adjustment(images_alone(), config=pycolmap.BundleAdjustmentConfig())
     assert type(summary) is pycolmap.BundleAdjustmentSummary

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import operator
 from collections.abc import Mapping
-from itertools import compress
+from itertools import compress, repeat
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
@@ -32,7 +32,6 @@ from bundle.model.pycolmap.reconstruction import (
     is_valid,
     lengths_of_tracks,
     pixels_of,
-    positions_of,
 )
 
 if TYPE_CHECKING:
@@ -226,11 +225,15 @@ class AdjustedFields:
         fields: fields of the problem.
         tracks: (num_points,) lengths of the points' tracks in the reconstruction.
         frames: (num_images,) frame ids of the images in the reconstruction.
+        points: the points.
+        positions: views of the points' positions.
     """
 
     fields: dict[str, Any]
     tracks: NDArray[np.int64]
     frames: NDArray[np.int64]
+    points: list[pycolmap.Point3D]
+    positions: list[NDArray[np.float64]]
 
 
 def adjusted_fields(
@@ -243,28 +246,39 @@ def adjusted_fields(
     if listed and not is_whole:
         others = _other_observations(reconstruction, config.images, listed)
         observations = observations.joined(others)
-    ids, rows = np.unique(observations.point_id, return_inverse=True)
-    point_ids = ids_of_points(ids.tolist())
+    order = np.argsort(observations.point_id, kind="stable")  # images and keypoints ascend already
+    sorted_ids = observations.point_id[order]
+    is_first = np.ones(len(order), bool)
+    is_first[1:] = sorted_ids[1:] != sorted_ids[:-1]
+    ids = sorted_ids[is_first].tolist()
+    point_ids = ids_of_points(ids)
     try:
-        points = list(map(reconstruction.point3D, ids.tolist()))
+        points = list(map(reconstruction.point3D, ids))
     except IndexError:
         observations.points(ids_of_points(sorted(reconstruction.point3D_ids())))
         raise
     tracks = lengths_of_tracks(points)
-    seen = np.bincount(rows, minlength=len(points))
-    are_read = is_whole | np.isin(point_ids, listed)
+    seen = np.bincount(np.cumsum(is_first) - 1, minlength=len(ids))
+    are_read = is_whole | (np.isin(point_ids, listed) if listed else False)
     check_lengths(point_ids, tracks, seen, (seen > tracks) | (are_read & (seen < tracks)))
     if is_whole and not is_valid(reconstruction):
         fields_of(reconstruction)  # names the fault
     used = tracks >= min_track_length
-    observations = observations.where(used[rows])
-    images = observations.images
+    observations = observations.taken(order[np.repeat(used, seen)])
+    images, seen, tracks = observations.images, seen[used], tracks[used]
+    points = list(compress(points, used.tolist()))
+    positions = list(map(attrgetter("xyz"), points))
     cameras = sorted({image.camera_id for image in images})
-    fields = fields_of_images(reconstruction, images, [*map(reconstruction.camera, cameras)])
-    fields |= observations.fields((np.cumsum(used) - 1)[rows[used[rows]]].astype(np.int32))
-    fields |= {"points": positions_of(points)[used], "point_ids": point_ids[used]}
+    fields = fields_of_images(reconstruction, images, [*map(reconstruction.camera, cameras)]) | {
+        "points": np.frombuffer(b"".join(positions)).reshape(-1, 3),
+        "point_ids": point_ids[used],
+        "observation_image": observations.image,
+        "observation_point": np.repeat(np.arange(len(seen), dtype=np.int32), seen),
+        "observation_xy": observations.xy,
+        "observation_keypoint": observations.keypoint,
+    }
     frames = np.array([image.frame_id for image in images], np.int64)
-    return AdjustedFields(fields, tracks[used], frames)
+    return AdjustedFields(fields, tracks, frames, points, positions)
 
 
 def _other_observations(
@@ -320,19 +334,18 @@ def set_values(
     *,
     images: _Mask,
     points: _Mask,
+    read: AdjustedFields | None = None,
 ) -> None:
     """Set the refined values of a sub-problem.
 
     Args:
+        reconstruction: the reconstruction to change.
+        refined: the sub-problem with its new values.
         images: mask of its images whose poses are set, each with its frame.
         points: mask of its points that are set.
+        read: the sub-problem as it was read, if it was.
     """
-    ids = refined.point_ids[points].tolist()
-    for point_id in compress(ids, map(operator.not_, map(reconstruction.exists_point3D, ids))):
-        raise InputError(
-            f"reconstruction: expected no changes during the solve, found that point {point_id} "
-            "was deleted"
-        )
+    found = _points_again(reconstruction, refined.point_ids[points].tolist())
     for camera_id, params in zip(refined.camera_ids.tolist(), refined.camera_params, strict=True):
         camera = reconstruction.camera(camera_id)
         camera.params = params[: len(camera.params)]
@@ -350,9 +363,31 @@ def set_values(
     ):
         sensor = pycolmap.sensor_t(pycolmap.SensorType.CAMERA, camera_id)
         reconstruction.rig(rig_id).set_sensor_from_rig(sensor, _rigid(pose))
-    positions = map(attrgetter("xyz"), map(reconstruction.point3D, ids))
-    for position, xyz in zip(positions, refined.points[points], strict=True):
-        position[:] = xyz
+    if read is None:
+        positions = list(map(attrgetter("xyz"), found))
+    else:  # pycolmap returns the same object as before exactly if the point is where it was
+        pick = points.tolist()
+        before = zip(compress(read.points, pick), compress(read.positions, pick), strict=True)
+        positions = [
+            view if point is now else now.xyz
+            for now, (point, view) in zip(found, before, strict=True)
+        ]
+    for _ in map(operator.setitem, positions, repeat(...), refined.points[points]):
+        pass
+
+
+def _points_again(
+    reconstruction: pycolmap.Reconstruction, ids: list[int]
+) -> list[pycolmap.Point3D]:
+    """Return points that existed before a solve."""
+    try:
+        return list(map(reconstruction.point3D, ids))
+    except IndexError:
+        point_id = next(key for key in ids if not reconstruction.exists_point3D(key))
+        raise InputError(
+            "reconstruction: expected no changes during the solve, found that point "
+            f"{point_id} was deleted"
+        ) from None
 
 
 def delete_observations_behind(reconstruction: pycolmap.Reconstruction) -> None:
