@@ -92,11 +92,9 @@ def immutable(name: str, value: Any, dtype: type) -> NDArray[Any]:
     given = real_numbers(name, value)
     if given.ndim == 0:
         raise InputError(f"{name}: expected an array of numbers, found {brief(value)}")
-    usable = given.dtype == dtype and given.flags.c_contiguous and given.flags.aligned
-    if usable and _core.is_immutable(given):
-        return given.view()
     if given.dtype == dtype:
-        return freeze(np.array(given, order="C", copy=True))
+        usable = given.flags.c_contiguous and given.flags.aligned and _core.is_immutable(given)
+        return given.view() if usable else freeze(np.array(given, order="C", copy=True))
     with np.errstate(invalid="ignore", over="ignore"):  # of integers below, infinity by callers
         array: NDArray[Any] = np.array(given, dtype=dtype, order="C", copy=True)
     if np.issubdtype(dtype, np.integer):

@@ -10,7 +10,6 @@ the standard library.
 from __future__ import annotations
 
 import dataclasses
-import re
 import sys
 from reprlib import recursive_repr
 from typing import TYPE_CHECKING, Any
@@ -58,7 +57,9 @@ def _define(kind: type, options: dict[str, bool]) -> type:
 def _with_fields(kind: type, options: dict[str, bool]) -> type:
     """Return a dataclass; the standard decorator analyses annotations in text for 10 us a field."""
     written = vars(kind).get("__annotations__", {})
-    if not all(isinstance(text, str) and not _SPECIAL.search(text) for text in written.values()):
+    special = ("ClassVar", "KW_ONLY")  # which no annotation may name otherwise
+    texts = [text for text in written.values() if isinstance(text, str)]
+    if len(texts) < len(written) or any(word in text for text in texts for word in special):
         return dataclasses.dataclass(**options)(kind)
     kind.__annotations__ = dict.fromkeys(written, object)
     kind = dataclasses.dataclass(**options)(kind)
@@ -66,10 +67,6 @@ def _with_fields(kind: type, options: dict[str, bool]) -> type:
     for name, text in written.items():
         vars(kind)["__dataclass_fields__"][name].type = text
     return kind
-
-
-_SPECIAL = re.compile("ClassVar|KW_ONLY")
-"""Names of annotations that are no fields; annotations do not use them by other names."""
 
 
 class _Shared:
