@@ -12,6 +12,7 @@
 #include "bindings/problem_from_python.h"
 #include "bindings/python_progress.h"
 #include "core/covariance/covariance.h"
+#include "core/covariance/reliability.h"
 
 namespace py = pybind11;
 
@@ -74,6 +75,58 @@ py::dict Covariance(
   return d;
 }
 
+/// Adds the arrays and sums of a reliability to the output of a function.
+void PutReliability(bundle::ReliabilityOutput output, py::ssize_t n, py::dict* to) {
+  py::dict& d = *to;
+  const auto count = [](const auto& v) { return static_cast<py::ssize_t>(v.size()); };
+  d["residuals"] = ToImmutableNumpy(std::move(output.residuals), {n, 2});
+  d["leverages"] = ToImmutableNumpy(std::move(output.leverages), {n, 3});
+  d["weights"] = ToImmutableNumpy(std::move(output.weights), {n});
+  const py::ssize_t m = count(output.factor_redundancy);
+  d["factor_measurements"] = ToImmutableNumpy(std::move(output.factor_measurements), {m});
+  d["factor_redundancy"] = ToImmutableNumpy(std::move(output.factor_redundancy), {m});
+  d["factor_least"] = ToImmutableNumpy(std::move(output.factor_least), {m});
+  d["factor_test"] = ToImmutableNumpy(std::move(output.factor_test), {m});
+  d["factor_rank"] = ToImmutableNumpy(std::move(output.factor_rank), {m});
+  py::list worst;
+  for (const bundle::ExternalEffect& one : output.worst) {
+    worst.append(
+        py::make_tuple(one.observation, one.point, one.point_sigmas, one.image, one.image_sigmas));
+  }
+  d["worst"] = worst;
+  bundle::CovarianceOutput& sums = output.sums;
+  d["weighted_squares"] = sums.weighted_squares;
+  d["num_residuals"] = sums.num_residuals;
+  d["num_parameters"] = sums.num_parameters;
+  d["predicted_decrease"] = sums.predicted_decrease;
+  d["gauge_degrees"] = sums.gauge_degrees;
+  const py::ssize_t num_null = count(sums.null_points);
+  d["null_points"] = ToImmutableNumpy(std::move(sums.null_points), {num_null});
+  py::list warnings;
+  for (const bundle::Warning& warning : sums.warnings) warnings.append(warning.text);
+  d["warnings"] = warnings;
+}
+
+py::dict Reliability(const py::object& problem, const py::dict& options,
+                     const py::object& restrictions, const py::object& given_factors, double least,
+                     int num_worst, bool long_sums) {
+  bundle::AdjustmentProblem view(ViewProblem(problem));
+  view.restrictions = ViewRestrictions(restrictions, view);
+  GivenFactors factors(given_factors);
+  const bundle::SolveOptions solve_options = OptionsFromPython(options);
+  const bundle::ReliabilityOptions wanted{least, num_worst, long_sums};
+  PythonProgress watch{py::none()};
+  bundle::ReliabilityOutput output = RunWatched(&watch, [&] {
+    bundle::ValidateProblem(view);
+    view.factors = factors.Check();
+    return bundle::ComputeReliability(view, solve_options, wanted);
+  });
+  watch.Rethrow();
+  py::dict d;
+  PutReliability(std::move(output), view.num_observations, &d);
+  return d;
+}
+
 }  // namespace
 
 void BindCovariance(py::module_& m) {
@@ -81,4 +134,7 @@ void BindCovariance(py::module_& m) {
         py::arg("factors"), py::arg("inner"), py::arg("sandwich"), py::arg("of_points"),
         py::arg("relative"), py::arg("long_sums"), py::arg("of_images") = true,
         py::arg("functions") = py::none());
+  m.def("reliability", &Reliability, py::arg("problem"), py::arg("options"),
+        py::arg("restrictions"), py::arg("factors"), py::arg("least"), py::arg("num_worst"),
+        py::arg("long_sums") = true);
 }

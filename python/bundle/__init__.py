@@ -15,6 +15,8 @@ _DEFERRED = {
     "analysis.uncertainty.covariance_by_input": "covariance",
     "analysis.uncertainty.covariance_result": "Covariance GraphCovariance",
     "analysis.uncertainty.graph_covariance": "FactorGraphCovariance",
+    "analysis.uncertainty.reliability": "reliability",
+    "analysis.uncertainty.reliability_result": "Reliability",
     "base.paths": "get_include",
     "checking.gradient_report": "GradientReport",
     "editing.camera_sharing": "share_cameras split_cameras",

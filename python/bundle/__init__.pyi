@@ -17,6 +17,8 @@ from bundle.analysis.uncertainty.covariance_by_input import covariance as covari
 from bundle.analysis.uncertainty.covariance_result import Covariance as Covariance
 from bundle.analysis.uncertainty.covariance_result import GraphCovariance as GraphCovariance
 from bundle.analysis.uncertainty.graph_covariance import FactorGraphCovariance as FactorGraphCovariance
+from bundle.analysis.uncertainty.reliability import reliability as reliability
+from bundle.analysis.uncertainty.reliability_result import Reliability as Reliability
 from bundle.base.paths import get_include as get_include
 from bundle.checking.gradient_report import GradientReport as GradientReport
 from bundle.editing.camera_sharing import share_cameras as share_cameras
@@ -244,6 +246,7 @@ __all__ = [
     "Problem",
     "ProgressBar",
     "RelativePoseFactor",
+    "Reliability",
     "ReprojectionError",
     "ReprojectionFactor",
     "Repropagation",
@@ -322,6 +325,7 @@ __all__ = [
     "propagate",
     "read_comparison",
     "refine_tracks",
+    "reliability",
     "report",
     "reprojection_errors",
     "run_odometry",

@@ -299,6 +299,15 @@ def covariance(
     of_images: bool = ...,
     functions: NDArray[np.float64] | None = ...,
 ) -> dict[str, Any]: ...
+def reliability(
+    problem: _Problem,
+    options: dict[str, Any],
+    restrictions: _Restrictions | None,
+    factors: tuple[list[Any], list[Any], list[tuple[str, int]]] | None,
+    least: float,
+    num_worst: int,
+    long_sums: bool = ...,
+) -> dict[str, Any]: ...
 
 # bind_rest.cpp
 def marginalize_rest(

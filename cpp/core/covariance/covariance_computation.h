@@ -26,6 +26,9 @@
 
 namespace bundle {
 
+struct ReliabilityOptions;  // reliability.h
+struct ReliabilityOutput;
+
 class CovarianceComputation {
  public:
   using Matrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
@@ -54,12 +57,7 @@ class CovarianceComputation {
     if (!wanted_.of_images) return std::move(output_);
     FindRelative();
     if (wanted_.sandwich) FindScatter();
-    Check(system_.Invert());
-    int unknown = -1;
-    if (const double inflation = system_.LargestInflation(&unknown); inflation > 1 / kSingular) {
-      NotDetermined(unknown, "a variance " + ShortNumber(inflation) +
-                                 " times as large as with all other unknowns known");
-    }
+    InvertAndCheck();
     if (constraints_ != nullptr && !wanted_.sandwich) {
       constraints_->TransformBlocks(system_.structure(), &system_.values());
     }
@@ -74,6 +72,8 @@ class CovarianceComputation {
     WarnOfTriangle();
     return std::move(output_);
   }
+
+  void FindReliability(const ReliabilityOptions& wanted, ReliabilityOutput* found);
 
  private:
   const ParameterLayout& layout() const { return system_.layout(); }
@@ -128,6 +128,15 @@ class CovarianceComputation {
     throw InputError(
         "problem: expected normal equations of full rank except for the gauge, found " + found +
         at + ": something is not determined by what is observed; bundle diagnose says what");
+  }
+
+  void InvertAndCheck() {
+    Check(system_.Invert());
+    int unknown = -1;
+    if (const double inflation = system_.LargestInflation(&unknown); inflation > 1 / kSingular) {
+      NotDetermined(unknown, "a variance " + ShortNumber(inflation) +
+                                 " times as large as with all other unknowns known");
+    }
   }
 
   /// The factorisation of S detects degrees of freedom that the gauges of a solve leave free.
@@ -293,7 +302,15 @@ class CovarianceComputation {
   static constexpr double kSingular = 1e-13;
   static constexpr int kLocal = kImageColumns;
 
-  // factorize.cpp
+  // reliability.cpp
+  void FindLeverages(const LongMatrix& inverse, const ReliabilityOptions& wanted,
+                     ReliabilityOutput* found);
+  Eigen::MatrixXd CovarianceOf(const std::vector<int>& unknowns, const LongMatrix& inverse) const;
+  void FindWorst(const ReliabilityOptions& wanted, ReliabilityOutput* found) const;
+  void FindEffects(ReliabilityOutput* found);
+  void SubtractEliminated(const PointBlocks& blocks, const Vector3& b, Eigen::MatrixXd* columns,
+                          int k) const;
+  // covariance_computation.cpp
   void CorrectScores();
   LongMatrix SumHeld() const;
   void Factorize();
@@ -304,7 +321,7 @@ class CovarianceComputation {
   Matrix3 OfPoint(int point, const PointBlocks& blocks, PaddedRows* y) const;
   Matrix3 ScatterOfPoint(int point, const PointBlocks& blocks, const PointAssembler& rows,
                          PaddedRows* y) const;
-  // relative_poses.cpp
+  // covariance_computation.cpp
   void FindRelative();
   Matrix6 OfRelativePose(int a, int b, const Matrix& from_a, const Matrix& from_b) const;
   Eigen::MatrixXd UnknownsOfImage(int image) const;

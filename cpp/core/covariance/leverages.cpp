@@ -7,10 +7,11 @@
 #include <cmath>
 #include <cstddef>
 #include <numeric>
+#include <type_traits>
 #include <utility>
 #include <vector>
 
-#include "core/covariance/eliminated_rows.h"
+#include "core/covariance/point_pairs.h"
 #include "core/error.h"
 
 namespace bundle {
@@ -112,13 +113,44 @@ double FindCurvature(const Found& found) {
       "them beyond its scale; use a larger loss_scale or weights");
 }
 
+/// Columns of a block of C, `stride` numbers apart.
+template <typename Scalar>
+struct BlockOfInverse {
+  const Scalar* values;
+  int64_t stride;
+};
+
+/// to_a += C_ab Y_b and to_b += C_ab^T Y_a, for rows of four numbers; a = b: only the lower
+/// triangle is defined.
+BUNDLE_FOR_TWO_PROCESSORS
+void AddPair(BlockOfInverse<double> block, int rows, int columns, bool is_diagonal,
+             const double* ya, const double* yb, double* to_a, double* to_b) {
+  const Four* const rows_a = reinterpret_cast<const Four*>(ya);
+  const Four* const rows_b = reinterpret_cast<const Four*>(yb);
+  Four* const sums_a = reinterpret_cast<Four*>(to_a);
+  Four* const sums_b = reinterpret_cast<Four*>(to_b);
+  const double* column = block.values;
+  for (int c = 0; c < columns; ++c, column += block.stride) {
+    const Four yc = rows_b[c];
+    Four sum = {};
+    int r = 0;
+    if (is_diagonal) {
+      sum = column[c] * yc;
+      r = c + 1;
+    }
+    for (; r < rows; ++r) {
+      sums_a[r] += column[r] * yc;
+      sum += column[r] * rows_a[r];
+    }
+    sums_b[c] += sum;
+  }
+}
+
 /// Leverages of the observations of one point, or of none, from blocks of C.
 template <typename Scalar>
 class Leverages {
  public:
-  using Block = Eigen::Matrix<Scalar, Eigen::Dynamic, Eigen::Dynamic>;
-  using Block2 = Eigen::Matrix<Scalar, 2, 2>;
-  using Rows3 = Eigen::Matrix<Scalar, Eigen::Dynamic, 3>;
+  using Matrix3 = Eigen::Matrix<Scalar, 3, 3>;
 
   Leverages(const ReducedSystem& system, const LongMatrix& inverse)
       : system_(system), inverse_(inverse) {}
@@ -130,60 +162,109 @@ class Leverages {
 
   /// C Y and V^-1 + Y^T C Y of a point
   void TakePoint(const PointBlocks& blocks) {
-    using RowMajor3 = Eigen::Matrix<double, Eigen::Dynamic, 3, Eigen::RowMajor>;
-    const Rows3 y = Eigen::Map<const RowMajor3>(blocks.y.data(), blocks.begin.back(), 3)
-                        .template cast<Scalar>();
-    cy_ = Rows3::Zero(y.rows(), 3);
-    for (size_t a = 0; a < blocks.blocks.size(); ++a) {
-      for (size_t b = 0; b < blocks.blocks.size(); ++b) {
-        const Block block = BlockOf(blocks.blocks[a], blocks.blocks[b]);
-        cy_.middleRows(blocks.begin[a], block.rows()) +=
-            block.lazyProduct(y.middleRows(blocks.begin[b], block.cols()));
+    y_.assign(blocks.y.size() / 3 * 4, Scalar(0));
+    for (size_t i = 0; i < blocks.y.size(); ++i) y_[i / 3 * 4 + i % 3] = blocks.y[i];
+    cy_.assign(y_.size(), Scalar(0));
+    for (size_t b = 0; b < blocks.blocks.size(); ++b) {
+      const int j = blocks.blocks[b], columns = blocks.begin[b + 1] - blocks.begin[b];
+      const size_t at_b = 4 * size_t(blocks.begin[b]);
+      for (size_t a = kIsWhole ? 0 : b; a < blocks.blocks.size(); ++a) {
+        const int i = blocks.blocks[a], rows = blocks.begin[a + 1] - blocks.begin[a];
+        const size_t at_a = 4 * size_t(blocks.begin[a]);
+        const BlockOfInverse<Scalar> block = BlockOf(i, j);
+        if constexpr (!kIsWhole) {
+          AddPair(block, rows, columns, a == b, &y_[at_a], &y_[at_b], &cy_[at_a], &cy_[at_b]);
+          continue;
+        }
+        for (int c = 0; c < columns; ++c) {
+          for (int r = 0; r < rows; ++r) {
+            const Scalar value = block.values[c * block.stride + r];
+            for (int k = 0; k < 3; ++k) cy_[at_a + 4 * r + k] += value * y_[at_b + 4 * c + k];
+          }
+        }
       }
     }
-    of_point_ = Eigen::Map<const Eigen::Matrix3d>(blocks.inverse).template cast<Scalar>() +
-                y.transpose().lazyProduct(cy_);
+    of_point_ = Eigen::Map<const Eigen::Matrix3d>(blocks.inverse).template cast<Scalar>();
+    for (size_t row = 0; row < y_.size(); row += 4) {
+      for (int k = 0; k < 9; ++k) of_point_(k / 3, k % 3) += y_[row + k / 3] * cy_[row + k % 3];
+    }
   }
+
+  Eigen::Matrix3d covariance() const { return of_point_.template cast<double>(); }
 
   /// h, with the products of T C T^T multiplied out
   Matrix2d OfPoint(const PointBlocks& blocks, const ObservationRows& rows) const {
     const Eigen::Matrix<Scalar, 2, 3> b =
-        Eigen::Map<const TwoRows>(rows.point, 2, 3).template cast<Scalar>();
-    Block2 cross = Block2::Zero();  // A C Y B^T
+        Eigen::Map<const Eigen::Matrix<double, 2, 3, Eigen::RowMajor>>(rows.point)
+            .template cast<Scalar>();
+    Eigen::Matrix<Scalar, 2, 3> acy = Eigen::Matrix<Scalar, 2, 3>::Zero();
     for (int k = 0; k < rows.num_blocks; ++k) {
       const auto at = std::lower_bound(blocks.blocks.begin(), blocks.blocks.end(), rows.block[k]);
-      const Eigen::Matrix<Scalar, 2, 3> acy = Rows(rows, k).lazyProduct(
-          cy_.middleRows(blocks.begin[at - blocks.blocks.begin()], rows.size[k]));
-      cross += acy.lazyProduct(b.transpose());
+      const Scalar* cy = &cy_[4 * size_t(blocks.begin[at - blocks.blocks.begin()])];
+      for (int r = 0; r < rows.size[k]; ++r, cy += 4) {
+        for (int row = 0; row < 2; ++row) {
+          const Scalar factor = rows.jacobian[k][row * rows.size[k] + r];
+          for (int m = 0; m < 3; ++m) acy(row, m) += factor * cy[m];
+        }
+      }
     }
+    const Block2 cross = acy.lazyProduct(b.transpose());  // A C Y B^T
     const Eigen::Matrix<Scalar, 2, 3> by_point = b.lazyProduct(of_point_);
     const Block2 h = Own(rows) + by_point.lazyProduct(b.transpose()) - cross - cross.transpose();
     return h.template cast<double>();
   }
 
  private:
-  static Block Rows(const ObservationRows& rows, int k) {
-    return RowsByBlock(rows, k).template cast<Scalar>();
+  using Block2 = Eigen::Matrix<Scalar, 2, 2>;
+
+  /// Use of both triangles, for an inverse in long doubles: each column solves the equations up to
+  /// rounding, so that its errors are along directions that the rows of J hardly see. With half of
+  /// another column, they are not.
+  static constexpr bool kIsWhole = !std::is_same_v<Scalar, double>;
+
+  /// Block (i, j); i >= j unless C is whole.
+  BlockOfInverse<Scalar> BlockOf(int i, int j) const {
+    if constexpr (kIsWhole) {
+      const std::vector<CameraBlock>& blocks = system_.layout().blocks();
+      const Eigen::Index rows = inverse_.rows();
+      return {inverse_.data() + blocks[i].offset + rows * blocks[j].offset, rows};
+    } else {
+      const BlockStructure& s = system_.structure();
+      return {system_.values().data() + s.ValueIndex(j, s.Entry(j, i), 0, 0), s.panel_stride[j]};
+    }
   }
 
-  Block BlockOf(int row, int column) const {
-    const std::vector<CameraBlock>& blocks = system_.layout().blocks();
-    const CameraBlock &to = blocks[row], &from = blocks[column];
-    if (inverse_.size() > 0) {
-      return inverse_.block(to.offset, from.offset, to.size, from.size).template cast<Scalar>();
+  /// A_a C_ab A_b^T of two blocks of an observation
+  Block2 Product(const ObservationRows& rows, int a, int b) const {
+    if (!kIsWhole && rows.block[a] < rows.block[b]) return Product(rows, b, a).transpose();
+    Block2 sum = Block2::Zero();
+    const BlockOfInverse<Scalar> block = BlockOf(rows.block[a], rows.block[b]);
+    const int size_a = rows.size[a], size_b = rows.size[b];
+    const double *const ja = rows.jacobian[a], *const jb = rows.jacobian[b];
+    const bool is_half = !kIsWhole && rows.block[a] == rows.block[b];
+    for (int c = 0; c < size_b; ++c) {
+      const Scalar* const column = block.values + c * block.stride;
+      Scalar down[2] = {}, across[2] = {};  // along the column, and along the row beside it
+      for (int r = is_half ? c : 0; r < size_a; ++r) {
+        for (int k = 0; k < 2; ++k) down[k] += ja[k * size_a + r] * column[r];
+        for (int k = 0; k < 2 && is_half && r > c; ++k) across[k] += column[r] * jb[k * size_b + r];
+      }
+      for (int row = 0; row < 2; ++row) {
+        for (int k = 0; k < 2; ++k) {
+          sum(row, k) += down[row] * jb[k * size_b + c] + ja[row * size_a + c] * across[k];
+        }
+      }
     }
-    Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor> block(to.size,
-                                                                                 from.size);
-    system_.CopyBlock(system_.values(), row, column, block.data());
-    return block.template cast<Scalar>();
+    return sum;
   }
 
   Block2 Own(const ObservationRows& rows) const {
     Block2 sum = Block2::Zero();
     for (int a = 0; a < rows.num_blocks; ++a) {
-      for (int b = 0; b < rows.num_blocks; ++b) {
-        const Block left = Rows(rows, a).lazyProduct(BlockOf(rows.block[a], rows.block[b]));
-        sum += left.lazyProduct(Rows(rows, b).transpose());
+      sum += Product(rows, a, a);
+      for (int b = 0; b < a; ++b) {
+        const Block2 product = Product(rows, a, b);
+        sum += product + (kIsWhole ? Product(rows, b, a) : Block2(product.transpose()));
       }
     }
     return sum;
@@ -191,33 +272,41 @@ class Leverages {
 
   const ReducedSystem& system_;
   const LongMatrix& inverse_;
-  Rows3 cy_;
-  Eigen::Matrix<Scalar, 3, 3> of_point_ = Eigen::Matrix<Scalar, 3, 3>::Zero();
+  std::vector<Scalar> y_, cy_;
+  Matrix3 of_point_ = Matrix3::Zero();
 };
 
 template <typename Scalar>
-void FindLeverages(const ReducedSystem& system, const LongMatrix& inverse, Found* found) {
+void VisitLeverages(const ReducedSystem& system, const LongMatrix& inverse,
+                    const LeverageVisitor& of_observation, const PointCovarianceVisitor& of_point) {
   std::vector<Leverages<Scalar>> of_thread(system.num_threads(), {system, inverse});
-  system.ForPoints([&](int, const PointBlocks& blocks, const PointAssembler& rows, int thread) {
+  system.ForPoints([&](int p, const PointBlocks& blocks, const PointAssembler& rows, int thread) {
     Leverages<Scalar>& leverages = of_thread[thread];
     leverages.TakePoint(blocks);
     for (int i = 0; i < rows.num_rows(); ++i) {
-      Take(leverages.OfPoint(blocks, rows.row(i)), rows.row(i), found);
+      of_observation(leverages.OfPoint(blocks, rows.row(i)), rows.row(i));
     }
+    if (of_point) of_point(p, leverages.covariance());
   });
   system.ForObservationsOfFixedPoints(
-      [&](const ObservationRows& rows) { Take(of_thread[0].OfCameras(rows), rows, found); });
+      [&](const ObservationRows& rows) { of_observation(of_thread[0].OfCameras(rows), rows); });
 }
 
 }  // namespace
 
+void ForLeverages(const ReducedSystem& system, const LongMatrix& inverse,
+                  const LeverageVisitor& of_observation, const PointCovarianceVisitor& of_point) {
+  if (inverse.size() > 0) {
+    VisitLeverages<long double>(system, inverse, of_observation, of_point);
+  } else {
+    VisitLeverages<double>(system, inverse, of_observation, of_point);
+  }
+}
+
 CorrectedResiduals CorrectForLeverage(const ReducedSystem& system, const LongMatrix& inverse) {
   Found found(static_cast<size_t>(system.problem().num_observations));
-  if (inverse.size() > 0) {
-    FindLeverages<long double>(system, inverse, &found);
-  } else {
-    FindLeverages<double>(system, inverse, &found);
-  }
+  ForLeverages(system, inverse,
+               [&](const Matrix2d& h, const ObservationRows& rows) { Take(h, rows, &found); });
   CorrectedResiduals corrected;
   const double rest = Sum(found.rest);
   if (rest > kFullLeverage) corrected.variance = Sum(found.squares) / rest;

@@ -39,6 +39,8 @@
 /// others have to hold such observations. If even then there is none above kLeastCurvature, the
 /// loss rejects too much for a covariance, and InputError is thrown.
 
+#include <Eigen/Core>
+#include <functional>
 #include <vector>
 
 #include "core/covariance/long_sums.h"
@@ -49,14 +51,25 @@ namespace bundle {
 inline constexpr double kFullLeverage = 0.01;
 inline constexpr double kLeastCurvature = 1e-3;
 
+/// Takes h of an observation that counts.
+using LeverageVisitor = std::function<void(const Eigen::Matrix2d& h, const ObservationRows& rows)>;
+/// Takes V^-1 + Y^T C Y, the covariance of a free point.
+using PointCovarianceVisitor = std::function<void(int point, const Eigen::Matrix3d& covariance)>;
+
+/// Visits all observations and then, unless `of_point` is empty, their point, on all threads.
+/// `inverse` empty: the values of the system are C (ReducedSystem::Invert). C may be any inverse of
+/// a gauge: J N = 0.
+void ForLeverages(const ReducedSystem& system, const LongMatrix& inverse,
+                  const LeverageVisitor& of_observation,
+                  const PointCovarianceVisitor& of_point = {});
+
 struct CorrectedResiduals {
   std::vector<double> scores;  ///< r^, two numbers per observation; zero if it does not count
   double variance = 1;         ///< s^2; 1 without degrees of freedom
   double kappa = 1;            ///< exactly 1 without a loss
 };
 
-/// Returns the residuals of a system with this C; `inverse` empty: its values are C
-/// (ReducedSystem::Invert). C may be any inverse of a gauge: J N = 0.
+/// Returns the residuals of a system with this C, as for ForLeverages.
 CorrectedResiduals CorrectForLeverage(const ReducedSystem& system, const LongMatrix& inverse);
 
 }  // namespace bundle

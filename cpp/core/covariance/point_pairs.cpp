@@ -4,16 +4,7 @@
 
 namespace bundle {
 
-/// The function below takes a third of the time of all covariances. It is compiled for two
-/// generations of processors, and the loader chooses one. Sanitizers cannot be used with this
-/// choice, because they start before the loader resolves it.
-#if defined(__x86_64__) && defined(__GNUC__) && !defined(__clang__) && \
-    !defined(__SANITIZE_ADDRESS__) && !defined(__SANITIZE_THREAD__)
-#define BUNDLE_FOR_TWO_PROCESSORS __attribute__((target_clones("avx2", "default")))
-#else
-#define BUNDLE_FOR_TWO_PROCESSORS
-#endif
-
+/// A third of the time of all covariances.
 BUNDLE_FOR_TWO_PROCESSORS
 void AddPairs(const ReducedSystem& system, const BlockValues& values, const PointBlocks& blocks,
               const PaddedRows& y, double sum[9]) {

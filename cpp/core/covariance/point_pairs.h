@@ -8,6 +8,15 @@
 #include "core/covariance/point_blocks.h"
 #include "core/covariance/reduced_system.h"
 
+/// A function so marked is compiled for two generations of processors, and the loader chooses one.
+/// Sanitizers cannot be used with this choice, because they start before the loader resolves it.
+#if defined(__x86_64__) && defined(__GNUC__) && !defined(__clang__) && \
+    !defined(__SANITIZE_ADDRESS__) && !defined(__SANITIZE_THREAD__)
+#define BUNDLE_FOR_TWO_PROCESSORS __attribute__((target_clones("avx2", "default")))
+#else
+#define BUNDLE_FOR_TWO_PROCESSORS
+#endif
+
 namespace bundle {
 
 /// Four numbers that the processor adds at once; without alignment.

@@ -157,6 +157,7 @@ class ReducedSystem {
   void FindPointCovariances(const FreeGauge* gauge, double* to) const;
   /// Rows of a factor's Jacobian by the free variables: three columns per point, then unknowns.
   struct FactorRows {
+    int factor = 0;  ///< its index
     int num_rows = 0;
     int num_measurements = 0;  ///< independent rows
     std::vector<int> points;

@@ -55,9 +55,11 @@ void ReducedSystem::ForObservationsOfFixedPoints(
 
 void ReducedSystem::ForFactors(const std::function<void(const FactorRows&)>& visit) const {
   if (problem_.factors == nullptr) return;
+  int index = -1;
   for (const std::unique_ptr<Factor>& factor : problem_.factors->factors) {
     const ChartedFactor charted(*factor, problem_, layout_);
     FactorRows rows;
+    rows.factor = ++index;
     rows.num_rows = charted.num_residuals();
     rows.num_measurements = factor->num_measurements();
     rows.points = charted.unknowns().points;

@@ -46,7 +46,7 @@ class Way(Row):
         accepts: arguments of other kinds of INPUT that this kind has, too, beside ``names``; None:
             ``run`` refuses the others.
         judges: True to search for findings after the call.
-        saves: True to write the result to --output by its ``save``.
+        saves: True to write the result to --output, if it is given, by its ``save``.
         report: function that makes the report.
         tells: attributes of the run that ``report`` gets.
         code: exit code by the result; None: 0.
@@ -350,13 +350,15 @@ COMMANDS: dict[str, Command] = {
     ),
     "diagnose": Command(
         help="find undetermined parameters of a model or pose graph: rank, weak directions, "
-        "components, suspicious edges",
-        also="gauge rank",
+        "components, suspicious edges; errors that would go unnoticed",
+        also="gauge rank redundancy reliability",
         usage="INPUT [options]",
         arguments=lambda a: (
             a.INPUT,
             a.RIG_CONFIG,
             a.options("SolveOptions", "what would be refined", a.LINEARIZATION),
+            a.RELIABILITY_ARRAYS,
+            a.options("ReliabilityOptions", "errors that would go unnoticed"),
             a.RULES,
             a.measurements(
                 "What a refine with the same flags would be given; the model is looked at in "
@@ -375,8 +377,10 @@ COMMANDS: dict[str, Command] = {
                 stage="diagnosing",
                 options="SolveOptions",
                 names="interface.options:LINEARIZATION",
+                keywords="ReliabilityOptions",
                 gives="priors constraints",
                 judges=True,
+                saves=True,
                 report="reports.terminal.analyses:diagnosed",
                 tells="source input found asked wall findings",
             ),

@@ -261,6 +261,14 @@ ARRAYS = argument(
     "camera_ids, camera_covariance, sigma0, dof and others",
     use=1,
 )
+RELIABILITY_ARRAYS = argument(
+    "-o",
+    "--output",
+    metavar="FILE.npz",
+    type=PathArgument("file", format="arrays for NumPy (.npz)", own=".npz"),
+    help="with --reliability, arrays for NumPy: redundancy (n, 2), least_redundancy, "
+    "standardized, minimal_detectable_error [px], external_bound and others",
+)
 SUFFIX = r"(\.txt(\.gz|\.bz2)?)?$"
 """Suffix of a BAL file."""
 

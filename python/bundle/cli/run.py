@@ -139,7 +139,7 @@ class Run:
             self._call(keywords)
         if way.judges:
             self.judge()
-        if way.saves:
+        if way.saves and self.target:
             self.write(self.target, self.found.save)
         if way.code is not None:
             self.code = way.code(self.found)
@@ -331,7 +331,10 @@ def refuse_recording_flags(arguments: argparse.Namespace) -> None:
 # The parser records the words that are values of a flag (``Parser.taken``), so no word is guessed
 # to be INPUT, a flag or a value.
 
-DROPPED = ("output", "json", "html", "quiet", "verbose", "check_gradients")
+DROPPED = (
+    *("output", "json", "html", "quiet", "verbose", "check_gradients"),
+    *("reliability", "delta0"),
+)
 """Arguments about the files and the output of a run, which do not affect the model."""
 CHECKPOINTS = {"resume": "--checkpoint"}
 """A checkpoint belongs to the options of its run: the next run begins it anew."""

@@ -72,6 +72,35 @@ class CovarianceOptions(Options):
     )
 
 
+DELTA0 = 4.13
+"""Shift of a standardised residual that a test finds: level 0.1 %, power 80 % (W. Baarda)."""
+
+
+@documented
+@dataclass(frozen=True, kw_only=True, repr=False)
+class ReliabilityOptions(Options):
+    """Options of ``bundle diagnose`` for reliability.
+
+    Raises:
+        InputError: an option has a value outside its range; the message names option and value.
+    """
+
+    reliability: bool = option(
+        False,
+        "--reliability",
+        "also compute the redundancy of every measurement, and which errors would go unnoticed",
+        negatable=False,
+    )
+    delta0: float = option(
+        DELTA0,
+        "--delta0",
+        "shift of a standardised residual that a test has to find; 4.13: level 0.1 %, power 80 %",
+        above=0,
+        metavar="X",
+        only_with=("reliability", (True,)),
+    )
+
+
 def one_of(name: str, value: Any, choices: tuple[str, ...]) -> str:
     """Return the choice that equals a word; case, hyphens and underscores are ignored.
 

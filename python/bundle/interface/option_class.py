@@ -261,6 +261,7 @@ OPTION_CLASSES = {
     "OutOfCoreOptions": "round_options",
     "PoseGraphOptions": "pose_graph_options",
     "RankOptions": "planning_options",
+    "ReliabilityOptions": "analysis_options",
     "RoundOptions": "round_options",
     "RuleOptions": "camera_edit_options",
     "SceneOptions": "scene_options",

@@ -32,6 +32,8 @@ from bundle.graphs.factors.factor_graph import FactorGraph
 from bundle.graphs.factors.same_problem import pose_graph_of, problem_of
 from bundle.graphs.pose_graphs.edge_weights import is_graph, refuse_for_graphs
 from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
+from bundle.interface.analysis_options import DELTA0
+from bundle.interface.finding import one_list
 from bundle.interface.option_class import takes_options
 from bundle.interface.option_keywords import PoseGraphKeywords, SolveKeywords
 from bundle.interface.options import SolveOptions
@@ -73,6 +75,8 @@ def diagnose(
     align: bool | None = None,
     bounds: Mapping[tuple[str, int], tuple[ArrayLike, ArrayLike]] | None = None,
     constraints: Constraints | Iterable[str | Rule] | Applied = (),
+    reliability: bool = False,
+    delta0: float = DELTA0,
     **changes: Unpack[SolveKeywords],
 ) -> Diagnosis: ...
 
@@ -87,6 +91,8 @@ def diagnose(
     align: bool | None = None,
     bounds: Mapping[tuple[str, int], tuple[ArrayLike, ArrayLike]] | None = None,
     constraints: Constraints | Iterable[str | Rule] | Applied = (),
+    reliability: bool = False,
+    delta0: float = DELTA0,
     **changes: Any,
 ) -> Diagnosis:
     """Find the determined and undetermined parameters of a problem at its current values.
@@ -118,6 +124,8 @@ def diagnose(
         align: likewise.
         bounds: likewise.
         constraints: likewise.
+        reliability: also compute :func:`bundle.reliability`; of reconstructions.
+        delta0: see there.
         **changes: options by name, which replace those in ``options``.
 
     Raises:
@@ -138,10 +146,16 @@ def diagnose(
             align=align,
             bounds=bounds,
             constraints=constraints,
+            reliability=reliability or None,
         )
     if is_graph(problem):
         refuse_for_graphs(
-            factors=factors, priors=priors, align=align, bounds=bounds, constraints=constraints
+            factors=factors,
+            priors=priors,
+            align=align,
+            bounds=bounds,
+            constraints=constraints,
+            reliability=reliability or None,
         )
         return diagnose_graph(problem, options, **changes)  # type: ignore[arg-type]
     drift = None
@@ -220,6 +234,11 @@ def diagnose(
     }
     bare = Diagnosis(**parts, findings=())
     said = findings(bare, start, tracks, unknowns, found, apart, drift)
+    if reliability:
+        from bundle.analysis.uncertainty.reliability import reliability_of  # on request only
+
+        parts["reliability"] = reliability_of(prepared, delta0)
+        said = one_list(said, parts["reliability"].findings)
     return Diagnosis(**parts, findings=said)
 
 

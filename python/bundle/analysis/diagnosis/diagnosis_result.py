@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,9 +12,12 @@ from bundle.base.arrays import FrozenArrays, no_rows
 from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
 from bundle.base.words import number, plural
-from bundle.errors import brief
+from bundle.errors import InputError, brief
 from bundle.interface.finding import Finding
 from bundle.interface.tabular import Tabular
+
+if TYPE_CHECKING:
+    from bundle.analysis.uncertainty.reliability_result import Reliability
 
 DIGITS = 16
 """Decimal digits of a double, rounded up as in the table of condition numbers."""
@@ -158,6 +161,7 @@ class Diagnosis(FrozenArrays, Displayed, Tabular):
         edge_test: (m,) test of :class:`SuspiciousEdge`; NaN likewise, and away from a minimum.
         noise_scale: factor between actual and expected chi2 of correct edges, from the median over
             the edges, at least 1; tests are compared with chi2 times this factor.
+        reliability: redundancy of the measurements, if it was requested.
     """
 
     nullity: int
@@ -184,6 +188,7 @@ class Diagnosis(FrozenArrays, Displayed, Tabular):
     edge_redundancy: NDArray[np.float64] = no_rows(float)
     edge_test: NDArray[np.float64] = no_rows(float)
     noise_scale: float = 1.0
+    reliability: Reliability | None = None
 
     @property
     def noun(self) -> str:
@@ -243,6 +248,17 @@ class Diagnosis(FrozenArrays, Displayed, Tabular):
         one = len(self.held_pose_ids) == 1
         what = brief(self.held_pose_ids[0]) if one else f"{len(self.held_pose_ids):,}"
         return f", {what} held"
+
+    def save(self, path: str) -> None:
+        """Write the arrays of the reliability to an .npz file.
+
+        Raises:
+            InputError: the reliability was not requested.
+            OSError: the file cannot be written.
+        """
+        if self.reliability is None:
+            raise InputError("output: expected together with reliability, whose arrays it has")
+        self.reliability.save(path)
 
     def _display(self) -> Display:
         lowest = f"{self.eigenvalues[0]:.3g}" if len(self.eigenvalues) else "-"

@@ -20,6 +20,7 @@ from bundle.reports.sections import Column, Report, Section, Table, fields
 from bundle.reports.terminal.inputs import about_input, input_facts
 
 if TYPE_CHECKING:
+    from bundle.analysis.uncertainty.reliability_result import Reliability
     from bundle.checking.gradient_report import GradientReport
     from bundle.graphs.factors.factor_report import FactorCheck
 
@@ -238,7 +239,7 @@ def diagnosed(
     found: Sequence[Finding] = (),
 ) -> Report:
     """Return the report on a reconstruction or a pose graph, with further findings about it."""
-    rows = diagnosis.suspicious_edges[:MOST_EDGES]
+    rows, reliability = diagnosis.suspicious_edges[:MOST_EDGES], diagnosis.reliability
     facts = [
         *input_facts(path, given, rigs=True),
         ("rank", diagnosis.verdict),
@@ -250,9 +251,10 @@ def diagnosed(
     return Report(
         command="diagnose",
         input=about_input(path, given),
-        headline=_headline(diagnosis),
-        findings=one_list(problems, found),
+        headline=[*_headline(diagnosis), *(reliability.sentences if reliability else ())],
+        findings=one_list(problems, reliability.findings if reliability else (), found),
         sections=[
+            *([] if reliability is None else _unnoticed(given, reliability)),
             Section(facts=facts, is_detail=True),
             Section(tables=[_condition(diagnosis)], is_detail=True),
             *([Section(tables=[Table(SUSPICIOUS, rows)])] if rows else []),
@@ -262,6 +264,7 @@ def diagnosed(
             "options": dict(options),
             "ok": diagnosis.ok,
             **fields(diagnosis),
+            "reliability": None if reliability is None else reliability.entries,
             "rank_gap": diagnosis.rank_gap,
             "findings": one_list(diagnosis.findings, found),
             "digits": {
@@ -271,6 +274,53 @@ def diagnosed(
             "wall_time": {"total": wall_time},
         },
     )
+
+
+MOST_ROWS = 20
+"""Number of rows of a table of reliability."""
+
+_PERCENT = "{:.0%}".format
+
+
+def _unnoticed(given: Any, found: Reliability) -> list[Section]:
+    """Return the tables of errors that would go unnoticed, and of what nothing checks."""
+    names = {
+        int(key): shown(name) or str(key)
+        for key, name in zip(given.image_ids, given.image_names, strict=True)
+    }
+    worst = (
+        Column("error in", lambda one: names.get(one.image_id, "-")),
+        Column("of point", "point_id"),
+        Column("unnoticed [px]", "minimal_detectable_error", number),
+        Column("redundancy", "least_redundancy", "{:.3f}".format),
+        Column("moves by sigmas at most", "external_bound", number),
+        Column("point", lambda one: _moved(one.moved_point_id, one.moved_point_sigmas)),
+        Column("image", lambda one: _moved(one.moved_image_id, one.moved_image_sigmas)),
+    )
+    images = (
+        Column("image", lambda one: names.get(one.image_id, "-")),
+        Column("observations", "num_observations"),
+        Column("redundancy", "share", _PERCENT),
+    )
+    priors = (
+        Column("prior", "name"),
+        Column("kind", "kind"),
+        Column("redundancy", lambda one: f"{one.redundancy:.2f} of {one.num_residuals}"),
+        Column("least", "least_redundancy", "{:.3f}".format),
+        Column("test (chi2)", "test", number),
+        Column("degrees of freedom", "degrees"),
+    )
+    tables = [Table(worst, found.worst), Table(images, found.images[:MOST_ROWS])]
+    if found.priors:
+        tables.append(Table(priors, found.priors[:MOST_ROWS]))
+    return [
+        Section(title="Errors that would go unnoticed", tables=tables, is_detail=True),
+        *([Section(notes=found.notes)] if found.notes else []),
+    ]
+
+
+def _moved(key: int | None, sigmas: float) -> str:
+    return "-" if key is None else f"{key} by {number(sigmas)}"
 
 
 def _condition(diagnosis: Diagnosis) -> Table:

@@ -1,0 +1,308 @@
+#include "core/covariance/reliability.h"
+
+#include <Eigen/Core>
+#include <Eigen/LU>
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <map>
+#include <utility>
+#include <vector>
+
+#include "core/covariance/covariance_computation.h"
+#include "core/covariance/leverages.h"
+#include "core/dense/decompositions.h"
+
+namespace bundle {
+namespace {
+
+constexpr double kUnknown = std::numeric_limits<double>::quiet_NaN();
+
+/// Eigenvalues below this share of the largest one are rounding errors.
+constexpr double kNoVariance = 1e-12;
+
+/// The least eigenvalue of I - h, and its direction.
+struct Weakest {
+  double redundancy;
+  double direction[2];
+};
+
+Weakest FindWeakest(double h00, double h01, double h11) {
+  const double half = 0.5 * (h00 - h11), root = std::hypot(half, h01);
+  // Of the two forms of the eigenvector, the one without cancellation.
+  double x = half + root, y = h01;
+  if (half < 0) {
+    x = h01;
+    y = root - half;
+  }
+  const double norm = std::hypot(x, y);
+  Weakest found{1 - 0.5 * (h00 + h11) - root, {1, 0}};
+  if (norm > 0) {
+    found.direction[0] = x / norm;
+    found.direction[1] = y / norm;
+  }
+  return found;
+}
+
+/// C^+ of a covariance, whose rank is found in units of its sigmas.
+Eigen::MatrixXd PseudoInverse(const Eigen::MatrixXd& covariance) {
+  const Eigen::VectorXd sigmas = covariance.diagonal().cwiseMax(0).cwiseSqrt();
+  const Eigen::VectorXd scale = sigmas.unaryExpr([](double s) { return s > 0 ? 1 / s : 0; });
+  const SymmetricEigen of =
+      DecomposeSymmetric(scale.asDiagonal() * covariance * scale.asDiagonal());
+  const double least = kNoVariance * of.values[of.values.size() - 1];
+  const Eigen::VectorXd inverse =
+      of.values.unaryExpr([least](double v) { return v > least ? 1 / v : 0; });
+  const Eigen::MatrixXd scaled = scale.asDiagonal() * of.vectors;
+  return scaled * inverse.asDiagonal() * scaled.transpose();
+}
+
+}  // namespace
+
+void CovarianceComputation::FindReliability(const ReliabilityOptions& wanted,
+                                            ReliabilityOutput* found) {
+  if (is_small_) system_.EliminateByRows();
+  HoldGauge();
+  CountResiduals();
+  const BlockValues held = wanted.num_worst > 0 ? system_.values() : BlockValues();
+  Factorize();
+  FindDirections();
+  LongMatrix inverse;
+  if (is_small_) {
+    inverse.setIdentity(lower_.rows(), lower_.cols());
+    SolveLong(lower_, &inverse);
+  }
+  InvertAndCheck();
+  FindLeverages(inverse, wanted, found);
+  if (wanted.num_worst > 0) {
+    FindWorst(wanted, found);
+    // The poses' covariances need the blocks of the inverse, the movements the factor.
+    if (constraints_ != nullptr) {
+      constraints_->TransformBlocks(system_.structure(), &system_.values());
+    }
+    FindPoints();
+    FindImages();
+    system_.SetSystem(held);
+    Check(system_.Factorize());
+    if (is_small_) {
+      const Eigen::MatrixXd rounded = lower_.cast<double>();
+      system_.TakeFactor(rounded.data());
+    }
+    FindEffects(found);
+  }
+  for (const NullPoint& null : system_.null_points()) output_.null_points.push_back(null.point);
+  output_.warnings = system_.warnings();
+  found->sums = std::move(output_);
+}
+
+void CovarianceComputation::FindLeverages(const LongMatrix& inverse,
+                                          const ReliabilityOptions& wanted,
+                                          ReliabilityOutput* found) {
+  const auto n = static_cast<size_t>(view().num_observations);
+  found->residuals.assign(2 * n, kUnknown);
+  found->leverages.assign(3 * n, kUnknown);
+  found->weights.assign(n, kUnknown);
+  std::map<int, Eigen::MatrixXd> of_points;  // with factors of their own
+  system_.ForFactors([&](const ReducedSystem::FactorRows& rows) {
+    if (!rows.points.empty()) of_points.emplace(rows.points[0], Matrix3::Zero());
+  });
+  ForLeverages(
+      system_, inverse,
+      [&](const Eigen::Matrix2d& h, const ObservationRows& rows) {
+        const auto i = static_cast<size_t>(rows.observation);
+        std::copy_n(rows.residual, 2, &found->residuals[2 * i]);
+        found->weights[i] = rows.weight;
+        found->leverages[3 * i] = h(0, 0);
+        found->leverages[3 * i + 1] = 0.5 * (h(0, 1) + h(1, 0));
+        found->leverages[3 * i + 2] = h(1, 1);
+      },
+      [&](int point, const Eigen::Matrix3d& covariance) {
+        if (const auto at = of_points.find(point); at != of_points.end()) at->second = covariance;
+      });
+  const size_t m = view().factors == nullptr ? 0 : view().factors->factors.size();
+  found->factor_measurements.assign(m, 0);
+  found->factor_redundancy.assign(m, kUnknown);
+  found->factor_least.assign(m, kUnknown);
+  found->factor_test.assign(m, kUnknown);
+  found->factor_rank.assign(m, 0);
+  system_.ForFactors([&](const ReducedSystem::FactorRows& rows) {
+    const auto k = static_cast<size_t>(rows.factor);
+    const Eigen::Map<const Matrix> j(
+        rows.jacobian.data(), rows.num_rows,
+        static_cast<Eigen::Index>(rows.jacobian.size()) / rows.num_rows);
+    Eigen::MatrixXd h = Eigen::MatrixXd::Zero(rows.num_rows, rows.num_rows);
+    if (!rows.points.empty()) {
+      h = j * of_points.at(rows.points[0]) * j.transpose();
+    } else if (!rows.unknowns.empty()) {
+      h = j * CovarianceOf(rows.unknowns, inverse) * j.transpose();
+    }
+    const SymmetricEigen of = DecomposeSymmetric(0.5 * (h + h.transpose()));
+    const Eigen::VectorXd along = of.vectors.transpose() * Eigen::Map<const Eigen::VectorXd>(
+                                                               rows.residual.data(), rows.num_rows);
+    const int idle = rows.num_rows - rows.num_measurements;  // rows that follow from the others
+    found->factor_measurements[k] = rows.num_measurements;
+    found->factor_redundancy[k] = rows.num_measurements - h.trace();
+    found->factor_least[k] = 1 - of.values[rows.num_rows - 1];
+    found->factor_test[k] = 0;
+    for (Eigen::Index i = idle; i < rows.num_rows; ++i) {
+      const double redundancy = 1 - of.values[i];
+      if (redundancy < wanted.least) continue;
+      found->factor_test[k] += along[i] * along[i] / redundancy;
+      ++found->factor_rank[k];
+    }
+  });
+}
+
+/// Entries of C between all pairs of these unknowns, whose blocks a factor couples.
+Eigen::MatrixXd CovarianceComputation::CovarianceOf(const std::vector<int>& unknowns,
+                                                    const LongMatrix& inverse) const {
+  const auto size = static_cast<Eigen::Index>(unknowns.size());
+  const BlockStructure& s = system_.structure();
+  Eigen::MatrixXd covariance(size, size);
+  for (Eigen::Index a = 0; a < size; ++a) {
+    for (Eigen::Index b = 0; b < size; ++b) {
+      if (inverse.size() > 0) {
+        covariance(a, b) = static_cast<double>(inverse(unknowns[a], unknowns[b]));
+        continue;
+      }
+      const int row = std::max(unknowns[a], unknowns[b]);
+      const int column = std::min(unknowns[a], unknowns[b]);
+      const int i = s.BlockOf(row), j = s.BlockOf(column);
+      covariance(a, b) =
+          system_.values()[s.ValueIndex(j, s.Entry(j, i), row - s.offset[i], column - s.offset[j])];
+    }
+  }
+  return covariance;
+}
+
+/// The observations of the least redundancy that is not below the limit; ties by index.
+void CovarianceComputation::FindWorst(const ReliabilityOptions& wanted,
+                                      ReliabilityOutput* found) const {
+  std::vector<std::pair<double, int64_t>> candidates;
+  for (int64_t i = 0; i < view().num_observations; ++i) {
+    const double* const h = &found->leverages[3 * size_t(i)];
+    if (!(found->weights[i] > 0)) continue;
+    const double least = FindWeakest(h[0], h[1], h[2]).redundancy;
+    if (least >= wanted.least) candidates.emplace_back(least, i);
+  }
+  const size_t count = std::min(candidates.size(), size_t(wanted.num_worst));
+  std::partial_sort(candidates.begin(), candidates.begin() + static_cast<std::ptrdiff_t>(count),
+                    candidates.end());
+  for (size_t k = 0; k < count; ++k) {
+    found->worst.push_back({});
+    found->worst.back().observation = candidates[k].second;
+  }
+}
+
+/// J~^T u / sqrt(l) of each of these observations is b, and x = G b with any inverse G of a gauge:
+///
+///   x_c = C (b_c - Y_q b_q) with q its own point,      x_p = V_p^-1 b_p - Y_p^T x_c.
+///
+/// Inner constraints subtract N s, with s = N^T x = K^T x_c + N_q^T V_q^-1 b_q (free_gauge.h).
+void CovarianceComputation::FindEffects(ReliabilityOutput* found) {
+  const int count = static_cast<int>(found->worst.size()), n = system_.num_unknowns();
+  if (count == 0) return;
+  const int degrees = constraints_ == nullptr ? 0 : gauge_->degrees();
+  Eigen::MatrixXd rhs = Eigen::MatrixXd::Zero(n, count), x = rhs;
+  Eigen::MatrixXd own = Eigen::MatrixXd::Zero(3, count);  // V_q^-1 b_q
+  Eigen::MatrixXd s = Eigen::MatrixXd::Zero(degrees, count);
+  for (int k = 0; k < count; ++k) {
+    ObservationRows rows;
+    const int64_t i = found->worst[k].observation;
+    system_.evaluator().Evaluate(i, &rows);
+    const double* const h = &found->leverages[3 * size_t(i)];
+    const Weakest weakest = FindWeakest(h[0], h[1], h[2]);
+    const double length = 1 / std::sqrt(weakest.redundancy);
+    const double u[2] = {length * weakest.direction[0], length * weakest.direction[1]};
+    for (int b = 0; b < rows.num_blocks; ++b) {
+      const int offset = layout().blocks()[rows.block[b]].offset;
+      for (int c = 0; c < rows.size[b]; ++c) {
+        rhs(offset + c, k) +=
+            u[0] * rows.jacobian[b][c] + u[1] * rows.jacobian[b][rows.size[b] + c];
+      }
+    }
+    const int point = view().observation_point[i];
+    if (!layout().point_is_free(point)) continue;
+    Vector3 of_point;
+    for (int c = 0; c < 3; ++c) of_point[c] = u[0] * rows.point[c] + u[1] * rows.point[3 + c];
+    system_.ForPoints(1, {point}, [&](int, const PointBlocks& blocks, const PointAssembler&, int) {
+      SubtractEliminated(blocks, of_point, &rhs, k);
+      own.col(k) = Eigen::Map<const Matrix3>(blocks.inverse) * of_point;
+      if (degrees > 0) s.col(k) += gauge_->OfPoint(point).transpose() * own.col(k);
+    });
+  }
+  Check(system_.Solve(rhs.data(), count, x.data()));
+  if (degrees > 0) s += gauge_->reduced().transpose() * x;
+  const Matrix by_unknown = x;  // the columns of an unknown side by side
+  Matrix moved = x;
+  if (degrees > 0) moved -= gauge_->cameras() * s;
+  for (int i = 0; i < view().num_images; ++i) {
+    const Matrix6 covariance = Eigen::Map<const Matrix6>(&output_.poses[36 * size_t(i)]);
+    if (!(covariance.trace() > 0)) continue;
+    const Eigen::MatrixXd inverse = PseudoInverse(covariance);
+    Matrix rows = LocalRows(i, moved);
+    if (centered_.is_moved()) rows = MapBack(i) * rows;
+    for (int k = 0; k < count; ++k) {
+      const double sigmas = std::sqrt(rows.col(k).dot(inverse * rows.col(k)));
+      ExternalEffect& effect = found->worst[k];
+      if (!(sigmas > effect.image_sigmas)) continue;
+      effect.image = i;
+      effect.image_sigmas = sigmas;
+    }
+  }
+  Matrix sigmas = Matrix::Zero(view().num_points, count);
+  system_.ForPoints([&](int p, const PointBlocks& blocks, const PointAssembler&, int) {
+    const Matrix3 covariance = Eigen::Map<const Matrix3>(&output_.points[9 * size_t(p)]);
+    if (!(covariance.trace() > 0)) return;
+    Eigen::Matrix<double, 3, Eigen::Dynamic, Eigen::RowMajor> of(3, count);
+    of.setZero();
+    for (int k = 0; k < count; ++k) {
+      if (view().observation_point[found->worst[k].observation] == p) of.col(k) = own.col(k);
+    }
+    for (size_t b = 0; b < blocks.blocks.size(); ++b) {
+      const double* y = &blocks.y[3 * size_t(blocks.begin[b])];
+      const CameraBlock& block = layout().blocks()[blocks.blocks[b]];
+      for (int r = 0; r < block.size; ++r, y += 3) {
+        for (int c = 0; c < 3; ++c) of.row(c) -= y[c] * by_unknown.row(block.offset + r);
+      }
+    }
+    if (degrees > 0) of -= gauge_->OfPoint(p) * s;
+    const Matrix3 inverse = covariance.inverse();
+    for (int k = 0; k < count; ++k) {
+      sigmas(p, k) = std::sqrt(of.col(k).dot(inverse * of.col(k)));
+    }
+  });
+  for (int p = 0; p < view().num_points; ++p) {
+    for (int k = 0; k < count; ++k) {
+      ExternalEffect& effect = found->worst[k];
+      if (!(sigmas(p, k) > effect.point_sigmas)) continue;
+      effect.point = p;
+      effect.point_sigmas = sigmas(p, k);
+    }
+  }
+}
+
+/// Subtracts Y b of a point from column k.
+void CovarianceComputation::SubtractEliminated(const PointBlocks& blocks, const Vector3& b,
+                                               Eigen::MatrixXd* columns, int k) const {
+  for (size_t a = 0; a < blocks.blocks.size(); ++a) {
+    const int offset = layout().blocks()[blocks.blocks[a]].offset;
+    for (int row = blocks.begin[a]; row < blocks.begin[a + 1]; ++row) {
+      const Eigen::Map<const Vector3> y(&blocks.y[3 * size_t(row)]);
+      (*columns)(offset + row - blocks.begin[a], k) -= y.dot(b);
+    }
+  }
+}
+
+ReliabilityOutput ComputeReliability(const AdjustmentProblem& problem, const SolveOptions& options,
+                                     const ReliabilityOptions& wanted) {
+  SolveOptions all = options;
+  all.gauge = Gauge::kNone;
+  CovarianceOptions of_inverse;
+  of_inverse.long_sums = wanted.long_sums;
+  ReliabilityOutput found;
+  CovarianceComputation(problem, all, of_inverse).FindReliability(wanted, &found);
+  return found;
+}
+
+}  // namespace bundle
