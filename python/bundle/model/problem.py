@@ -22,10 +22,10 @@ from bundle.base.display import Display, Displayed
 from bundle.base.optional_packages import require_pycolmap
 from bundle.base.records import dataclass
 from bundle.base.words import FORMATS, contents, format_name, plural
-from bundle.errors import InputError
 from bundle.interface.option_fields import choice
 from bundle.model import rig_arrays, rolling_shutter
 from bundle.model.cameras import camera_models
+from bundle.model.problem_arrays import ProblemArrays
 from bundle.model.problem_fields import ARRAYS, check_values, default, sigmas_or_none, strings
 from bundle.model.pycolmap.deferred_source import DeferredSource
 from bundle.model.pycolmap.problem_source import packed, unpacked
@@ -39,13 +39,8 @@ if TYPE_CHECKING:
     from bundle.model.selection import Selection
 
 
-def _by_default() -> Any:
-    """Return None, a placeholder for the default until the number of images is known."""
-    return None
-
-
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class Problem(Displayed):
+class Problem(ProblemArrays, Displayed):
     """A bundle adjustment problem.
 
     Poses, camera models and parameters, points and observations are required; all other fields have
@@ -114,29 +109,6 @@ class Problem(Displayed):
             or the image, camera, point, observation, frame or sensor.
     """
 
-    cam_from_world: NDArray[np.float64]
-    image_ids: NDArray[np.int64] = field(default_factory=_by_default)
-    image_names: tuple[str, ...] = field(default_factory=_by_default)
-    image_camera: NDArray[np.int32] = field(default_factory=_by_default)
-    camera_ids: NDArray[np.int64] = field(default_factory=_by_default)
-    camera_models: tuple[str, ...]
-    camera_params: NDArray[np.float64]
-    camera_sizes: NDArray[np.int64] = field(default_factory=_by_default)
-    points: NDArray[np.float64]
-    point_ids: NDArray[np.int64] = field(default_factory=_by_default)
-    observation_image: NDArray[np.int32]
-    observation_point: NDArray[np.int32]
-    observation_xy: NDArray[np.float64]
-    observation_keypoint: NDArray[np.int32] = field(default_factory=_by_default)
-    observation_sigma: NDArray[np.float64] | None = None
-    rig_from_world: NDArray[np.float64] = field(default_factory=_by_default)
-    frame_ids: NDArray[np.int64] = field(default_factory=_by_default)
-    frame_rig_ids: NDArray[np.int64] = field(default_factory=_by_default)
-    image_frame: NDArray[np.int32] = field(default_factory=_by_default)
-    image_sensor: NDArray[np.int32] = field(default_factory=_by_default)
-    sensor_from_rig: NDArray[np.float64] = field(default_factory=_by_default)
-    sensor_rig_ids: NDArray[np.int64] = field(default_factory=_by_default)
-    sensor_camera_ids: NDArray[np.int64] = field(default_factory=_by_default)
     rolling_shutter: RollingShutter | None = None
     format: str = "memory"
     source: Any = field(default=None, repr=False)
@@ -164,39 +136,9 @@ class Problem(Displayed):
         rolling_shutter.check(self, self.rolling_shutter)
 
     @property
-    def num_images(self) -> int:
-        """Number of registered images."""
-        return len(self.cam_from_world)
-
-    @property
-    def num_cameras(self) -> int:
-        """Number of cameras, with or without an image."""
-        return len(self.camera_params)
-
-    @property
-    def num_points(self) -> int:
-        """Number of points."""
-        return len(self.points)
-
-    @property
-    def num_observations(self) -> int:
-        """Number of observations."""
-        return len(self.observation_xy)
-
-    @property
     def num_rigs(self) -> int:
         """Number of rigs with several sensors and at least one frame."""
         return len(distinct(self.frame_rig_ids))
-
-    @property
-    def num_frames(self) -> int:
-        """Number of frames of rigs with several sensors."""
-        return len(self.rig_from_world)
-
-    @property
-    def num_sensors(self) -> int:
-        """Number of sensors with a sensor_from_rig; reference sensors are not included."""
-        return len(self.sensor_from_rig)
 
     @property
     def projection_centers(self) -> NDArray[np.float64]:
@@ -208,23 +150,6 @@ class Problem(Displayed):
         cross = np.cross(axis, back)
         centers: NDArray[np.float64] = back + scale * (w * cross + np.cross(axis, cross))
         return centers
-
-    def check_padding(self) -> None:
-        """Raise an InputError for nonzero padding in ``camera_params``, which no file can store.
-
-        Such numbers remain if a camera model was replaced by one with fewer parameters.
-        """
-        models = camera_models()
-        lengths = np.array([len(models[name]) for name in self.camera_models], dtype=np.int64)
-        width = self.camera_params.shape[1]
-        beyond = (np.arange(width) >= lengths[:, None]) & (self.camera_params != 0)
-        if beyond.any():
-            camera, column = np.argwhere(beyond)[0]
-            raise InputError(
-                f"camera_params: camera {self.camera_ids[camera]}: expected zeros after the "
-                f"{lengths[camera]} parameters of {self.camera_models[camera]}, "
-                f"found {self.camera_params[camera, column]:g}"
-            )
 
     def __copy__(self) -> Self:
         return self
@@ -246,7 +171,7 @@ class Problem(Displayed):
         poses = rig_arrays.recomputed_poses(self, changes)
         if poses is not None:
             changes["cam_from_world"] = poses
-        return dataclasses.replace(self, **{"source": vars(self)["source"], **changes})
+        return super().replace(**{"source": vars(self)["source"], **changes})
 
     def select(
         self,
@@ -282,12 +207,6 @@ class Problem(Displayed):
     def without_rigs(self) -> Self:
         """Return a copy without rigs in which each image has its own pose, with the same value."""
         return self.replace(**dict.fromkeys(rig_arrays.ARRAYS))
-
-    def _moved(self, **state: Any) -> Self:
-        """Return a copy with other arrays, which must be immutable and valid."""
-        moved = object.__new__(type(self))
-        vars(moved).update(vars(self), **state)
-        return moved
 
     @staticmethod
     def from_pycolmap(reconstruction: pycolmap.Reconstruction) -> Problem:

@@ -12,7 +12,7 @@ left out, a selection has no source and its observations have no keypoint indice
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, Generic, Protocol, Self, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -29,20 +29,7 @@ _Indices = NDArray[np.int64]
 _Mask = NDArray[np.bool_]
 
 
-class _Problem(ProblemArrays, Protocol):
-    """A problem from which copies with other arrays are made."""
-
-    @property
-    def observation_sigma(self) -> NDArray[np.float64] | None: ...
-    @property
-    def rolling_shutter(self) -> RollingShutter | None: ...
-
-    def replace(self, **changes: Any) -> Self: ...
-
-    def _moved(self, **state: Any) -> Self: ...
-
-
-P = TypeVar("P", bound=_Problem)
+P = TypeVar("P", bound=ProblemArrays)
 
 
 @dataclass(frozen=True)
@@ -194,7 +181,7 @@ def select(
             ),
         )
     if of_images is not None or of_cameras is not None:
-        shutter = whole.rolling_shutter
+        shutter: RollingShutter | None = whole.rolling_shutter
         if shutter is not None:
             state["rolling_shutter"] = selected(shutter, chosen["images"], chosen["cameras"])
         count = len(chosen["observations"])

@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class MeasuredResult(SolveRecord, RoundRecords):
+class MeasuredResult(RoundRecords, SolveRecord):  # the first table: iterations
     """Fields and statistics of :class:`bundle.Result`, which describes them."""
 
     problem: Problem
