@@ -231,7 +231,7 @@ class RoundRecords:
     tracks: tuple[TrackRound, ...] = ()
     observation_mask: NDArray[np.bool_] | None = None
 
-    def work(self, num_steps: int) -> str:
+    def _work(self, num_steps: int) -> str:
         """Return the work of all rounds, after a last adjustment of so many steps."""
         rounds = self.rounds
         if not rounds:
@@ -274,7 +274,7 @@ class RoundRecords:
         """Return the result of an adjustment that follows the rounds of an earlier result."""
         return replace(self, rounds=earlier.rounds, observation_mask=earlier.observation_mask)
 
-    def counted_without(self, num_points: int) -> Self:
+    def _counted_without(self, num_points: int) -> Self:
         """Return the result with fewer points in the record of each round."""
         rounds = (replace(done, num_points=done.num_points - num_points) for done in self.rounds)
         return replace(self, rounds=tuple(rounds))

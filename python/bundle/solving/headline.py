@@ -95,7 +95,7 @@ def is_at_minimum(result: Result) -> bool:
 
 def _verdict(result: Result) -> str:
     """Return the outcome with the errors before and after."""
-    kept, done = result.kept, result.work(result.num_steps)
+    kept, done = result.kept, result.work
     if is_at_minimum(result):
         outcome = f"Already at its minimum ({done}, {_stillness(result)})"
     else:

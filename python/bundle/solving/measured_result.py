@@ -156,12 +156,17 @@ class MeasuredResult(RoundRecords, SolveRecord):  # the first table: iterations
             self.initial_problem, self.options, factors=self.factors, priors=self.priors
         )
 
+    @property
+    def work(self) -> str:
+        """Numbers of rounds and of steps in all of them, such as "2 rounds, 31 steps"."""
+        return self._work(self.num_steps)
+
     def without_last_points(self, count: int) -> Self:
         """Return the result without points that were added to the input and have no track."""
         problem, left = self.problem, self.problem.num_points - count
         points, ids = problem.points[:left], problem.point_ids[:left]
         return replace(
-            self.counted_without(count), problem=problem.replace(points=points, point_ids=ids)
+            self._counted_without(count), problem=problem.replace(points=points, point_ids=ids)
         )
 
     def measure(self) -> None:
