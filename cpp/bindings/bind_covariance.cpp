@@ -12,6 +12,7 @@
 #include "bindings/problem_from_python.h"
 #include "bindings/python_progress.h"
 #include "core/covariance/covariance.h"
+#include "core/covariance/influence.h"
 #include "core/covariance/reliability.h"
 
 namespace py = pybind11;
@@ -127,6 +128,47 @@ py::dict Reliability(const py::object& problem, const py::dict& options,
   return d;
 }
 
+using Doubles = py::array_t<double, py::array::c_style | py::array::forcecast>;
+
+/// The arrays have one row per image, camera and point of the problem, which is checked here.
+py::dict Influence(const py::object& problem, const py::dict& options,
+                   const py::object& restrictions, const py::object& given_factors, double least,
+                   const Doubles& images, const Doubles& cameras, const Doubles& points) {
+  bundle::AdjustmentProblem view(ViewProblem(problem));
+  view.restrictions = ViewRestrictions(restrictions, view);
+  GivenFactors factors(given_factors);
+  const bundle::SolveOptions solve_options = OptionsFromPython(options);
+  const auto values = [](const Doubles& array) {
+    return std::vector<double>(array.data(), array.data() + array.size());
+  };
+  const bundle::InfluenceOptions gradient{values(images), values(cameras), values(points)};
+  if (images.size() != 6 * py::ssize_t{view.num_images} ||
+      cameras.size() != py::ssize_t{view.num_cameras} * view.camera_params_stride ||
+      points.size() != 3 * py::ssize_t{view.num_points}) {
+    throw bundle::InputError("gradient: expected a row per image, camera and point");
+  }
+  bundle::ReliabilityOptions wanted;
+  wanted.least = least;
+  PythonProgress watch{py::none()};
+  bundle::InfluenceOutput output = RunWatched(&watch, [&] {
+    bundle::ValidateProblem(view);
+    view.factors = factors.Check();
+    return bundle::ComputeInfluence(view, solve_options, gradient, wanted);
+  });
+  watch.Rethrow();
+  const py::ssize_t n = view.num_observations, num_points = view.num_points;
+  const auto m = static_cast<py::ssize_t>(output.factor_share.size());
+  py::dict d;
+  d["variance"] = output.variance;
+  d["step"] = output.step;
+  d["gauge_share"] = output.gauge_share;
+  d["along"] = ToImmutableNumpy(std::move(output.along), {n, 2});
+  d["without_point"] = ToImmutableNumpy(std::move(output.without_point), {num_points});
+  d["factor_share"] = ToImmutableNumpy(std::move(output.factor_share), {m});
+  PutReliability(std::move(output.reliability), n, &d);
+  return d;
+}
+
 }  // namespace
 
 void BindCovariance(py::module_& m) {
@@ -137,4 +179,7 @@ void BindCovariance(py::module_& m) {
   m.def("reliability", &Reliability, py::arg("problem"), py::arg("options"),
         py::arg("restrictions"), py::arg("factors"), py::arg("least"), py::arg("num_worst"),
         py::arg("long_sums") = true);
+  m.def("influence", &Influence, py::arg("problem"), py::arg("options"), py::arg("restrictions"),
+        py::arg("factors"), py::arg("least"), py::arg("images"), py::arg("cameras"),
+        py::arg("points"));
 }

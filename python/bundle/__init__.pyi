@@ -17,6 +17,8 @@ from bundle.analysis.uncertainty.covariance_by_input import covariance as covari
 from bundle.analysis.uncertainty.covariance_result import Covariance as Covariance
 from bundle.analysis.uncertainty.covariance_result import GraphCovariance as GraphCovariance
 from bundle.analysis.uncertainty.graph_covariance import FactorGraphCovariance as FactorGraphCovariance
+from bundle.analysis.uncertainty.influence import Influence as Influence
+from bundle.analysis.uncertainty.influence import influence as influence
 from bundle.analysis.uncertainty.reliability import reliability as reliability
 from bundle.analysis.uncertainty.reliability_result import Reliability as Reliability
 from bundle.base.paths import get_include as get_include
@@ -220,6 +222,7 @@ __all__ = [
     "ImuNoise",
     "IncrementalSmoother",
     "IncrementalUpdate",
+    "Influence",
     "InputError",
     "Inspection",
     "KeyframeRecord",
@@ -308,6 +311,7 @@ __all__ = [
     "get_include",
     "hold_out",
     "html",
+    "influence",
     "initial_poses",
     "initialize_vio",
     "inspect",

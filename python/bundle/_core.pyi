@@ -308,6 +308,16 @@ def reliability(
     num_worst: int,
     long_sums: bool = ...,
 ) -> dict[str, Any]: ...
+def influence(
+    problem: _Problem,
+    options: dict[str, Any],
+    restrictions: _Restrictions | None,
+    factors: tuple[list[Any], list[Any], list[tuple[str, int]]] | None,
+    least: float,
+    images: NDArray[np.float64],
+    cameras: NDArray[np.float64],
+    points: NDArray[np.float64],
+) -> dict[str, Any]: ...
 
 # bind_rest.cpp
 def marginalize_rest(

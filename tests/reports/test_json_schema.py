@@ -1,6 +1,7 @@
 """Every report validates against the published schema, which describes each of its entries."""
 
 import json
+import shlex
 from pathlib import Path
 
 import jsonschema
@@ -24,7 +25,9 @@ RUNS = {
     "refine that fails": "refine BEHIND -o OUT",
     "covariance": "covariance IN -o OUT.npz",
     "report": "report IN -o OUT.html",
+    "diagnose reliability": "diagnose IN --reliability",
     "evaluate": "evaluate IN --reference IN",
+    "influence": "influence IN --on 'f 1'",
     "merge": "merge IN PART -o OUT",
     "validate": "validate IN --folds 2 --camera-models SIMPLE_RADIAL",
     "align": "align IN -o OUT --reference IN",
@@ -60,7 +63,7 @@ def folder(tmp_path_factory):
 def report_of(folder, words, target):
     names = ("IN", "PART", "BEHIND", "GRAPH.g2o", "OUT")
     line = []
-    for word in words.split():
+    for word in shlex.split(words):
         path = folder if word.split(".")[0] in ("IN", "PART", "BEHIND", "GRAPH") else target
         is_path = word.split(".")[0] in {name.split(".")[0] for name in names}
         line.append(str(path / word) if is_path else word)

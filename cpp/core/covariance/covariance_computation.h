@@ -26,6 +26,8 @@
 
 namespace bundle {
 
+struct InfluenceOptions;  // influence.h
+struct InfluenceOutput;
 struct ReliabilityOptions;  // reliability.h
 struct ReliabilityOutput;
 
@@ -74,6 +76,8 @@ class CovarianceComputation {
   }
 
   void FindReliability(const ReliabilityOptions& wanted, ReliabilityOutput* found);
+  void FindInfluence(const InfluenceOptions& gradient, const ReliabilityOptions& wanted,
+                     InfluenceOutput* found);
 
  private:
   const ParameterLayout& layout() const { return system_.layout(); }
@@ -310,6 +314,8 @@ class CovarianceComputation {
   void FindEffects(ReliabilityOutput* found);
   void SubtractEliminated(const PointBlocks& blocks, const Vector3& b, Eigen::MatrixXd* columns,
                           int k) const;
+  // influence.cpp
+  Eigen::MatrixXd GradientOfCameras(const InfluenceOptions& wanted) const;
   // covariance_computation.cpp
   void CorrectScores();
   LongMatrix SumHeld() const;

@@ -395,6 +395,36 @@ COMMANDS: dict[str, Command] = {
             ),
         },
     ),
+    "influence": Command(
+        help="what a length, height, angle, volume or camera parameter hangs on, and its value "
+        "without each observation, point or image",
+        also="derivative jackknife sensitivity",
+        usage="INPUT --on QUANTITY [options]",
+        arguments=lambda a: (
+            a.INPUT,
+            a.RIG_CONFIG,
+            a.options("InfluenceOptions", "the quantity"),
+            a.options("SolveOptions", "what is refined, as in the solve", a.INFORMATION),
+            a.RULES,
+            a.measurements(
+                "The priors of the solve, by the same flags; control points can be named in the "
+                "quantity.",
+                "--gps exif",
+            ),
+        ),
+        ways={
+            Kind.RECONSTRUCTION: Way(
+                call="analysis.uncertainty.influence:influence_of",
+                stage="differentiating",
+                options="SolveOptions",
+                names="interface.options:INFORMATION",
+                keywords="InfluenceOptions",
+                gives="priors constraints",
+                report="reports.terminal.analyses:influenced",
+                tells="source input found asked wall",
+            ),
+        },
+    ),
     "align": Command(
         help="georeference a model by GPS or control points, or align it to another model",
         also="georegister georeference register model_aligner",

@@ -101,6 +101,31 @@ class ReliabilityOptions(Options):
     )
 
 
+WITHOUT = ("observations", "points", "images")
+
+
+@documented
+@dataclass(frozen=True, kw_only=True, repr=False)
+class InfluenceOptions(Options):
+    """Options of ``bundle influence``."""
+
+    on: str = option(
+        "",
+        "--on",
+        "the quantity: distance A B, height A B, angle A B C, volume A B C D, baseline I J, a "
+        "camera's parameter such as f 1, or a ratio of two with ' / ' between them; A is a point "
+        "id, the name of a control point or image:NAME",
+        metavar="QUANTITY",
+        value="word",
+    )
+    without: str = option(
+        WITHOUT[0],
+        "--without",
+        "what is left out, one by one; images take a factorisation each",
+        choices=WITHOUT,
+    )
+
+
 def one_of(name: str, value: Any, choices: tuple[str, ...]) -> str:
     """Return the choice that equals a word; case, hyphens and underscores are ignored.
 

@@ -255,6 +255,7 @@ OPTION_CLASSES = {
     "GraphFileOptions": "planning_options",
     "GraphOptions": "options",
     "HoldOutOptions": "judging_options",
+    "InfluenceOptions": "analysis_options",
     "LensOptions": "camera_edit_options",
     "LocalOptions": "round_options",
     "LoopOptions": "pose_graph_options",

@@ -83,6 +83,9 @@ _REPORTS = {
     "position:dict|None rotation:dict|None auc:dict|None auc_by_definition:dict|None "
     "rra:dict|None rta:dict|None rpe:dict|None similarity:dict|None association:dict|None "
     "missing:dict|None lens_difference points movement size",
+    "influence": "analysis.uncertainty.influence.Influence options on unit value sigma sigma0 "
+    "share_of_factors hangs_on num_observations without changes notes "
+    "wall_time",
     "info": "analysis.statistics.description.Description.* statistics:dict calibration:dict "
     "chi2:dict tracking degrees_of_freedom:int bad_information:list num_bad_information:int "
     "num_components:int reprojection_error:dict",

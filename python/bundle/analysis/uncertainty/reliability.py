@@ -160,10 +160,7 @@ def reliability_of(prepared: Prepared, delta0: float = DELTA0, scale: str = "uni
     total = float(np.nansum(rows.redundancy)) + sum(
         one.redundancy for one in priors if np.isfinite(one.redundancy)
     )
-    cost = 0.5 * out["weighted_squares"]
-    notes = list(out["warnings"])
-    if prepared.placed.targets is None and out["predicted_decrease"] > AT_MINIMUM * cost > 0:
-        notes.append(not_converged(100 * out["predicted_decrease"] / cost, loss == "trivial"))
+    notes = [*notes_of(prepared, out)]
     if of_two.any():
         notes.append(
             "The two observations of a point with two rays are never checked along the epipolar "
@@ -211,6 +208,32 @@ def reliability_of(prepared: Prepared, delta0: float = DELTA0, scale: str = "uni
     )
 
 
+def notes_of(prepared: Prepared, out: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return the warnings of the core, and whether the problem is no minimum."""
+    cost, decrease = 0.5 * out["weighted_squares"], out["predicted_decrease"]
+    if prepared.placed.targets is not None or not decrease > AT_MINIMUM * cost > 0:
+        return tuple(out["warnings"])
+    is_plain = prepared.layout.options.loss == "trivial"
+    return (*out["warnings"], not_converged(100 * decrease / cost, is_plain))
+
+
+def directions_of(h: _Floats) -> tuple[tuple[_Floats, _Floats], _Floats]:
+    """Return the eigenvectors of I - h and its eigenvalues (n, 2), ascending.
+
+    ``h``: (n, 3) entries h_00, h_01 and h_11 of symmetric matrices.
+    """
+    half = 0.5 * (h[:, 0] - h[:, 2])
+    mean, root = 0.5 * (h[:, 0] + h[:, 2]), np.hypot(half, h[:, 1])
+    # Of the two forms of the eigenvector, the one without cancellation.
+    wide = np.stack([half + root, h[:, 1]], axis=1)
+    high = np.stack([h[:, 1], root - half], axis=1)
+    u = np.where((half >= 0)[:, None], wide, high)
+    length = np.linalg.norm(u, axis=1, keepdims=True)
+    u = np.where(length > 0, u / np.where(length > 0, length, 1), [1.0, 0.0])
+    across = np.stack([-u[:, 1], u[:, 0]], axis=1)
+    return (u, across), np.stack([1 - mean - root, 1 - mean + root], axis=1)
+
+
 class _Rows:
     """Numbers per observation of the core's output."""
 
@@ -221,17 +244,8 @@ class _Rows:
         self.used = self.weight > 0
         h = np.where(self.used[:, None], out["leverages"], np.nan)
         self.redundancy = 1 - h[:, [0, 2]]
-        half, root = 0.5 * (h[:, 0] - h[:, 2]), np.hypot(0.5 * (h[:, 0] - h[:, 2]), h[:, 1])
-        self.least = 1 - 0.5 * (h[:, 0] + h[:, 2]) - root
-        # Of the two forms of the eigenvector, the one without cancellation.
-        is_wide = (half >= 0)[:, None]
-        u = np.where(
-            is_wide,
-            np.stack([half + root, h[:, 1]], axis=1),
-            np.stack([h[:, 1], root - half], axis=1),
-        )
-        length = np.linalg.norm(u, axis=1, keepdims=True)
-        self.direction = np.where(length > 0, u / np.where(length > 0, length, 1), [1.0, 0.0])
+        (self.direction, _), redundancies = directions_of(h)
+        self.least = redundancies[:, 0]
         self.direction[~self.used] = np.nan
         self.uncontrolled = self.used & (self.least < NOT_CHECKABLE)
         checked = np.where(self.redundancy >= NOT_CHECKABLE, self.redundancy, np.nan)

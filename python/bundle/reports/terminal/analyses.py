@@ -20,6 +20,7 @@ from bundle.reports.sections import Column, Report, Section, Table, fields
 from bundle.reports.terminal.inputs import about_input, input_facts
 
 if TYPE_CHECKING:
+    from bundle.analysis.uncertainty.influence import Influence
     from bundle.analysis.uncertainty.reliability_result import Reliability
     from bundle.checking.gradient_report import GradientReport
     from bundle.graphs.factors.factor_report import FactorCheck
@@ -293,9 +294,9 @@ def _unnoticed(given: Any, found: Reliability) -> list[Section]:
         Column("of point", "point_id"),
         Column("unnoticed [px]", "minimal_detectable_error", number),
         Column("redundancy", "least_redundancy", "{:.3f}".format),
-        Column("moves by sigmas at most", "external_bound", number),
-        Column("point", lambda one: _moved(one.moved_point_id, one.moved_point_sigmas)),
-        Column("image", lambda one: _moved(one.moved_image_id, one.moved_image_sigmas)),
+        Column("bound [sigmas]", "external_bound", number),
+        Column("moves point", lambda one: _moved(one.moved_point_id, one.moved_point_sigmas)),
+        Column("moves image", lambda one: _moved(one.moved_image_id, one.moved_image_sigmas)),
     )
     images = (
         Column("image", lambda one: names.get(one.image_id, "-")),
@@ -317,6 +318,30 @@ def _unnoticed(given: Any, found: Reliability) -> list[Section]:
         Section(title="Errors that would go unnoticed", tables=tables, is_detail=True),
         *([Section(notes=found.notes)] if found.notes else []),
     ]
+
+
+def influenced(
+    path: str, given: Problem, found: Influence, options: Mapping[str, Any], wall_time: float
+) -> Report:
+    """Return the report on what a quantity of a reconstruction hangs on."""
+    columns = (
+        Column("without", "what"),
+        Column("share of variance", "share", "{:.1%}".format),
+        Column(f"value [{found.unit or 'model units'}]", "value", number),
+        Column("change [sigmas]", "sigmas", "{:+.2g}".format),
+    )
+    return Report(
+        command="influence",
+        input=about_input(path, given),
+        headline=list(found.sentences),
+        warnings=found.notes,
+        sections=[Section(tables=[Table(columns, found.changes)], is_detail=True)],
+        data={
+            "options": dict(options),
+            **found.entries,
+            "wall_time": {"total": wall_time},
+        },
+    )
 
 
 def _moved(key: int | None, sigmas: float) -> str:

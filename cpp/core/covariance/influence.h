@@ -1,0 +1,59 @@
+#pragma once
+
+/// Influence: how a quantity of the solution depends on each measurement.
+///
+/// Let g be the gradient of a quantity q by all free unknowns, and J~, r~ and C = H^- as in
+/// reliability.h. One adjoint solve, a = C g, with the points eliminated
+///
+///   S a_c = g_c - sum Y_p g_p,        a_p = V_p^-1 g_p - Y_p^T a_c,
+///
+/// gives the variance g^T a of q, and with the rows (J~ a)_i its derivative by every measurement:
+/// the prediction minus the measurement is r~, so that dq/dz_i = (J~ a)_i in sigmas. As sum (J~
+/// a)_i^2 = a^T H a = g^T a, the squares are shares of the variance.
+///
+/// A quantity that a free motion of the world changes has no derivative: with the free similarities
+/// N (free_gauge.h), N^T g must vanish. Then J~ a is the same for any C.
+///
+/// One step of Gauss-Newton moves q by -(J~ a)^T r~, which is 0 at a minimum. Without the
+/// measurements I (rank formula, of the matrix identity of Sherman, Morrison and Woodbury),
+///
+///   dq = (J~ a)_I^T (I - H_II)^+ r~_I,        H_II = J~_I C J~_I^T.
+///
+/// For one observation, H_II is its leverage (leverages.h), and callers apply the formula. For all
+/// observations of a point, which then is no unknown any more, the point is eliminated first. With
+/// T = A - B Y^T, its rows by the camera parameters,
+///
+///   dq = (T a_c)^T (I - T C T^T)^-1 r~        if g_p = 0; B^T r~ = 0 at a minimum,
+///
+/// which has full rank unless the other points leave camera parameters undetermined. Of a robust
+/// loss, the weights stay.
+
+#include <vector>
+
+#include "core/covariance/reliability.h"
+
+namespace bundle {
+
+/// The gradient of a quantity.
+struct InfluenceOptions {
+  std::vector<double> images;   ///< num_images x 6, by (w, t) about the problem's origin
+  std::vector<double> cameras;  ///< num_cameras x stride
+  std::vector<double> points;   ///< num_points x 3
+};
+
+struct InfluenceOutput {
+  double variance = 0;
+  double step = 0;            ///< -(J~ a)^T r~ over all measurements
+  double gauge_share = 0;     ///< ||N^T g|| over the sum of the absolute values of its terms
+  LargeVector<double> along;  ///< num_observations x 2: (J~ a)_i; NaN if it does not count
+  std::vector<double> without_point;  ///< num_points: dq; NaN where it has no value
+  std::vector<double> factor_share;   ///< per factor ||(J~ a)_i||^2; NaN if it has no value
+  ReliabilityOutput reliability;
+};
+
+/// Throws as ComputeReliability.
+InfluenceOutput ComputeInfluence(const AdjustmentProblem& problem, const SolveOptions& options,
+                                 const InfluenceOptions& gradient,
+                                 const ReliabilityOptions& wanted);
+
+}  // namespace bundle

@@ -1,0 +1,414 @@
+"""Influence of the measurements on a quantity: derivatives by pixels, and values without some.
+
+With the gradient g of a quantity q, one adjoint solve a = C g gives all derivatives dq/dz = (J a)_i
+sqrt(rho') / sigma by the measured pixels. The squares of (J~ a)_i sum up to the variance of q, so
+that they are shares of it. Without an observation, or without a point, q changes by the rank
+formula of ``core/covariance/influence.h``; without an image, by one step of Gauss-Newton of the
+smaller problem, which is the same to first order and takes a factorisation each. Changes of one
+sigma are predicted to a few percent of it. The weights of a loss stay as they are.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+import bundle._core as _core
+from bundle.analysis.uncertainty.covariance_by_input import check_same_factors, refuse_huge
+from bundle.analysis.uncertainty.quantity import Quantity, lacking, quantity_of
+from bundle.analysis.uncertainty.reliability import directions_of, notes_of
+from bundle.analysis.uncertainty.reliability_result import NOT_CHECKABLE
+from bundle.base.arrays import FrozenArrays, filled, freeze
+from bundle.base.display import Display, Displayed
+from bundle.base.records import dataclass
+from bundle.base.words import number
+from bundle.errors import InputError
+from bundle.interface.analysis_options import WITHOUT, one_of
+from bundle.interface.option_class import takes_options
+from bundle.interface.options import SolveOptions
+from bundle.interface.tabular import Tabular
+from bundle.io.files import Source, as_problem
+from bundle.solving.prepare import Prepared, prepare
+from bundle.solving.request import SolveRequest
+from bundle.solving.result import Result
+
+if TYPE_CHECKING:
+    from bundle.georeference.measurements import Prior
+    from bundle.graphs.factors.factors import Factor
+    from bundle.solving.constraints.rule_list import Constraints
+    from bundle.solving.constraints.rules import Rule
+
+GAUGE = 1e-7
+"""Relative size of N^T g above which free motions of the world change a quantity."""
+MOST = 20
+"""Number of listed measurements."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Change:
+    """Value of the quantity without some measurements.
+
+    Attributes:
+        what: the measurements, such as "image a.jpg" or "image a.jpg, point 12".
+        share: their share of the variance.
+        value: value without them.
+        sigmas: change in sigmas.
+    """
+
+    what: str
+    share: float
+    value: float
+    sigmas: float
+
+
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class Influence(FrozenArrays, Displayed, Tabular):
+    """A quantity, its sigma, and what each measurement contributes.
+
+    Arrays have a row per observation, image or point of the problem. What does not count, or has no
+    value, has NaN.
+
+    Attributes:
+        on: the quantity.
+        unit: "" for the unit of the model, "px", "degrees" or that of a ratio, "1".
+        value: its value.
+        sigma: its standard deviation, for residuals of the assumed sigmas.
+        sigma0: root of the weighted squares over the degrees of freedom; NaN without any.
+        by_observation: (n, 2) derivative by the measured pixel [unit per px].
+        share: (n,) share of the observation in the variance.
+        share_of_factors: share of priors and other factors in the variance.
+        without_observation: (n,) value without an observation.
+        without_point: (num_points,) value without a point; NaN of points in the quantity.
+        without_image: (num_images,) value without an image; NaN unless requested.
+        hangs_on: number of observations that make half of the variance.
+        num_observations: number of observations that count.
+        without: "observations", "points" or "images", the kind of ``changes``.
+        changes: the 20 largest changes by leaving out one of these.
+        notes: sentences with remarks.
+    """
+
+    on: str
+    unit: str
+    value: float
+    sigma: float
+    sigma0: float
+    by_observation: NDArray[np.float64]
+    share: NDArray[np.float64]
+    share_of_factors: float
+    without_observation: NDArray[np.float64]
+    without_point: NDArray[np.float64]
+    without_image: NDArray[np.float64]
+    hangs_on: int
+    num_observations: int
+    without: str
+    changes: tuple[Change, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def entries(self) -> dict[str, Any]:
+        """The fields that are no arrays, for programs."""
+        names = [field.name for field in dataclasses.fields(self)]
+        values = {name: getattr(self, name) for name in names}
+        return {name: one for name, one in values.items() if not isinstance(one, np.ndarray)}
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """The answer in at most four sentences."""
+        unit = f" {self.unit}" if self.unit not in ("", "1") else ""
+        said = [
+            f"{self.on}: {number(self.value)}{unit}, sigma {number(self.sigma)}{unit}.",
+            f"Half of its variance comes from {self.hangs_on:,} of {self.num_observations:,} "
+            f"observations{self._of_factors}.",
+        ]
+        if self.changes:
+            most = self.changes[0]
+            said.append(
+                f"Without {most.what} it is {number(most.value)}{unit} ({most.sigmas:+.2g} sigmas)."
+            )
+        return tuple(said)
+
+    @property
+    def _of_factors(self) -> str:
+        percent = 100 * self.share_of_factors
+        return f"; {percent:.0f} % of it from priors" if percent >= 1 else ""
+
+    def _display(self) -> Display:
+        rows = tuple(
+            (one.what, f"{100 * one.share:.1f} %", number(one.value), f"{one.sigmas:+.2g}")
+            for one in self.changes
+        )
+        return Display(
+            title=f"Influence: {self.sentences[0]}",
+            facts=tuple(("", sentence) for sentence in self.sentences[1:]),
+            head=("without", "share of variance", "value", "sigmas"),
+            rows=rows,
+        )
+
+
+@takes_options(SolveOptions)
+def influence(
+    problem: Source | Result,
+    on: str,
+    options: SolveOptions | None = None,
+    *,
+    without: str = WITHOUT[0],
+    factors: Iterable[Factor] = (),
+    priors: Iterable[Prior] = (),
+    align: bool | None = None,
+    bounds: Mapping[tuple[str, int], tuple[ArrayLike, ArrayLike]] | None = None,
+    constraints: Constraints | Iterable[str | Rule] = (),
+    **changes: Any,
+) -> Influence:
+    """Find what a quantity of a solution hangs on.
+
+    The derivatives are those of Gauss-Newton at the problem's values, which should be a minimum of
+    a solve with the same options. They do not depend on the gauge.
+
+    Args:
+        problem: problem, its path, or a pycolmap.Reconstruction. For a :class:`Result`, its refined
+            problem and its options are used.
+        on: ``distance A B``, ``height A B`` (z of B minus z of A), ``angle A B C`` (at B, degrees),
+            ``volume A B C D``, ``baseline I J`` or a camera's parameter, such as ``f 1``. A point
+            is an id, the name of a control point, or ``image:NAME`` for a projection centre; an
+            image of a baseline an id or a name. Two quantities with `` / `` between them are a
+            ratio, which needs no datum.
+        options: refined and constant parameters, and the loss, as in :func:`bundle.solve`; the
+            gauge has no effect.
+        without: what ``changes`` leave out: "observations", "points" or "images"; the last takes a
+            factorisation for each image.
+        factors: factors in addition to the observations, as in :func:`bundle.solve`.
+        priors: measured positions and control points, likewise.
+        align: likewise.
+        bounds: bounds of camera parameters; a parameter at an active bound is constant.
+        constraints: rules, as in :func:`bundle.solve`.
+        **changes: options by name, which replace those in ``options``.
+
+    Raises:
+        InputError: the quantity is unknown, undetermined, constant or without a datum; or as
+            :func:`bundle.covariance`.
+        OSError: the path cannot be read.
+
+    Example:
+        >>> found = bundle.influence("sparse/0", "distance 12 87 / baseline 1 8")
+        >>> found.sigma, found.hangs_on
+    """
+    return influence_of(
+        problem,
+        options,
+        on=on,
+        without=without,
+        factors=factors,
+        priors=priors,
+        align=align,
+        bounds=bounds,
+        constraints=constraints,
+        **changes,
+    )
+
+
+def influence_of(
+    problem: Source | Result,
+    options: SolveOptions | None = None,
+    *,
+    on: str,
+    without: str = WITHOUT[0],
+    factors: Iterable[Factor] = (),
+    priors: Iterable[Prior] = (),
+    constraints: Constraints | Iterable[str | Rule] = (),
+    align: bool | None = None,
+    bounds: Mapping[tuple[str, int], tuple[ArrayLike, ArrayLike]] | None = None,
+    **changes: Any,
+) -> Influence:
+    """Find what a quantity hangs on; see :func:`influence`."""
+    if isinstance(problem, Result):
+        check_same_factors(problem, factors, priors, constraints)
+        options = problem.options if options is None else options
+        problem = problem.problem
+    problem = as_problem(problem)
+    options = SolveOptions.of(options, changes, "influence")
+    without = one_of("without", without, WITHOUT)
+    prepared = prepare(
+        SolveRequest(
+            problem=problem,
+            options=options.replace(gauge="none"),
+            factors=factors,
+            priors=priors,
+            align=align,
+            bounds=bounds,
+            constraints=constraints
+            if not isinstance(constraints, Iterable)
+            else tuple(constraints),
+        )
+    )
+    if not problem.num_observations:
+        raise InputError("problem: expected observations, found 0")
+    refuse_huge(prepared.start)
+    targets = prepared.placed.targets
+    names = {}
+    if targets is not None:
+        pairs = zip(targets.used, targets.point_ids, strict=True)
+        names = {target.point.name: key for target, key in pairs}
+    quantity = quantity_of(on, prepared.start, names)
+    return _influence(prepared, quantity, without)
+
+
+def _core_influence(prepared: Prepared, quantity: Quantity, keep: Any = None) -> dict[str, Any]:
+    """Return the output of the core, with some of the observations."""
+    start, layout = prepared.start, prepared.layout
+    if keep is not None:
+        names = ("image", "point", "xy", "keypoint", "sigma")
+        arrays = {f"observation_{name}": getattr(start, f"observation_{name}") for name in names}
+        start = start.replace(
+            **{name: one[keep] for name, one in arrays.items() if one is not None}
+        )
+    return _core.influence(
+        start,
+        layout.options.asdict(),
+        layout.limits,
+        layout.core_factors(),
+        NOT_CHECKABLE,
+        quantity.images,
+        quantity.cameras,
+        quantity.points,
+    )
+
+
+def _influence(prepared: Prepared, quantity: Quantity, without: str) -> Influence:
+    start, given = prepared.start, prepared.request.problem
+    out = _core_influence(prepared, quantity)
+    if out["gauge_share"] > GAUGE:
+        raise InputError(
+            f"on: expected a quantity that the measurements determine, found {quantity.text}, "
+            f"which changes with the {lacking(quantity, start)} of the world; nothing fixes it: "
+            "give control points, positions or fixed images, or a ratio to a baseline"
+        )
+    for row in np.flatnonzero(quantity.points.any(axis=1)):
+        if row in out["null_points"]:
+            raise InputError(
+                f"on: expected points with parallax, found point {start.point_ids[row]} without"
+            )
+    if not out["variance"] > 0:
+        raise InputError(f"on: expected a quantity that varies, found {quantity.text}, a constant")
+    dof = out["num_residuals"] - out["num_parameters"] + out["gauge_degrees"]
+    sigma = float(np.sqrt(out["variance"]))
+    spread = 1.0 if start.observation_sigma is None else start.observation_sigma
+    weight = np.where(out["weights"] > 0, out["weights"], np.nan)
+    share = (out["along"] ** 2).sum(axis=1) / out["variance"]
+    share[~(out["weights"] > 0)] = np.nan
+    by_pixel = out["along"] * (np.sqrt(weight) / spread)[:, None]
+    value, n = quantity.value, given.num_observations
+    of_observations = value + _without_observations(out, sigma)
+    of_points = value + out["without_point"]
+    of_images = filled((start.num_images,), np.nan, float)
+    if without == "images":
+        of_images = _without_images(prepared, quantity, out)
+    ordered = np.sort(share[np.isfinite(share)])[::-1]
+    hangs_on = int(np.searchsorted(np.cumsum(ordered), 0.5 * ordered.sum()) + 1)
+    arrays = {
+        "observations": (of_observations[:n], None),
+        "points": (of_points[: given.num_points], start.observation_point),
+        "images": (of_images[: given.num_images], start.observation_image),
+    }
+    return Influence(
+        on=quantity.text,
+        unit=quantity.unit,
+        value=value,
+        sigma=sigma,
+        sigma0=float(np.sqrt(out["weighted_squares"] / dof)) if dof > 0 else float("nan"),
+        by_observation=freeze(by_pixel[:n]),
+        share=freeze(share[:n]),
+        share_of_factors=float(np.nansum(out["factor_share"]) / out["variance"]),
+        without_observation=freeze(of_observations[:n].copy()),
+        without_point=freeze(of_points[: given.num_points].copy()),
+        without_image=freeze(np.array(of_images[: given.num_images])),
+        hangs_on=min(hangs_on, len(ordered)),
+        num_observations=len(ordered),
+        without=without,
+        changes=_changes(prepared, without, *arrays[without], share, value, sigma),
+        notes=notes_of(prepared, out),
+    )
+
+
+NO_REDUNDANCY = 1e-9
+"""Redundancy that is zero but for rounding."""
+
+
+def _without_observations(out: Mapping[str, Any], sigma: float) -> NDArray[np.float64]:
+    """Return (J a)^T (I - H)^+ r of each observation, by the two eigenvectors u of its H.
+
+    With H u = u, a direction of the unknowns is undetermined without the observation, and r u = 0
+    at a minimum. NaN if the quantity changes along it: u^T J a is its derivative.
+    """
+    directions, redundancies = directions_of(out["leverages"])
+    change = np.zeros(len(redundancies))
+    for u, rest in zip(directions, redundancies.T, strict=True):
+        along = (out["along"] * u).sum(axis=1)
+        residual = (out["residuals"] * u).sum(axis=1)
+        is_seen = rest > NO_REDUNDANCY
+        change += np.where(is_seen, along * residual / np.where(is_seen, rest, 1), 0)
+        change[~is_seen & (np.abs(along) > 1e-6 * sigma)] = np.nan
+    change[~(out["weights"] > 0)] = np.nan
+    return change
+
+
+def _without_images(
+    prepared: Prepared, quantity: Quantity, whole: Mapping[str, Any]
+) -> NDArray[np.float64]:
+    """Return the value without each image that has observations."""
+    start = prepared.start
+    values = np.full(start.num_images, np.nan)
+    used = np.flatnonzero(quantity.points.any(axis=1))
+    for image in np.unique(start.observation_image):
+        keep = start.observation_image != image
+        if not keep.any() or quantity.images[image].any():
+            continue
+        try:
+            out = _core_influence(prepared, quantity, keep)
+        except InputError:
+            continue  # without the image, something is undetermined
+        if np.isin(used, out["null_points"]).any() or out["gauge_share"] > GAUGE:
+            continue
+        values[image] = quantity.value + out["step"] - whole["step"]
+    return values
+
+
+def _changes(
+    prepared: Prepared,
+    without: str,
+    values: NDArray[np.float64],
+    owner: NDArray[np.int32] | None,
+    share: NDArray[np.float64],
+    value: float,
+    sigma: float,
+) -> tuple[Change, ...]:
+    """Return the largest changes by one observation, point or image."""
+    start = prepared.start
+    sizes = share
+    if owner is not None:
+        sizes = np.bincount(owner, np.nan_to_num(share), len(values)).astype(float)
+    change = np.abs(values - value)
+    rows = np.argsort(-np.where(np.isfinite(change), change, -1), kind="stable")[:MOST]
+
+    def words(row: int) -> str:
+        if without == "points":
+            return f"point {start.point_ids[row]}"
+        image = row if without == "images" else start.observation_image[row]
+        name = f"image {start.image_names[image] or start.image_ids[image]}"
+        if without == "images":
+            return name
+        return f"{name}, point {start.point_ids[start.observation_point[row]]}"
+
+    return tuple(
+        Change(
+            what=words(int(row)),
+            share=float(sizes[row]),
+            value=float(values[row]),
+            sigmas=float((values[row] - value) / sigma),
+        )
+        for row in rows
+        if np.isfinite(change[row])
+    )

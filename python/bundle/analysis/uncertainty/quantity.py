@@ -1,0 +1,219 @@
+"""Quantities of a model that users measure: lengths, heights, angles, volumes, camera parameters.
+
+The gradient of a quantity is by all points, poses and camera parameters of a problem. With the
+centre c = -R^T t of an image, whose pose moves by (w, t), R to Exp(w) R,
+
+    dc = -R^T [t]x dw - R^T dt.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.base.records import dataclass
+from bundle.errors import InputError, brief
+from bundle.model.problem_keys import parameter_names
+from bundle.model.rigid_motions import cross_matrices, rotation_matrices
+
+if TYPE_CHECKING:
+    from bundle.model.problem import Problem
+
+_Floats = NDArray[np.float64]
+
+PLACES = {"distance": 2, "height": 2, "angle": 3, "volume": 4, "baseline": 2}
+"""Number of places of each quantity."""
+
+
+_PIXELS = ("f", "fx", "fy", "cx", "cy")
+
+
+@dataclass(frozen=True, eq=False)
+class Quantity:
+    """A function of a problem, with its gradient.
+
+    Attributes:
+        text: the quantity in words.
+        unit: "" for the unit of the model, "px", "degrees" or "1".
+        value: its value.
+        images: (num_images, 6) derivatives by the pose, (w, t).
+        cameras: (num_cameras, k) derivatives by the parameters.
+        points: (num_points, 3) derivatives by the coordinates.
+    """
+
+    text: str
+    unit: str
+    value: float
+    images: _Floats
+    cameras: _Floats
+    points: _Floats
+
+
+def quantity_of(text: str, problem: Problem, markers: Mapping[str, int]) -> Quantity:
+    """Return the quantity that a text names; ``markers``: point ids by name.
+
+    Raises:
+        InputError: the text is no quantity, names something unknown, or the same place twice.
+    """
+    if not isinstance(text, str) or not text.split():
+        raise InputError(f"on: expected a quantity such as 'distance 12 87', found {brief(text)}")
+    above, is_ratio, below = text.partition(" / ")
+    first = _plain(above.split(), problem, markers)
+    if not is_ratio:
+        return first
+    second = _plain(below.split(), problem, markers)
+    if not abs(second.value) > 0:
+        raise InputError(f"on: expected a ratio to a number other than 0, found {brief(text)}")
+    ratio = first.value / second.value
+    parts = {
+        name: (getattr(first, name) - ratio * getattr(second, name)) / second.value
+        for name in ("images", "cameras", "points")
+    }
+    words = f"{first.text} / {second.text}"
+    return replace(first, text=words, unit="1", value=ratio, **parts)
+
+
+def _plain(words: Sequence[str], problem: Problem, markers: Mapping[str, int]) -> Quantity:
+    name, places = (words[0], words[1:]) if words else ("", [])
+    if name not in PLACES:
+        return _parameter(words, problem)
+    if len(places) != PLACES[name]:
+        raise InputError(
+            f"on: expected {PLACES[name]} places after {name}, found {brief(' '.join(words))}"
+        )
+    if len(set(places)) < len(places):
+        raise InputError(f"on: expected different places, found {brief(' '.join(words))}")
+    owners = [_place(word, problem, markers, name == "baseline") for word in places]
+    if len(set(owners)) < len(owners):
+        raise InputError(f"on: expected different places, found {brief(' '.join(words))}")
+    at = np.array(
+        [
+            problem.projection_centers[row] if is_image else problem.points[row]
+            for is_image, row in owners
+        ]
+    )
+    value, by_place = _FUNCTIONS["distance" if name == "baseline" else name](at)
+    if not np.isfinite(by_place).all():
+        raise InputError(f"on: expected places apart, found {brief(' '.join(words))} at one place")
+    quantity = _empty(problem, " ".join(words), "degrees" if name == "angle" else "", value)
+    for (is_image, row), by in zip(owners, by_place, strict=True):
+        if not is_image:
+            quantity.points[row] += by
+            continue
+        pose = problem.cam_from_world[row]
+        back = rotation_matrices(pose[None, :4])[0].T
+        quantity.images[row] += np.append(
+            -by @ back @ cross_matrices(pose[None, 4:])[0], -by @ back
+        )
+    return quantity
+
+
+def _empty(problem: Problem, text: str, unit: str, value: float) -> Quantity:
+    shapes = (problem.num_images, 6), problem.camera_params.shape, (problem.num_points, 3)
+    return Quantity(text, unit, float(value), *(np.zeros(shape) for shape in shapes))
+
+
+def _parameter(words: Sequence[str], problem: Problem) -> Quantity:
+    kinds = ", ".join((*PLACES, "or a camera's parameter such as f"))
+    if len(words) != 2:
+        raise InputError(f"on: expected {kinds}, found {brief(' '.join(words))}")
+    rows = np.flatnonzero(problem.camera_ids.astype(str) == words[1])
+    if not len(rows):
+        raise InputError(f"on: expected the id of a camera of the model, found {brief(words[1])}")
+    camera = int(rows[0])
+    names = parameter_names("on", problem, camera)
+    if words[0] not in names:
+        raise InputError(f"on: expected {kinds} ({', '.join(names)}), found {brief(words[0])}")
+    column = names.index(words[0])
+    value = problem.camera_params[camera, column]
+    quantity = _empty(problem, " ".join(words), "px" if words[0] in _PIXELS else "1", value)
+    quantity.cameras[camera, column] = 1
+    return quantity
+
+
+def _place(
+    word: str, problem: Problem, markers: Mapping[str, int], is_image: bool
+) -> tuple[bool, int]:
+    """Return (True, row of an image) or (False, row of a point)."""
+    is_image = is_image or word.startswith("image:")
+    if is_image:
+        name = word.removeprefix("image:")
+        rows = [row for row, one in enumerate(problem.image_names) if one == name]
+        rows += np.flatnonzero(problem.image_ids.astype(str) == name).tolist()
+        what, found = "the name or id of an image", rows
+    else:
+        key = markers.get(word)
+        ids = problem.point_ids if key is not None else problem.point_ids.astype(str)
+        found = np.flatnonzero(ids == (word if key is None else key)).tolist()
+        what = "the id of a point, the name of a control point or image:NAME"
+    if not found:
+        raise InputError(f"on: expected {what} of the model, found {brief(word)}")
+    seen = problem.observation_image if is_image else problem.observation_point
+    if found[0] not in seen:
+        raise InputError(f"on: expected a place with observations, found {brief(word)} without")
+    return is_image, int(found[0])
+
+
+def _distance(at: _Floats) -> tuple[float, _Floats]:
+    along = at[0] - at[1]
+    length = np.linalg.norm(along)
+    with np.errstate(invalid="ignore"):
+        return float(length), np.stack([along, -along]) / length
+
+
+def _height(at: _Floats) -> tuple[float, _Floats]:
+    up = np.array([0.0, 0.0, 1.0])
+    return float(at[1, 2] - at[0, 2]), np.stack([-up, up])
+
+
+def _angle(at: _Floats) -> tuple[float, _Floats]:
+    a, b = at[0] - at[1], at[2] - at[1]
+    across = np.cross(a, b)
+    size, product = np.linalg.norm(across), a @ b
+    with np.errstate(invalid="ignore", divide="ignore"):
+        # d atan2(|a x b|, a . b), with n the normal: da of the angle is along n x a / |a|^2.
+        normal = across / size
+        by_a = -np.cross(normal, a) / (a @ a)
+        by_b = np.cross(normal, b) / (b @ b)
+    return float(np.degrees(np.arctan2(size, product))), np.degrees(
+        np.stack([by_a, -by_a - by_b, by_b])
+    )
+
+
+def _volume(at: _Floats) -> tuple[float, _Floats]:
+    edges = at[1:] - at[0]
+    by = np.cross(edges[[1, 2, 0]], edges[[2, 0, 1]]) / 6
+    value = float(edges[0] @ by[0])
+    sign = 1.0 if value >= 0 else -1.0
+    return abs(value), sign * np.concatenate([-by.sum(axis=0)[None], by])
+
+
+_FUNCTIONS = {"distance": _distance, "height": _height, "angle": _angle, "volume": _volume}
+
+
+def lacking(quantity: Quantity, problem: Problem) -> str:
+    """Return what of a similarity of the world changes a quantity, in words."""
+    rotations = rotation_matrices(problem.cam_from_world[:, :4])
+    of_t, of_w = quantity.images[:, 3:], quantity.images[:, :3]
+    points, t = problem.points, problem.cam_from_world[:, 4:]
+    back_t = np.einsum("nji,nj->ni", rotations, of_t)
+    shift = quantity.points.sum(axis=0) - back_t.sum(axis=0)
+    turn = np.cross(points, quantity.points).sum(axis=0)
+    turn -= np.einsum("nji,nj->ni", rotations, of_w).sum(axis=0)
+    scale = (points * quantity.points).sum() + (t * of_t).sum()
+    size = np.abs(quantity.points).sum() + np.abs(of_t).sum()
+    reach = np.abs(points).max(initial=0) + np.abs(t).max(initial=0)
+    found = [
+        name
+        for name, value, least in (
+            ("position", np.linalg.norm(shift), size),
+            ("rotation", np.linalg.norm(turn), size * reach + np.abs(of_w).sum()),
+            ("scale", abs(scale), size * reach),
+        )
+        if value > 1e-9 * max(least, 1e-300)
+    ]
+    return " and ".join(found) or "similarity"
