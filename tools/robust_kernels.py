@@ -23,7 +23,7 @@ FORMULAS = {
 }
 
 PAGE = """\
-<!-- Made by tools/robust_kernels.py; a test holds the two against each other. -->
+<!-- Made by tools/robust_kernels.py; a test compares the two. -->
 # Robust kernels
 
 A residual r costs 1/2 rho(s), with s = ‖r‖². A least-squares solver works with residuals and

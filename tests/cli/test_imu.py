@@ -183,7 +183,7 @@ def test_files_that_do_not_fit_are_one_line(run, folder):
     first, last = lines[1].split(",")[1], lines[-1].split(",")[1]
     cases = {
         "one missing": ("\n".join(lines[:-1]), "1 image"),
-        "not ascending": ("\n".join([*lines[:3], lines[1], *lines[3:]]), "line 4: expected a time"),
+        "not ascending": ("\n".join([*lines[:3], lines[1], *lines[3:]]), "4: expected at least"),
         "empty": ("", "found 0"),
         "no number": ("\n".join([*lines, "x.png,soon"]), "nanoseconds"),
         "outside": (

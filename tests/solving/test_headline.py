@@ -39,4 +39,5 @@ def test_a_distance_from_the_minimum_is_said(minimum, left, is_far):
     vars(result.summary)["largest_camera_step_in_sigmas"] = left
     sentences = headline(result)
     assert sentences[0].startswith("Already at its minimum") != is_far
+    assert ("sigmas" in sentences[0]) == (left is not None and not is_far)
     assert any("0.3 standard deviations" in sentence for sentence in sentences) == is_far

@@ -41,7 +41,7 @@ SHARE = 0.1
 
 VARIABLES = Words(
     *("variable", "factor", "constant variable", "bundle.diagnose"),
-    *("hold another variable constant", "solve with a loss on it"),
+    *("keep another variable constant", "solve with a loss on it"),
 )
 
 

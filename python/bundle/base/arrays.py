@@ -168,7 +168,7 @@ def as_flag(name: str, value: Any) -> bool:
 
 
 def check_type(name: str, value: Any, kind: Any, expected: str = "") -> None:
-    """Refuse a value that is no instance of a class, or of one of several (int | str)."""
+    """Refuse a value that is not an instance of a class, or of one of several (int | str)."""
     if not isinstance(value, kind):
         raise InputError(
             f"{name}: expected {expected or f'a {kind.__name__}'}, found {brief(value)}"

@@ -361,9 +361,9 @@ COMMANDS: dict[str, Command] = {
             a.options("ReliabilityOptions", "errors that would go unnoticed"),
             a.RULES,
             a.measurements(
-                "What a refine with the same flags would be given; the model is looked at in "
-                "metres about the middle of the control points, or of the positions where there "
-                "are none.",
+                "Priors of a refinement with the same flags. The model is examined in metres "
+                "about the middle of the control points, or of the positions if there are no "
+                "control points.",
                 "--gps exif",
             ),
             a.pose_graph(

@@ -398,9 +398,9 @@ EVERY_ORDER = argument(
     "--ordering",
     dest="orders",
     choices=("all",),
-    help="compare every elimination order: of a pose graph natural, AMD and METIS, with flops, "
-    "nonzeros, predicted and measured times of the factorisations; of a model those of "
-    "--orderings",
+    help="compare every elimination order: natural, AMD and METIS for a pose graph, with flops, "
+    "nonzeros, predicted and measured times of the factorisations; those of --orderings for a "
+    "model",
 )
 
 

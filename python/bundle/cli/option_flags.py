@@ -1,4 +1,4 @@
-"""Declarations of arguments; flags from the fields of option classes, and back to options.
+"""Declarations of arguments: flags made from option classes, and options read from flags.
 
 A declaration is a function that adds arguments to a parser or a group.
 """

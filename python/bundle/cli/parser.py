@@ -83,7 +83,7 @@ class Parser(argparse.ArgumentParser):
         return self
 
     def print_help(self, file: Any = None) -> None:
-        """Print the help; of a command with many flags those with a ``use``, in its order."""
+        """Print the help; if there are many flags, those with a ``use``, in that order."""
         flags = [action for action in self._actions if action.option_strings]
         used = [action for action in flags if vars(action).get("use")]
         if len(flags) <= MOST_FLAGS or not used:

@@ -88,7 +88,9 @@ def _files_of_attitudes(
     found = {kind: path_beside(path, kind, ".txt") for kind, sigma in given.items() if sigma}
     for kind, target in found.items():
         if any(other and Path(other) == Path(target) for other in others):
-            raise InputError(f"{shown(target)}: expected a path for --{kind} alone, found two")
+            raise InputError(
+                f"{shown(target)}: expected a path that only --{kind} writes, found two outputs"
+            )
     return found
 
 

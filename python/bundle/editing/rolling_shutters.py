@@ -30,8 +30,8 @@ def with_shutters(
     """Return the problem with the given rolling shutters, and the options with the readout refined.
 
     Raises:
-        InputError: the readout is no share of a frame, an option has no rolling shutter to change,
-            or the file of times is wrong.
+        InputError: the readout is not a share of a frame, an option has no rolling shutter to
+            change, or the file of times is wrong.
         OSError: the file of times cannot be read.
     """
     if not given.changed():

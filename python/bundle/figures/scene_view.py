@@ -2,8 +2,8 @@
 
 The origin of the frame is the median of the points. Its unit is half the width of the box around
 the middle 90 % of points and cameras. Anything farther away than 50 units is not drawn, because
-points near infinity would shrink the rest of the scene to a dot. Of more than 60,000 points every
-k-th is drawn, with the smallest k that leaves at most 60,000.
+points near infinity would shrink the rest of the scene to a dot. If there are more than 60,000
+points, every k-th is drawn, with the smallest k that leaves at most 60,000.
 """
 
 from __future__ import annotations

@@ -137,7 +137,7 @@ def _plane(centres: NDArray[np.float64]) -> NDArray[np.float64]:
 def _rank(
     low: NDArray[np.int64], high: NDArray[np.int64], count: NDArray[np.int64]
 ) -> NDArray[np.int64]:
-    """Return the rank of each edge among the edges of its images, the better of two, from 0."""
+    """Return the better rank, from 0, of each edge among the edges of its two images."""
     ends, edge = np.concatenate([low, high]), np.tile(np.arange(len(count)), 2)
     by_image = np.lexsort((-count[edge], ends))
     ends, edge = ends[by_image], edge[by_image]

@@ -107,7 +107,7 @@ def read_orientations(
 
 
 def gravity_text(priors: Iterable[GravityPrior], name: Callable[[Any], str]) -> str:
-    """Return the content of a file of gravity; ``name`` converts an image to its word."""
+    """Return the content of a file of gravity; ``name`` returns the name of an image."""
     lines = (
         _line(name(one.image), [*np.asarray(one.direction), one.sigma_degrees]) for one in priors
     )
@@ -115,7 +115,7 @@ def gravity_text(priors: Iterable[GravityPrior], name: Callable[[Any], str]) -> 
 
 
 def orientation_text(priors: Iterable[OrientationPrior], name: Callable[[Any], str]) -> str:
-    """Return the content of a file of orientations; ``name`` converts an image to its word."""
+    """Return the content of a file of orientations; ``name`` returns the name of an image."""
     lines = (
         _line(name(one.image), [*np.asarray(one.rotation), *np.asarray(one.sigma_degrees)])
         for one in priors

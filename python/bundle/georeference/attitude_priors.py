@@ -156,7 +156,7 @@ class OrientationPrior(AttitudePrior):
         rotation: (4,) quaternion qx qy qz qw of the rotation of cam_from_world, of any length;
             stored with length 1.
         sigma_degrees: standard deviation: one number, or (heading, tilt). The heading is the angle
-            about up; the tilt holds about each horizontal axis.
+            about up; the tilt applies to each horizontal axis.
         loss: robust loss of :class:`bundle.SolveOptions`.
         loss_scale: length of the residual in sigmas beyond which the loss is robust; by default
             2.795, which 5 % of good orientations exceed.

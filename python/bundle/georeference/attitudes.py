@@ -440,7 +440,7 @@ def attitudes_given(
     orientation_sigma_scale: float = 1.0,
     **options: Any,
 ) -> Attitudes:
-    """Return the attitudes that options of a command give."""
+    """Return the attitudes that the options of a command name."""
     known = read_attitudes(problem, **options)
     return known.scaled(gravity_sigma_scale, orientation_sigma_scale)
 

@@ -207,9 +207,10 @@ def _check_angles(fit: SimilarityFit, points: Correspondences, what: str) -> Non
 def _known_of_target(fit: SimilarityFit, points: Correspondences) -> Array:
     """Return the rotation information if the surveyed points rotate instead of the model.
 
-    Points of a wide model do not fit surveyed points on a line. If the coordinate with the largest
-    sigma is perpendicular to the line, the fit puts the model's width along this coordinate. The
-    rotation about the line then seems to be determined, although the line leaves it free.
+    If the model is wide and the surveyed points lie on a line, they do not fit each other. If the
+    coordinate with the largest sigma is perpendicular to the line, the fit puts the model's width
+    along this coordinate. The rotation about the line then seems to be determined, although the
+    line leaves it free.
     """
     moved = fit.similarity.apply(points.source) + points.offset @ fit.similarity.rotation.T
     target = np.where(np.isnan(points.target), moved, points.target)

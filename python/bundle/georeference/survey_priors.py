@@ -438,7 +438,7 @@ def given_gps(
 
 
 def survey_given(problem: Problem, **options: Any) -> GcpPriors | GpsPriors:
-    """Return the priors of positions and control points that options of a command give."""
+    """Return the priors of positions and control points from the options of a command."""
     if "gps_offset" in options and "gcp" not in options:
         raise InputError("gps_offset: expected --gcp, too: control points determine the offset")
     settings = survey_settings(problem, options)

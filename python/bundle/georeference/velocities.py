@@ -166,7 +166,7 @@ def read_velocities(
 
 
 def velocity_text(priors: Iterable[VelocityPrior], name: Callable[[Any], str]) -> str:
-    """Return the content of a file; ``name`` converts an image to its word."""
+    """Return the content of a file; ``name`` returns the name of an image."""
     lines = [f"name vx vy vz {' '.join(SIGMAS)}\n"]
     for prior in priors:
         word = name(prior.image)

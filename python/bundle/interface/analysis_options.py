@@ -170,7 +170,7 @@ class CheckOptions(Options):
     samples_per_image: int = option(
         SAMPLES_PER_IMAGE,
         "--samples",
-        "number of observations to check for each image and its camera; of a graph, of factors "
+        "number of observations to check for each image and its camera; for a graph, of factors "
         "with the same code and the same kinds of variables",
         minimum=1,
         maximum=math.inf,

@@ -68,7 +68,7 @@ class ShutterOptions(Options):
         "input",
         "--rolling-shutter",
         "how cameras read an image: rows, from top to bottom; columns, from left to right; global, "
-        "at once; input: as the rolling_shutter.json of INPUT says, without it global",
+        "at once; input: as rolling_shutter.json of INPUT says, global without that file",
         choices=("input", "global", "rows", "columns"),
     )
     readout: str | None = option(

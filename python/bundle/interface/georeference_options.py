@@ -148,7 +148,7 @@ class GeoreferenceOptions(Options):
     gravity_sigma: float = option(
         GRAVITY_SIGMA,
         "--gravity-sigma",
-        "standard deviation of directions in degrees, where the file gives none",
+        "standard deviation of directions in degrees, if the file does not give it",
         metavar="DEGREES",
         needs=("gravity",),
         above=0,

@@ -100,13 +100,13 @@ class EvaluateOptions(Options):
     sigmas: str = option(
         SIGMAS[0],
         "--sigmas",
-        "of two models: movement in sigmas of A's covariance; auto: for up to 300 images",
+        "measure the movement in sigmas of A's covariance, for two models; auto: up to 300 images",
         choices=SIGMAS,
     )
     loss: str = option(
         "trivial",
         "--loss",
-        "loss of the solve of A, for the sigmas",
+        "robust loss with which A was refined, for the sigmas",
         choices=LOSSES,
     )
     loss_scale: float = option(
@@ -201,9 +201,7 @@ class ValidationOptions(Options):
         metavar="K",
         use=6,
     )
-    seed: int = option(
-        0, "--seed", "seed of the folds; another seed divides otherwise", minimum=0, metavar="N"
-    )
+    seed: int = option(0, "--seed", "seed of the division into folds", minimum=0, metavar="N")
 
 
 @documented
@@ -218,23 +216,24 @@ class TriageOptions(Options):
     time_noise: float = option(
         1.5,
         "--time-noise",
-        "largest ratio of two times of equal work that is noise; short solves and busy machines "
-        "have more",
+        "largest ratio of two times of equal work that counts as noise; short solves and busy "
+        "machines need a larger one",
         minimum=1.0,
         metavar="RATIO",
     )
     cost_noise: float = option(
         1e-3,
         "--cost-noise",
-        "largest relative difference of two final costs that is noise; of odometry ten times as "
-        "much, because its time budget ends some solves early",
+        "largest relative difference of two final costs that counts as noise; ten times as much "
+        "for odometry, because its time budget ends some solves early",
         minimum=0.0,
         metavar="X",
     )
     step_noise: float = option(
         0.3,
         "--step-noise",
-        "largest relative difference of two numbers of steps that is noise, and at least 2 steps",
+        "largest relative difference of two numbers of steps that counts as noise; 2 steps always "
+        "do",
         minimum=0.0,
         metavar="X",
     )

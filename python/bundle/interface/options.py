@@ -307,8 +307,8 @@ class SolveOptions(Options):
 
         if self.refine_readout and self.twists == "free":
             raise InputError(
-                "refine_readout: expected tied or hard twists, found free ones, of which only the "
-                "product of readout and motion is visible"
+                "refine_readout: expected tied or hard twists, found free ones, which determine "
+                "only the product of readout and motion"
             )
         if self.twists == "tied" and not self.twist_sigma:
             raise InputError("twists: tied needs twist_sigma, two numbers above 0")

@@ -110,7 +110,7 @@ class CompareOptions(Options):
     repeat: int = option(
         REPEAT,
         "--repeat",
-        "runs of each method; their median counts; a run of more than "
+        "runs of each method, of which the table shows the median; a run of more than "
         f"{SECONDS_NOT_REPEATED:g} s is not repeated",
         minimum=1,
         metavar="N",
@@ -196,7 +196,7 @@ class RankOptions(Options):
     network: str = option(
         "10,50",
         "--network",
-        "between the processes: gigabits per second and microseconds of latency",
+        "network between the processes: gigabits per second and microseconds of latency",
         metavar="GBIT,US",
         needs=("ranks",),
     )
@@ -277,8 +277,8 @@ class ShapeOptions(Options):
     shape: str | None = option(
         None,
         "--shape",
-        "textbook flops of a step with and without eliminating the points first, of a problem with "
-        "these numbers of cameras, of points, and of cameras that see a point, such as 100,20000,4",
+        "estimate the flops of a step, with and without eliminating the points first, from the "
+        "numbers of cameras, of points, and of cameras that see a point, such as 100,20000,4",
         metavar="CAMERAS,POINTS,TRACK",
     )
 

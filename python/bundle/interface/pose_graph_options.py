@@ -148,9 +148,9 @@ class LoopOptions(Options):
     loops: str | None = option(
         None,
         "--loops",
-        "file of loop closures, which a graph of the images' poses closes before the solve; points "
-        "move with their images. Edges are between image ids: EDGE_SE3:QUAT i j with the pose of "
-        "camera j in the frame of camera i, in the length unit of the model near image i",
+        "file of loop closures. Before the solve, a pose graph of the images closes these loops; "
+        "points move with their images. Edges are between image ids: EDGE_SE3:QUAT i j with the "
+        "pose of camera j in the frame of camera i, in the length unit of the model near image i",
         metavar="FILE.g2o",
         value="path",
     )

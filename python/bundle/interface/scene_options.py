@@ -303,7 +303,7 @@ class FlightOptions(Options):
     gyro_bias: float = option(
         0.02,
         "--gyro-bias",
-        "standard deviation of the gyroscope's first bias, in rad/s",
+        "standard deviation of the gyroscope's initial bias, in rad/s",
         minimum=0.0,
         below=1.0,
         metavar="X",
@@ -311,7 +311,7 @@ class FlightOptions(Options):
     accel_bias: float = option(
         0.05,
         "--accel-bias",
-        "standard deviation of the accelerometer's first bias, in m/s^2",
+        "standard deviation of the accelerometer's initial bias, in m/s^2",
         minimum=0.0,
         below=5.0,
         metavar="X",

@@ -85,7 +85,7 @@ class Summary(Displayed):
     system, and its residual evaluation time includes the back-substitution.
     """
 
-    # Iterations of the result, for full_report(). A slot is no field: vars() contains only fields.
+    # Iterations of the result, for full_report(). A slot is not a field: vars() has fields only.
     __slots__ = ("_iterations",)
 
     initial_cost: float

@@ -116,7 +116,7 @@ class WindowOptions(Options):
     frame_rate: float = option(
         10.0,
         "--frame-rate",
-        "images per second that are solved; of a faster camera, only every n-th image is used",
+        "images per second that are solved; if the camera is faster, only every n-th image is used",
         above=0.0,
         metavar="HZ",
     )

@@ -118,7 +118,7 @@ def database_matches(path: Path, names: Sequence[str]) -> DatabaseMatches:
     The matches are the inliers of two-view geometries, in pairs of at least ``FEWEST_MATCHES``.
 
     Raises:
-        InputError: the file is no database, is damaged, or lacks an image or all matches.
+        InputError: the file is not a database, is damaged, or lacks an image or all matches.
         OSError: the file cannot be read.
     """
     place = shown(path)

@@ -54,7 +54,7 @@ def _format_of_line(line: str) -> str | None:
 
 
 def first_line(path: Path) -> tuple[int, str]:
-    """Return the number and the text of the first line that is no comment; "" if none exists."""
+    """Return the number and the text of the first line that is not a comment; "" if none exists."""
     with path.open("rb") as file:
         start = file.read(1 << 16)
     text = start.decode("utf-16" if start[:2] in UTF16 else "utf-8-sig", errors="replace")

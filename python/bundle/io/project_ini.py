@@ -22,8 +22,9 @@ def read_project_ini(path: str | os.PathLike[str]) -> ColmapAdjustment:
     """Read the options of a bundle adjustment; an option that the file lacks has COLMAP's default.
 
     Raises:
-        InputError: a line is no option, an option occurs twice or has a wrong value, no solve can
-            honour it, or the file has no option of a bundle adjustment; the message names the line.
+        InputError: a line is not an option, an option occurs twice or has a wrong value, no solve
+            supports it, or the file has no option of a bundle adjustment; the message names the
+            line.
         OSError: the file cannot be read.
     """
     values: dict[str, str] = {}

@@ -47,7 +47,7 @@ def with_rolling_shutter(problem: Problem, folder: Path) -> Problem:
     """Return a model with the rolling shutters in its folder; without the file, as it is.
 
     Raises:
-        InputError: the file is no valid rolling_shutter.json of this model; the message has the
+        InputError: the file is not a valid rolling_shutter.json of this model; the message has the
             file, the entry, the expected and the actual value.
     """
     path = folder / ROLLING_SHUTTER

@@ -1,4 +1,4 @@
-"""Folds of observations: which of them are held out together, and of which no model is fitted.
+"""Folds of observations: groups that are held out of a fit together.
 
 The fold of an observation depends on the seed, its image id and its point id alone. It depends on
 no order of rows, and any program can repeat it: all numbers are whole numbers modulo 2^64.

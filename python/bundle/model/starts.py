@@ -111,8 +111,8 @@ def choose_lower(
     if not chordal_cost < file_cost:
         return Start(poses=graph.poses, init="file", starts=starts, costs=costs, chi2=file_chi2)
     reason = (
-        f"The chordal start: twice its cost is {number(2 * chordal_cost)}, that of the given poses "
-        f"{number(2 * file_cost)}."
+        f"The chordal start has the lower cost: twice the cost is {number(2 * chordal_cost)}, "
+        f"against {number(2 * file_cost)} at the given poses."
     )
     return Start(
         poses=chordal,

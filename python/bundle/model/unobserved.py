@@ -45,7 +45,7 @@ class PointOptions(Protocol):
 
 
 def are_images_unrelated(problem: ProblemArrays, options: PointOptions) -> bool:
-    """Return True if all points are refined, none is held, and none is observed twice.
+    """Return True if all points are refined and no point is constant or observed twice.
 
     Priors, factors and rules, which relate images too, are not looked at.
     """

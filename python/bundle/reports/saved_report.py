@@ -33,7 +33,7 @@ def save_report(result: SolveRecord, path: str | os.PathLike[str], *, name: str 
         name: name of the input; two reports of one input have the same.
 
     Raises:
-        InputError: ``result`` is no result of a solve.
+        InputError: ``result`` is not a result of a solve.
         OSError: the file cannot be written.
     """
     check_type("result", result, SolveRecord)

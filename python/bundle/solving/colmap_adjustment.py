@@ -211,8 +211,8 @@ class AdjustedPart:
         """Return the numbers of blocks, residuals and parameters that COLMAP hands to Ceres.
 
         They include constant points and cameras. A pose on a rig consists of the blocks
-        sensor_from_rig and rig_from_world. A constant sensor_from_rig is no block, and without it a
-        constant rig_from_world is none either.
+        sensor_from_rig and rig_from_world. A constant sensor_from_rig is not a block, and without
+        it a constant rig_from_world is none either.
         """
         problem, options = self.problem, self.options
         moves = ~self.constant_images & ("poses" in options.refine)

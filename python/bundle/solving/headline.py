@@ -120,12 +120,12 @@ def _distance(result: Result) -> list[str]:
 
 
 def _stillness(result: Result) -> str:
-    """Return the change of the cost and the gradient of a solve that changed almost nothing."""
+    """Return the change of the cost, and the distance to the minimum if it was computed."""
     initial, final = result.summary.initial_cost, result.summary.final_cost
     share = (initial - final) / initial if initial > 0 else 0.0
-    gradient = rounded(float(np.asarray(result.iterations["gradient_max_norm"])[-1]))
     fall = f"cost -{100 * share:.1g} %" if share > 0 else "cost unchanged"
-    return f"{fall}, gradient {gradient}"
+    left = result.summary.largest_camera_step_in_sigmas
+    return fall if left is None else f"{fall}, cameras within {rounded(left)} sigmas of it"
 
 
 def _observations(result: Result, kept: KeptErrors) -> str:
@@ -178,8 +178,8 @@ def _held_out(result: Result) -> list[str]:
     alone = result.tracks[0].held_out_rmse if result.tracks else None
     if alone is not None:
         return [
-            f"Held out {held.percent:g} %: RMSE {_change(alone, held.clipped_rmse)} px from "
-            f"adjusting alone to these tracks (errors clipped at {held.clip:g} px){doubt}."
+            f"Held out {held.percent:g} %: RMSE {_px(held.clipped_rmse)} px with these tracks, "
+            f"{_px(alone)} px by adjusting alone (errors clipped at {held.clip:g} px){doubt}."
         ]
     return [
         f"Held out {held.percent:g} %: RMSE {_px(held.clipped_rmse)} px against "
@@ -246,7 +246,7 @@ def _without_projection(result: Result) -> list[str]:
     if before or after:
         sentences.append(f"Observations behind their camera: {before:,} before, {after:,} after.")
     if held:
-        cost = f"a cost of {number(held)}, which is outside the final cost"
+        cost = f"a cost of {number(held)}, which the final cost does not include"
         sentences.append(f"Observations without a projection have {cost}.")
     return [" ".join(sentences)] if sentences else []
 

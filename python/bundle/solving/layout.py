@@ -100,8 +100,8 @@ def _with_twists(
         shutter.check_tied(problem)
         if measured:
             raise InputError(
-                "twists: expected free or tied with velocities, which constrain twists of their "
-                "own, found hard"
+                "twists: expected free or tied with velocities, because hard twists are not "
+                "unknowns, found hard"
             )
     if options.twists != "tied":
         return known, options

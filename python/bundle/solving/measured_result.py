@@ -345,7 +345,7 @@ class PartRecord:
     Attributes:
         num_images: number of refined images.
         num_images_held: number of other images that see a point of the refined images. They are
-            constant, or under the marginal prior.
+            constant, or constrained by the marginal prior.
         num_points: number of points that a refined image sees; all are refined.
         num_observations: number of observations of these points.
         shared_camera_ids: cameras of both refined and other images. If their intrinsics are

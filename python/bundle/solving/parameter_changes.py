@@ -149,7 +149,7 @@ def weak_baseline(
     before, after = summary["initial_cost"], summary["final_cost"]
     return (
         f"Weakly determined: {focal[1]} and {arm[1]} changed together, while the cost went from "
-        f"{before:.6g} to {after:.6g}; hold one of them (--fix-sensors, --fix-cameras) unless the "
+        f"{before:.6g} to {after:.6g}; fix one of them (--fix-sensors, --fix-cameras) unless the "
         "images determine both."
     )
 

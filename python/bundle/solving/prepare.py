@@ -289,7 +289,7 @@ def _without_tracks(problem: Problem, options: SolveOptions) -> str:
         return ""
     return (
         "No point is observed twice, so nothing relates the images: residuals vanish wherever the "
-        "cameras are, and the result is no reconstruction."
+        "cameras are, and the result is not a reconstruction."
     )
 
 

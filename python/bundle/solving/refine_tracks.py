@@ -138,9 +138,9 @@ def refine_tracks(
         times belong to the last adjustment. After Ctrl-C, the result of the last whole round.
 
     Raises:
-        InputError: for the reasons of :func:`bundle.solve`; the file is no database, lacks images
-            or has other keypoints; the problem has constant points, rolling shutters or sigmas of
-            observations; or pycolmap is not installed.
+        InputError: for the reasons of :func:`bundle.solve`; the file is not a database, lacks
+            images or has other keypoints; the problem has constant points, rolling shutters or
+            sigmas of observations; or pycolmap is not installed.
         KeyboardInterrupt, MemoryError: for the reasons of :func:`bundle.solve`.
         OSError: a file cannot be read.
 

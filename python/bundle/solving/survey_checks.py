@@ -10,12 +10,12 @@ the model that has it. The offset and its test are
 
     o = -C g,    T = g^T C g, chi squared with 3 degrees of freedom;
 
-for the height alone, with the other coordinates held, T = g_up^2 / (C^-1)_up with 1. Residuals show
-nothing of an offset that a focal length absorbs; g does. If T is large (p < 1e-3), the model is
-adjusted with the offset, along all axes only if these explain more: o, its sigma and the focal
-length come from there. If residuals of pixels and positions are larger than their sigmas by a
-factor s, the test uses F = T / (k s^2). The adjusted model decides, because an offset bends the
-other model and enlarges its residuals.
+for the height alone, with the other coordinates constant, T = g_up^2 / (C^-1)_up with 1. Residuals
+do not show an offset that a focal length absorbs; the gradient g shows it. If T is large (p <
+1e-3), the model is adjusted with the offset, along all axes only if these explain more: o, its
+sigma and the focal length come from there. If residuals of pixels and positions are larger than
+their sigmas by a factor s, the test uses F = T / (k s^2). The adjusted model decides, because an
+offset bends the other model and enlarges its residuals.
 
 A gross error and an offset explain the same residuals; the one with the larger T is named, and the
 other tested after it.

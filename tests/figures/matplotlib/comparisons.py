@@ -139,7 +139,8 @@ def comparison(num_problems: int = 2, name: str = "street-980.txt") -> Compariso
             "DENSE_SCHUR takes 3.1 times as long.",
             command="bundle refine street-980.txt -o refined.txt --solver sparse-schur",
             foreseen=(METHODS[0],) * num_problems,
-            verdict="Predicted before any solve and within 5 % of the fastest: 2 of 2 problems.",
+            verdict="`bundle inspect` predicted a method within 5 % of the fastest on 2 of 2 "
+            "problems.",
         ),
         options=SolveOptions(),
         repeat=1,

@@ -9,7 +9,7 @@ import pytest
 from bundle.judging.findings.lens_terms import LensField, lens_model
 from bundle.judging.findings.next_command import NextCommand
 
-MEASURED = SimpleNamespace(command=NextCommand("IN", "OUT", ()))
+MEASURED = SimpleNamespace(command=NextCommand("IN", "OUT", ()), scale=3.0)
 
 
 def field(radial, tangential, *, size=1.0, significant=True):
@@ -43,6 +43,7 @@ def test_the_smallest_model_that_explains_the_field_is_proposed(radial, tangenti
     shares = found.evidence["shares"]
     assert found.evidence["larger_model"] == larger and larger in found.command
     assert max(shares, key=shares.get) == kind
+    assert " 3 px rms" in found.sentence  # one noise of 3 px
     assert shares["radial"] == pytest.approx(radial**2 / (radial**2 + tangential**2))
 
 

@@ -99,6 +99,7 @@ def test_motion_vetoes_a_lens_per_image_and_chooses_the_lens_beside_a_shutter(or
     assert finding.kind == "motion"
     # Poses absorb the difference of a small motion along columns from one along rows.
     assert "with a shutter by rows" in finding.sentence
+    assert f"by {found.row_test.deviations[1:].max():.2g} px" in finding.sentence
     assert finding.evidence["gain"] == pytest.approx(gain, abs=0.1)
     pays = gain > 2
     assert finding.command == (f"{found.command} --rolling-shutter rows" if pays else "")

@@ -63,10 +63,10 @@ def test_rules_that_contradict_each_other(rules):
     ("text", "options", "why"),
     [
         ("camera 1: f prior 2 %", {"refine": "poses,points"}, "refine lacks focal"),
-        ("camera 1: f prior 2 %", {"fixed_camera_ids": (1,)}, "camera 1 is among the fixed"),
+        ("camera 1: f prior 2 %", {"fixed_camera_ids": (1,)}, "camera 1 is a fixed camera"),
         ("image 2: rotation prior sigma 1", {"refine": "points"}, "refine lacks poses"),
-        ("image 2: position prior sigma 1", {"fixed_image_ids": (2,)}, "among the fixed images"),
-        ("point 2: position prior sigma 1", {"fixed_point_ids": (2,)}, "among the fixed points"),
+        ("image 2: position prior sigma 1", {"fixed_image_ids": (2,)}, "one of the fixed images"),
+        ("point 2: position prior sigma 1", {"fixed_point_ids": (2,)}, "one of the fixed points"),
     ],
 )
 def test_a_prior_on_what_the_options_hold(text, options, why):

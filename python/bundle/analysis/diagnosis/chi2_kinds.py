@@ -92,11 +92,11 @@ def chi2_kinds(source: Any, options: Any = None, **changes: Any) -> tuple[Chi2Ki
         **changes: options by name, which replace those in ``options``.
 
     Returns:
-        Kinds without a verdict ("undecided") if the state is no minimum, if a loss acts on the
+        Kinds without a verdict ("undecided") if the state is not a minimum, if a loss acts on the
         edges, or with fewer than 10 degrees of freedom; () if a direction is undetermined.
 
     Raises:
-        InputError: the source is no graph, or an option is wrong.
+        InputError: the source is not a graph, or an option is wrong.
         OSError: the path cannot be read.
 
     Example:

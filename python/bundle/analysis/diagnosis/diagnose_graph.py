@@ -316,7 +316,7 @@ def _component_modes(graph: PoseGraph, components: tuple[Component, ...]) -> lis
         near = ends[np.argmin(ids[ends + 1] - ids[ends])]
         first, second = (graph.pose_name(int(order[k])) for k in (near, near + 1))
         members = order[inside]
-        free = "it is held by its fixed poses" if part.num_fixed else "it floats by itself"
+        free = "its fixed poses determine it" if part.num_fixed else "it floats by itself"
         modes.append(
             WeakMode(
                 kind="component",

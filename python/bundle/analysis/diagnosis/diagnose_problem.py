@@ -120,12 +120,12 @@ def diagnose(
         options: refined and fixed parameters, and the loss, as in :func:`bundle.solve`; a result
             uses its own options. The gauge is free unless it is set to another value than "auto".
         factors: factors in addition to the observations, as in :func:`bundle.solve`.
-        priors: measured positions and control points, likewise.
-        align: likewise.
-        bounds: likewise.
-        constraints: likewise.
-        reliability: also compute :func:`bundle.reliability`; of reconstructions.
-        delta0: see there.
+        priors: measured positions and control points, as in :func:`bundle.solve`.
+        align: as in :func:`bundle.solve`.
+        bounds: as in :func:`bundle.solve`.
+        constraints: as in :func:`bundle.solve`.
+        reliability: also compute :func:`bundle.reliability`; only for reconstructions.
+        delta0: as in :func:`bundle.reliability`.
         **changes: options by name, which replace those in ``options``.
 
     Raises:

@@ -28,18 +28,18 @@ class WeakMode:
     """Direction that the observations, edges or factors determine weakly or not at all.
 
     Attributes:
-        kind: stable name for programs, such as "flat_scene". Of graphs "component": no edge joins a
-            component with the largest one; "open_joint": the edges between a group of poses and the
-            others leave directions free; "weak_joint": they determine directions weakly;
-            "open_together": further free directions, in which several groups move together. Of
-            factor graphs "open_direction": no factor determines it; "weak_direction": the factors
+        kind: stable name for programs, such as "flat_scene". For graphs, "component": no edge joins
+            a component with the largest one; "open_joint": the edges between a group of poses and
+            the others leave directions free; "weak_joint": they determine directions weakly;
+            "open_together": further free directions, in which several groups move together. For
+            factor graphs, "open_direction": no factor determines it; "weak_direction": the factors
             determine it weakly.
         sentence: moving parameters, cause, and remedy.
         image_ids: images that move.
         camera_ids: cameras whose parameters move.
         eigenvalue: eigenvalue of the scaled reduced camera system; 0.0 for an undetermined
-            direction. Of a graph that of the information of its edges, in units of typical sigmas;
-            about 1 for a typical edge.
+            direction. For a graph, an eigenvalue of the information of its edges, in units of
+            typical sigmas; about 1 for a typical edge.
         dimension: number of such directions in the reduced system; 0 if only points move.
         pose_ids: poses of a graph that move, or keys of a factor graph.
         edges: pairs of pose ids: the edges that connect these poses with the others.
@@ -62,7 +62,7 @@ class Component:
     Attributes:
         image_ids: ids of the images, ascending.
         num_points: number of points that they observe.
-        pose_ids: ids of the poses of a graph, ascending; of a factor graph the keys of free
+        pose_ids: ids of the poses of a graph, ascending; for a factor graph, the keys of free
             variables.
         num_edges: number of edges between the poses.
         num_fixed: number of fixed poses; without one the component is free to move.
@@ -120,17 +120,17 @@ class Diagnosis(FrozenArrays, Displayed, Tabular):
 
     Eigenvalues of a problem are those of the reduced camera system S (points eliminated), with rows
     and columns scaled to a unit diagonal; ids are those of the source. Eigenvalues of a graph are
-    those of the normal equations of a solve, without fixed and held poses, scaled likewise; with
-    another held pose, such as one in the middle of a chain, they are other numbers, but covariances
-    of relative poses are the same. For a :class:`bundle.FactorGraph`, keys take the place of ids,
-    variables that of poses, and factors that of edges. What an input does not have is empty.
+    those of the normal equations of a solve, without fixed and held poses, scaled likewise. They
+    depend on which pose is held constant, unlike covariances of relative poses. For a
+    :class:`bundle.FactorGraph`, keys take the place of ids, variables that of poses, and factors
+    that of edges. Attributes that an input does not have are empty.
 
     Attributes:
-        nullity: number of null directions; of a problem those of S, without points that lack
+        nullity: number of null directions; for a problem, those of S, without points that lack
             parallax and other undetermined points.
         expected_nullity: number of null directions due to the gauge: 7 for images alone, 6 if a
-            rig determines the scale, 0 if priors or fixed images determine the frame; of a graph 3
-            in the plane and 6 in space for each component without a fixed pose.
+            rig determines the scale, 0 if priors or fixed images determine the frame; for a graph,
+            3 in the plane and 6 in space for each component without a fixed pose.
         nullity_is_exact: False if there are more null directions than were searched, or more loose
             clusters of poses than can be analysed together.
         components: components that nothing connects, the largest first.

@@ -144,7 +144,7 @@ def _points(diagnosis: Diagnosis) -> Iterator[Finding]:
             "points_at_infinity",
             d.points_at_infinity,
             False,
-            "at infinity, almost: they hold rotations only, which is no error",
+            "almost at infinity: they determine rotations only, which is not an error",
         ),
     )
     for kind, ids, is_problem, words in checks:
@@ -207,7 +207,7 @@ def _rank(diagnosis: Diagnosis) -> Iterator[Finding]:
         return
     yield note(
         "unclear_rank",
-        f"The number of null directions is not sharp: the lowest eigenvalue that is not zero, "
+        f"The number of null directions is not certain: the lowest eigenvalue that is not zero, "
         f"{diagnosis.eigenvalues[0]:.2g}, is only {gap:.3g} times the largest that counts as zero.",
     )
 
@@ -219,7 +219,7 @@ def _drift(drift: ScaleDrift | None) -> Iterator[Finding]:
         yield note(
             "scale_drift",
             f"The solve scaled the world by {drift.factor:.3g} in {steps}{each}: without "
-            "rigs and positions, only the gauge holds the scale.",
+            "rigs and positions, only the gauge fixes the scale.",
         )
 
 
@@ -464,7 +464,7 @@ class EquationCounts:
             kind="underdetermined",
             sentence=f"Underdetermined: {named('image', ids)} with "
             f"{plural(count.points, 'common point')} give {count.equations} equations for "
-            f"{count.unknowns} unknowns beyond the gauge. Match more points, or hold intrinsics "
+            f"{count.unknowns} unknowns beyond the gauge. Match more points, or fix the intrinsics "
             "(--refine poses,points).",
             image_ids=ids,
             dimension=dimension,

@@ -105,8 +105,8 @@ class _Weakness:
 def _weak(unknowns: Unknowns, weakness: _Weakness) -> WeakMode:
     camera = max(weakness.cameras, key=lambda one: weakness.squares[one] / unknowns.focal(one) ** 2)
     known = (
-        f"At 1 px of noise this leaves {weakness.squares[camera] ** 0.5:.3g} px of a focal length "
-        f"of {unknowns.focal(camera):.4g} px open."
+        f"Noise of 1 px makes the focal length of {unknowns.focal(camera):.4g} px uncertain by "
+        f"{weakness.squares[camera] ** 0.5:.3g} px."
     )
     images = unknowns.images_of_cameras(weakness.cameras)
     look, value = weakness.look, weakness.eigenvalue
@@ -160,7 +160,7 @@ def _unseen(unknowns: Unknowns, tracks: TrackTable) -> Iterator[WeakMode]:
             yield WeakMode(
                 kind="unobserved_parameter",
                 sentence=f"Unobserved: {names} of camera {key}, which no observation depends on. "
-                f"Hold it (--set 'camera {key}: {names.replace(' ', '')} fixed').",
+                f"Fix it (--set 'camera {key}: {names.replace(' ', '')} fixed').",
                 camera_ids=(key,),
                 dimension=len(rows),
             )
@@ -223,7 +223,7 @@ def _describe(
         return WeakMode(
             kind=kind,
             sentence=f"Unobserved: {names} of {named('camera', camera_ids(unknowns, cameras))}; "
-            f"{reason}. Hold one of them (--set 'camera {key}: {names.split(', ')[-1]} fixed').",
+            f"{reason}. Fix one of them (--set 'camera {key}: {names.split(', ')[-1]} fixed').",
             camera_ids=camera_ids(unknowns, cameras),
             dimension=dimension,
         )
@@ -259,7 +259,7 @@ _CAUSES = {
         "rotation",
         "pure rotation: the images stand at one place",
     ),
-    "": ("the poses", "these images do not tell them apart"),
+    "": ("the poses", "these images cannot distinguish them"),
 }
 
 
@@ -334,7 +334,7 @@ def mode_of_poses(
             kind=kind,
             sentence=f"{named('Image', sorted_ids(ids, loose))} relative to the others: {what}, "
             f"which leaves {how} open ({plural(dimension, 'direction')}). Match more points "
-            "between them and the others, or hold them.",
+            "between them and the others, or fix them.",
             image_ids=sorted_ids(ids, loose),
             dimension=dimension,
         )

@@ -3,11 +3,11 @@
 Let all images of a camera look along one direction d. Stretching the world along d by s, together
 with the focal length, changes no pinhole image: x = f X / Z. If images are only shifted against
 each other, along d or across it, no scene separates the focal length from the depth. Rotated images
-do separate them. Over a flat scene across d, stretching moves only the images ("height"). Then even
+do separate them. Over a plane perpendicular to d, only the images move ("height"). Then even
 slightly inclined images separate focal length and depth poorly (Wu 2014: Critical configurations
 for radial distortion self-calibration; Sturm 1997: critical motion sequences).
 
-Weak joints: parts of a model that hang on the rest by few points.
+Weak joints: parts of a model that few points connect to the rest.
 
 Test. The weight of two images is the number of their common points. A maximum spanning tree of
 these weights connects the images; removing its edge (a, b) of weight w leaves two parts, and no

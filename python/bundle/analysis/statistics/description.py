@@ -135,7 +135,7 @@ def describe(problem: Source) -> Description:
         A :class:`Description`; it keeps no reference to the problem.
 
     Raises:
-        InputError: the argument is no problem.
+        InputError: the argument is not a problem.
         OSError: the path cannot be read.
     """
     problem = as_problem(problem)

@@ -59,7 +59,7 @@ FOCAL_RATIO = 0.1, 10.0
 """Plausible focal lengths in image sizes: COLMAP's min_ and max_focal_length_ratio."""
 QUATERNION_TOLERANCE = 1e-6
 PROBLEMS = ("collapsed_points", "unsupported_camera_models")
-"""Kinds with which a model is no reconstruction."""
+"""Kinds with which a model is not a reconstruction."""
 FEW_FOR_POSE, SMALL_DIFFERENCE, MOST_LOOSE = 15, 20.0, 20
 LARGEST = 1e50
 """Derivatives beyond this limit, whose products would overflow, do not count."""

@@ -378,9 +378,9 @@ def covariance(
     X_b.
 
     For a :class:`FactorGraph` the result is a :class:`FactorGraphCovariance` at the values of the
-    graph: of variables, with ``of`` a list of keys (by default all), and of the pairs of keys in
-    ``relative``. Losses reduce weights. ``gauge`` is "first" (the default: of each component, the
-    first variable and, for a free scale, one coordinate more are constant), "inner" or "none".
+    graph. ``of`` is a list of keys (by default all), ``relative`` a list of pairs of keys. Losses
+    reduce weights. ``gauge`` is "first" (the default: the first variable of each component is
+    constant and, if the scale is free, one more coordinate), "inner" or "none".
 
     Args:
         problem: problem, its path, or a pycolmap.Reconstruction. For a :class:`Result`, its refined
@@ -395,7 +395,8 @@ def covariance(
         robust: treatment of a loss. "weights": its weights rho' make an observation less certain;
             "sandwich": H^-1 (sum psi psi^T) H^-1, with psi the gradient of an observation, its
             residual corrected for its leverage. The latter holds for independent residuals of any
-            distribution and has its own scale; of a point given the cameras, that of all residuals.
+            distribution and has its own scale; for a point given the cameras, the scale is that of
+            all residuals.
         factors: factors in addition to the observations, as in :func:`bundle.solve`.
         priors: measured positions and control points, in the frame of the problem; they do not move
             the problem.

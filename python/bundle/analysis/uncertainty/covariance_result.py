@@ -63,7 +63,7 @@ class Covariance(SavedBlocks):
 
     Attributes:
         pose_ids: (n,) ids of images, or of the poses of a graph.
-        pose_covariance: (n, d, d) of (w, t), d = 6; of a graph d = 3 or 6.
+        pose_covariance: (n, d, d) of (w, t), d = 6; for a graph, d = 3 or 6.
         point_ids: (n,) ids of points.
         point_covariance: (n, 3, 3); NaN if the depth of a point along its rays is undetermined.
         camera_ids: (n,) ids of cameras.
@@ -74,9 +74,9 @@ class Covariance(SavedBlocks):
         sensor_ids: (n, 2) ids of rigs and cameras.
         sensor_covariance: (n, 6, 6) of sensor_from_rig, as for poses.
         relative_ids: (m, 2) ids of images, or poses, a and b.
-        relative_covariance: (m, d, d) of cam_b_from_cam_a, as for poses; of a graph that of X_a^-1
+        relative_covariance: (m, d, d) of cam_b_from_cam_a, as for poses; for a graph, of X_a^-1
             X_b, a right perturbation, independent of the gauge.
-        cross_covariance: (m, d, d) of d_a with d_b; of a graph.
+        cross_covariance: (m, d, d) of d_a with d_b, for a graph.
         twist_covariance: (n, 6, 6) of the twists of images; 0 for global shutters, empty if all are
             global.
         readout_covariance: variance of each camera's readout; NaN for constant ones; empty if all

@@ -80,7 +80,7 @@ def about_free_directions(
     total = sum(free.values())
     return (
         f"No factor determines {least}{total} of {plural(columns, 'direction')} "
-        f"({where}{', ...' if len(free) > 3 else ''}): only the damping holds them. Fix "
+        f"({where}{', ...' if len(free) > 3 else ''}): only the damping limits them. Fix "
         "a variable, or add a prior."
     )
 

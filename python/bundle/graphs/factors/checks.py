@@ -55,13 +55,13 @@ def check_jacobians(
 
     Every residual is checked as Ceres evaluates it, with variable pose, intrinsics and point. The
     references are ceres::GradientChecker and Richardson extrapolation. Every other observation is
-    checked away from the origin of its rotation's chart. Of a :class:`bundle.FactorGraph`, all
-    kinds of factors are checked, those in Python included; of a pose graph its edges.
+    checked away from the origin of its rotation's chart. For a :class:`bundle.FactorGraph`, all
+    kinds of factors are checked, those in Python included; for a pose graph, its edges.
 
     Args:
         problem: a problem, the path of a problem, a pycolmap.Reconstruction, a pose graph or its
             path, or a factor graph; the check is at its values.
-        samples_per_image: number of observations to check per image; of a graph, number of factors
+        samples_per_image: number of observations to check per image; for a graph, number of factors
             with the same code and the same manifolds; None: all.
         seed: seed of the sampling.
         tolerance: relative error above which an entry is wrong.
@@ -139,12 +139,12 @@ def check_gradients(
             per sample and block. The C++ header bundle/checkable.h (``bundle.get_include()``)
             converts a compiled ceres cost function to such a function. Or a factor, or a whole
             :class:`bundle.FactorGraph`.
-        blocks: parameters, one array per block; of a factor the values of its variables, by key or
-            in the order of its keys; None for a graph.
+        blocks: parameters, one array per block; for a factor, the values of its variables, by key
+            or in the order of its keys; None for a graph.
         manifolds: one per block, or None if all are Euclidean. Choices: None or "euclidean";
             "angle_axis" (a rotation vector, differentiated as a vector space but sampled and named
             as a rotation); "quaternion_wxyz", "quaternion_xyzw"; "se3" (qx qy qz qw tx ty tz,
-            COLMAP's pose); "sphere"; ("subset", constant entries). Of a factor those of
+            COLMAP's pose); "sphere"; ("subset", constant entries). For a factor, those of
             :meth:`bundle.FactorGraph.add_variable`, by key or in the order of its keys.
         names: one entry per block, for the report: a name, or (name, names of its parameters). A
             factor has its keys.
@@ -158,7 +158,7 @@ def check_gradients(
         tangent: library in whose tangent coordinates the Jacobians are: "gtsam" (as a factor
             graph), "manif" (also Sophus), "g2o", "g2o_expmap" (VertexSE3Expmap, as ORB-SLAM). The
             manifolds are then those of a factor graph, and Jacobian i has their tangent size. None:
-            Jacobians by all numbers of the blocks, as Ceres; of a factor "gtsam".
+            Jacobians by all numbers of the blocks, as Ceres; for a factor "gtsam".
         details: also compute what ``bundle.html.write_check`` draws: errors of all entries, and
             curves against the step size.
 

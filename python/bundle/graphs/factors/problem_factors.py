@@ -132,7 +132,7 @@ class ProblemFactors:
 
     @property
     def holds_scale(self) -> bool:
-        """True if some factors may hold the scale: more than attitudes, ties and one position."""
+        """True if factors may determine the scale: others than attitudes, ties and one position."""
         kinds = [kind for kind in self._kinds_on_scene() if kind not in _WITHOUT_SCALE]
         return len(kinds) > 1 or (len(kinds) == 1 and kinds != ["position"])
 

@@ -2,7 +2,7 @@
 
 The core moves the given poses to a critical point of the chordal cost by Newton's method and tests
 its dual certificate (``cpp/core/pose_graph/dual_certificate.cpp``). A minimum of another cost (chi2
-with the logarithm, or with anisotropic information) is no critical point, but near one.
+with the logarithm, or with anisotropic information) is not a critical point, but near one.
 
 The verdict is about the given poses as long as the critical point belongs to them. It does if
 Newton's method lowers F by at most a tenth. Otherwise two solves decide:

@@ -35,8 +35,8 @@ class PoseGraphSummary(Summary):
     """Summary (:class:`bundle.Summary`) with chi2; costs are 1/2 sum rho(||r||^2) over the edges.
 
     Attributes:
-        chi2_initial: sum r^T Omega r at the given poses, without 1/2, loss and left-out edges; of a
-            graph without poses that at the start.
+        chi2_initial: sum r^T Omega r at the given poses, without 1/2, loss and left-out edges; for
+            a graph without poses, at the start of the solve.
         chi2_start: the same sum at the start, to which ``init`` may have moved the poses.
         chi2_final: the same sum at the end.
         init: start of the solve: "file", "odometry", "spanning_tree", "chordal",
@@ -76,8 +76,8 @@ class PoseGraphResult(SolveRecord):
         options: all options as used.
         summary: the solver's summary.
         iterations: one array per field of Ceres' IterationSummary, one entry per iteration.
-        chi2_before: (m,) r^T Omega r of each edge at the given poses, without loss; of a graph
-            without poses at the start.
+        chi2_before: (m,) r^T Omega r of each edge at the given poses, without loss; for a graph
+            without poses, at the start of the solve.
         chi2_after: (m,) r^T Omega r of each edge at the end, without loss.
         weights: (m,) final factor rho' of the loss on the information of each edge; 0 or 1 for
             gnc_tls; 0 for edges left out.

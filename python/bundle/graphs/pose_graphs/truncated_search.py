@@ -284,7 +284,7 @@ def choose_loss(
     plain = options.replace(loss="trivial", loss_scale=1.0, loss_on="closures")
     output = solve(plain)
     if output["summary"]["interrupted"]:
-        return plain, output, "No loss: stopped before another was tried."
+        return plain, output, "No loss: the run stopped before a loss was tried."
     doubt = doubts(output)
     if not doubt:
         reason = f"No loss: without one, all closures have a chi2 of at most {number(c_squared)}."

@@ -173,7 +173,8 @@ def read_image_times(path: str | os.PathLike[str], problem: Problem) -> NDArray[
         stamp = int(word)
         if last is not None and stamp < last[1]:
             raise InputError(
-                f"{place}: expected a time from {last[1]} ns of line {last[0]} on, found {stamp}"
+                f"{place}: expected at least {last[1]} ns, the time in line {last[0]}, "
+                f"found {stamp}"
             )
         if name in times:
             raise InputError(

@@ -463,7 +463,7 @@ def _checked(bodies: ImuBodies, options: SolveOptions | None) -> SolveOptions:
         raise InputError(f"imu: expected the backend auto or ceres, found {options.backend}")
     if options.gauge not in ("auto", "none"):
         raise InputError(
-            f"imu: expected the gauge auto or none, found {options.gauge}: it would hold the tilt "
+            f"imu: expected the gauge auto or none, found {options.gauge}: it would fix the tilt "
             "and the scale, which the IMU determines"
         )
     solver = options.linear_solver_type

@@ -11,8 +11,8 @@ perpendicular to it. Without translation, t is arbitrary and R still determined;
 keeps the step finite. The Schur complement of d in the normal matrix is the information on w: small
 where a rotation and a translation move the rays in the same way.
 
-A rotation and a translation move rays in similar ways, so that there are several minima. Of those
-from two starts, the one with the least Cauchy cost counts.
+A rotation and a translation move rays in similar ways, so that there are several minima. The
+search begins at two starts and returns the minimum with the lowest Cauchy cost.
 
 * Rotation by the samples, near the right minimum unless axes or units are wrong. The direction of
   the translation is then perpendicular to the normals of the planes through corresponding rays.

@@ -42,7 +42,7 @@ from bundle.model.sequence.sequence import Recording
 
 Array = np.ndarray[Any, Any]
 
-BIAS = 0.1  # rad/s: largest bias of a gyroscope that is no error
+BIAS = 0.1  # rad/s: largest bias of a gyroscope that is not an error
 LEAST_TURN, DEGREE = np.radians(1.0), np.pi / 180
 FEWEST, MOST = 15, 300  # pairs of images
 SHIFTS = 5e-3 * np.arange(-20, 21)  # s

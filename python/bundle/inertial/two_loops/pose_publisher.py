@@ -238,7 +238,7 @@ class PosePublisher(Displayed):
         return newest
 
     def _advanced(self, state: Array, from_ns: int, samples: list[_Sample]) -> Array:
-        """Return the state at the last of some samples, the first of which holds at `from_ns`."""
+        """Return the state at the last sample, from `state` at `from_ns`, the first sample."""
         if len(samples) < 2:
             return state
         stamps = np.array([from_ns, *(s.timestamp_ns for s in samples[1:])], np.int64)

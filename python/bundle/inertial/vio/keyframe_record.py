@@ -63,8 +63,8 @@ class KeyframeRecord:
         yaw_sigma: standard deviation of the newest yaw, rad; None without covariance or with a free
             yaw.
         speed_sigma: relative standard deviation of the newest speed, and of the scale while nothing
-            accelerates; None without covariance, which a quiet accelerometer asks for, too, or
-            below 0.5 m/s.
+            accelerates. None below 0.5 m/s, or without covariance; that is also computed while the
+            accelerometer is quiet.
         accumulated_rotation: sum of rotation angles between keyframes since the start, rad.
         marginalized: stamp of the keyframe that left the window, or None, and the method.
         num_absorbed: landmarks that were marginalised into the prior.

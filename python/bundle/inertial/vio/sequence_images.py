@@ -185,7 +185,7 @@ class SequenceImages:
         return [self.interval(self.stamp(first), second) for first, second in pairwise(images)]
 
     def after(self, image: int, rate: float) -> list[int]:
-        """Return the images after an image, at most at a rate in Hz."""
+        """Return the images after an image, thinned out to at most `rate` per second."""
         chosen, last = [], self.stamps[image]
         for k in range(image + 1, len(self)):
             # Half a millisecond of tolerance for cameras with jittering stamps.

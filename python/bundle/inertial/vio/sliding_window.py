@@ -55,7 +55,7 @@ class SlidingWindow:
         options: a :class:`bundle.WindowOptions`, or some of its fields by name.
 
     Attributes:
-        far_share: share of the newest image's observations that the last solve left far away.
+        far_share: share of the newest image's observations that are outliers after the last solve.
 
     Raises:
         InputError: an argument has a wrong shape or value.
@@ -224,7 +224,7 @@ class SlidingWindow:
         frame.inertia = interval.integrated(self.noise, state, self.options.integration)
 
     def _drop_newest(self) -> ImuInterval:
-        """Remove the newest frame, which is no keyframe; its samples join the next interval."""
+        """Remove the newest frame, which is not a keyframe; its samples join the next interval."""
         frame = self.frames.pop()
         assert frame.interval is not None
         self._depths.leave(frame, self.frames, self.camera_from_imu)

@@ -63,7 +63,7 @@ def check_file(path: Path) -> None:
     """Raise the errors that ``replace_file`` raises before anything is written.
 
     Raises:
-        InputError: the path is a folder, a device or a pipe, or a path above it is no folder.
+        InputError: the path is a folder, a device or a pipe, or a path above it is not a folder.
         PermissionError: the file or its folder is write-protected.
     """
     target = Path(os.path.realpath(path))
@@ -85,7 +85,7 @@ def check_folder(path: Path) -> None:
 
     Raises:
         InputError: the path is a file or device, or a folder that is neither empty nor a COLMAP
-            model, or a path above it is no folder.
+            model, or a path above it is not a folder.
         PermissionError: the folder, or the parent of a new folder, is write-protected.
     """
     target = Path(os.path.realpath(path))
@@ -206,7 +206,7 @@ def write_text(path: Path, text: str) -> None:
     """Write a text to a file atomically, or into a device or pipe.
 
     Raises:
-        InputError: the path is a folder, or a path above it is no folder.
+        InputError: the path is a folder, or a path above it is not a folder.
         OSError: a system call fails; the error names the path.
     """
     if is_stream(path):

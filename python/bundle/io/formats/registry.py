@@ -36,8 +36,8 @@ class Format:
         what: kind of content for messages, such as "a Bundler model".
         module: module (or its dotted name) with ``read`` and ``write``, or one of them.
         writer: module with ``write`` and ``check``; None: ``module``.
-        pattern: regular expression that matches the first 4096 bytes of a file; empty: none. Of a
-            format without a reader it serves to name the content.
+        pattern: regular expression that matches the first 4096 bytes of a file; empty: none. For a
+            format without a reader, it serves to name the content.
         members: names of files that make a folder a project of this format.
         suffixes: ends of names of output files.
         is_folder: True if the output is a folder.

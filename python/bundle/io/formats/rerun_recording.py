@@ -77,7 +77,7 @@ def write(problem: Problem, path: Path) -> tuple[str, ...]:
 
 
 def _pinhole(problem: Problem, camera: int) -> Any:
-    """Return the lens without its distortion; None for a panorama, which is no pinhole."""
+    """Return the lens without its distortion; None for a panorama, which is not a pinhole."""
     import rerun
 
     model = problem.camera_models[camera]

@@ -37,7 +37,7 @@ def grey_images(paths: Sequence[Path], size: tuple[int, int] | None) -> Iterator
         size: width and height of the calibration; None: unknown.
 
     Raises:
-        InputError: a file is truncated, is no image, or has another size.
+        InputError: a file is truncated, is not an image, or has another size.
         OSError: a file cannot be read.
     """
     scale = GreyScale()

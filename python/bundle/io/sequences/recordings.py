@@ -53,7 +53,7 @@ def read_recording(path: str | os.PathLike[str], source: RecordingSource) -> Rec
     """Read samples, calibration and list of images.
 
     Raises:
-        InputError: the path is no recording, a file violates its format, or OpenCV is missing.
+        InputError: the path is not a recording, a file violates its format, or OpenCV is missing.
         OSError: a file cannot be read.
     """
     format = sequence_at(as_path(path))

@@ -148,7 +148,7 @@ def check_sequence_target(path: str | os.PathLike[str]) -> None:
 
     Raises:
         InputError: the path is a file or a folder with other content, it has the suffix of a file,
-            or a path above it is no folder.
+            or a path above it is not a folder.
     """
     folder = Path(os.path.realpath(as_path(path)))
     if not folder.exists():

@@ -1,7 +1,8 @@
 """Association of the poses of an estimate A with those of a reference B.
 
 Names: equal names are the same image. If more names are equal without folders, or without folders
-and suffix, these count. A name that several images share at that level has no partner.
+and suffix, these shorter names are compared. A name that several images share at that level has no
+partner.
 
 Time stamps: the nearest stamp of B is the partner, if it is also the nearest in the other direction
 and differs by at most the tolerance. Names that are numbers, such as 1403636579763555584.png

@@ -24,8 +24,8 @@ adds (e_k+1 - e_k) / (2 n) to the area under the steps. The sum telescopes, so t
     AUC_trapezoid(tau) = AUC_integral(tau) + max{e : e <= tau} / (2 n tau).
 
 All definitions are therefore sums over pairs. They are accumulated over blocks of rows, in memory
-that does not grow with the number of pairs. Of more than 5,000 images, 5,000 that are evenly spaced
-in their order count.
+that does not grow with the number of pairs. If there are more than 5,000 images, 5,000 of them,
+evenly spaced in their order, are used.
 
 RTE depends on the direction of a pair, because the camera that measures it changes; with i < j the
 order of the images matters. Callers sort images by name or time. If the cameras of a pair have the

@@ -321,8 +321,8 @@ def _moved(movement: SigmaMovement) -> str:
     far = int((movement.sigmas > FAR).sum())
     if not movement.is_minimum:
         cost = "least squares" if movement.loss == "trivial" else f"the {movement.loss} loss"
-        meaning = f"no measure of quality, because A is not at a minimum of {cost}"
-        meaning += "; if its solve had a loss, give it (--loss)" * (movement.loss == "trivial")
+        meaning = f"this number is not meaningful, because A is not at a minimum of {cost}"
+        meaning += "; if A was refined with a loss, give it: --loss" * (movement.loss == "trivial")
     elif movement.median <= 1:
         meaning = "within the uncertainty of A"
         meaning += f", except {plural(far, 'image')} beyond {FAR}" if far else ""
@@ -331,7 +331,7 @@ def _moved(movement: SigmaMovement) -> str:
     else:
         meaning = "more than the uncertainty of A explains"
     if movement.assumed and movement.is_minimum:
-        meaning += f", if its solve held {movement.assumed}"
+        meaning += f", if its solve kept {movement.assumed} constant"
     return (
         f"Relative poses differ by {number(movement.median)} sigmas of A's covariance (median; at "
         f"most {number(movement.largest)}): {meaning}."

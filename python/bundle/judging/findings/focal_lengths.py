@@ -8,8 +8,8 @@ of a scene without changing the residuals much. The command shares the lens of a
 cameras, as the views together determine it; of a single one, or where the lenses are known to
 differ (T below), it adds a prior of 2 %.
 
-Shared. All focal lengths and distortion parameters theta of a group of m cameras count together.
-With the covariance C of all of them, the contrasts D theta to the first camera have
+Shared. All focal lengths and distortion parameters theta of a group of m cameras are tested
+together. With the covariance C of all of them, the contrasts D theta to the first camera have
 
     T = (D theta)^T (D C D^T)^-1 (D theta),
 
@@ -113,7 +113,7 @@ def undetermined_intrinsics(measured: Measured, groups: Groups) -> Finding | Non
         sentence=f"The focal length is not determined in {plural(len(rows), 'camera')} "
         f"({named('camera', cameras.tolist())}): its standard deviation is "
         f"{100 * median(relative):.0f} % of it. "
-        f"{'Share the lens' if shares else 'Add a prior'}, or hold it.",
+        f"{'Share the lens' if shares else 'Add a prior'}, or fix it.",
         command=measured.command.refine(*flags),
         evidence={
             "camera_ids": cameras.tolist(),

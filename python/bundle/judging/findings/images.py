@@ -51,7 +51,7 @@ from numpy.typing import NDArray
 
 from bundle.base.arrays import median
 from bundle.base.records import dataclass
-from bundle.base.words import noun, number
+from bundle.base.words import noun
 from bundle.errors import InputError, shown
 from bundle.interface.finding import Finding
 from bundle.judging.findings.larger_lens import Step, explains_more, is_cheap, rms
@@ -124,7 +124,8 @@ def motion(
     return Finding(
         kind="motion",
         sentence=f"Motion or a rolling shutter: the {worst} of the residuals differs from image to "
-        f"image, {number(ratios[worst])} times as much as the noise explains ({_ORDERS[named]}). "
+        f"image by {sizes[worst] * measured.scale:.2g} px at its border (standard deviation; "
+        f"noise subtracted; {_ORDERS[named]}). "
         f"Keep one lens: a lens per image would absorb it and move the cameras.{price_of(gain)}",
         command=measured.command.refine("--rolling-shutter", shutter) if shutter else "",
         evidence={

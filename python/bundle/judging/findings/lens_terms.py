@@ -131,8 +131,9 @@ def lens_model(measured: Measured, fields: Sequence[LensField]) -> Finding | Non
     return Finding(
         kind="lens_model",
         sentence=f"The lens model {worst.model} of {named('camera', worst.camera_ids)} is too "
-        f"small: all images have the same pattern of residuals, {worst.size:.2f} times the noise, "
-        f"{100 * share:.0f} % of it {kind} ({percentile:.2g} px at its 99th percentile).",
+        f"small: all images have the same pattern of residuals, "
+        f"{worst.size * measured.scale:.2g} px rms ({percentile:.2g} px at its 99th percentile), "
+        f"{100 * share:.0f} % of it {kind}.",
         command=measured.command.refine("--camera-model", name) if name else "",
         evidence={
             "camera_ids": list(worst.camera_ids),

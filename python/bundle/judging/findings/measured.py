@@ -54,7 +54,7 @@ class Measured:
 
     Attributes:
         whole: the model.
-        command: maker of command lines.
+        command: object that makes command lines.
         options: options of the solve that made the model; the defaults if unknown.
         lens_sigmas: :attr:`bundle.Covariance.lens_sigmas` of the model, or None.
         priors: measured positions of images.
@@ -73,7 +73,7 @@ class Measured:
     is_minimum: bool = False
 
     def of_command(self, command: NextCommand) -> Measured:
-        """Return this model with another maker of command lines."""
+        """Return this model with another object that makes command lines."""
         return replace(self, command=command)
 
     @cached_property

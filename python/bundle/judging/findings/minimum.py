@@ -82,7 +82,7 @@ def shifted_pixels(measured: Measured) -> Finding | None:
 
 
 def _left(measured: Measured) -> Iterator[tuple[float, str, float]]:
-    """Yield what is left of the cost after a step of points, and of poses, and the decrease."""
+    """Yield the cost that remains after a step of points, and of poses, and the decrease."""
     problem, options = measured.problem, measured.options
     step = -(-problem.num_observations // MOST_OBSERVATIONS)
     usable = measured.counted & (problem.observation_point % step == 0)

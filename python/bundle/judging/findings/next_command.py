@@ -41,7 +41,7 @@ class NextCommand:
         return shlex.join(["bundle", "refine", self.source, "-o", self.target, *words])
 
     def after(self, *flags: str) -> NextCommand:
-        """Return the maker of commands for a run with these flags in addition."""
+        """Return the object that makes commands for a run with these flags in addition."""
         advised = list(_occurrences(flags))
         replaced = {_name(one) for one in advised} - REPEATED
         kept = [
@@ -53,7 +53,7 @@ class NextCommand:
         return NextCommand(self.source, self.target, words)
 
     def with_flags_of(self, command: str) -> NextCommand:
-        """Return the maker of commands for a run with the flags of a command in addition."""
+        """Return the object that makes commands for a run that also has a command's flags."""
         return self.after(*shlex.split(command)[5:])
 
     def value(self, flag: str, default: str) -> str:

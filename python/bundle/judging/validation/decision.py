@@ -27,7 +27,7 @@ is recommended.
 
 ``tests/campaigns/judge.py`` measures the numbers z and t on scenes of known truth. Lower limits
 choose larger lenses: with z = 1.5 and t = 0.5 %, three times as many scenes get a larger lens than
-the true one, and the noise-free error is no lower.
+the true one, and the noise-free error is not lower.
 
 Vetoed candidates take no part. Their scores and differences are still computed.
 """

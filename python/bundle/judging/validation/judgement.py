@@ -10,7 +10,6 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.base.words import number
 from bundle.errors import InputError
 from bundle.georeference.pose_alignment import align_centers
 from bundle.interface.finding import Finding
@@ -215,12 +214,14 @@ def _findings(
     if test is None or not test.fires:
         return ()
     gain = shutter_movement(measured(fit), order)
+    spread = f"{float(test.deviations[1:].max()):.2g}"
     better = f": one lens predicts {100 * test.gain:.1f} % better with a shutter by {order}"
     return (
         Finding(
             kind="motion",
             sentence="Motion or a rolling shutter: anisotropy or shear of the residuals differs "
-            f"by image, {number(max(test.shear, test.anisotropy))} times as much as noise explains"
+            f"from image to image by {spread} px at its border (standard deviation; noise "
+            "subtracted)"
             f"{better if test.gain > 0 else ''}. Keep one lens.{price_of(gain)}",
             command=f"{command} --rolling-shutter {order}" if gain > GAIN else "",
             evidence={

@@ -158,7 +158,7 @@ def refine_command(
 
 
 def _sharing(share: str) -> str:
-    """Return the flag that gives the cameras of a sharing."""
+    """Return the flag of `refine` for a kind of sharing."""
     if share in ("each", "focal"):
         return "--split-cameras"
     return f"--share-cameras {share}"

@@ -305,7 +305,7 @@ def shear_score(
     residual: _Floats,
     refine: tuple[str, ...] = ("focal", "extra"),
 ) -> ShearScore:
-    """Return the test of observations without outliers and repeated measurements, ascending.
+    """Return the test of ascending observations, which have no outliers and no repetitions.
 
     Positions (rows, 2) are projections relative to the centre of the image, in any unit, residuals
     (rows, 2) projection minus measurement.

@@ -202,7 +202,7 @@ def present_candidate(
 ) -> int:
     """Return the index of the candidate with the input's models and sharing; -1: none.
 
-    Of several losses and refined sets those of the recommended candidate count.
+    With several losses and refined sets, only those of the recommended candidate are used.
     """
     used = {problem.camera_models[camera] for camera in set(problem.image_camera.tolist())}
     own = groups_of(problem, "input").tobytes()

@@ -237,8 +237,9 @@ def check_imu_samples(
         refuse_row(
             clipped,
             lambda k, name=name, limit=limit, unit=unit, clipped=clipped: (  # type: ignore[misc]
-                f"{name}[{k // 3}, {k % 3}]: expected less than the range of {limit:g} {unit}, "
-                f"found {samples[name].flat[k]:g}: {clipped.sum()} saturated values"
+                f"{name}[{k // 3}, {k % 3}]: expected values below the sensor's limit of "
+                f"{limit:g} {unit}, found {samples[name].flat[k]:g}: {clipped.sum()} saturated "
+                "values"
             ),
         )
     suspected = suspected_units(samples["gyro"], samples["accel"])

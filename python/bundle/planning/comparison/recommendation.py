@@ -236,7 +236,8 @@ def _verdict(ratios: Sequence[dict[Method, float]], foreseen: Sequence[Method | 
     right = [row.get(method, math.inf) <= NEAR_ENOUGH for method, row in judged]
     within = f"within {round(100 * (NEAR_ENOUGH - 1))} % of the fastest"
     if len(judged) > 1:
-        return f"Predicted before any solve and {within}: {sum(right)} of {len(judged)} problems."
+        share = f"{sum(right)} of {len(judged)} problems"
+        return f"`bundle inspect` predicted a method {within} on {share}."
     method, row = judged[0]
     name = f"`bundle inspect` predicted {method.name} on {method.threads}"
     if method not in row:

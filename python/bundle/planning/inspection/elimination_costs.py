@@ -135,20 +135,20 @@ class FactorGraphInspection(Displayed, Tabular):
         num_factors: number of factors, or of edges.
         manifolds: number of variables by manifold.
         kinds: number of factors by class.
-        block_size: of a pose graph 3 in the plane (SE(2)), 6 in space (SE(3)); 0 if variables have
+        block_size: 3 for a pose graph in the plane (SE(2)), 6 in space (SE(3)); 0 if variables have
             sizes of their own.
         num_columns: number of free coordinates.
         num_free_variables: variables with a free coordinate; the costs are for these.
-        num_edges: distinct pairs of poses with an edge; of free variables with a common factor.
-        largest_clique: free variables of the factor with most of them.
+        num_edges: distinct pairs of poses with an edge, or of free variables with a common factor.
+        largest_clique: largest number of free variables of one factor.
         nnz: nonzeros of the information matrix, both triangles and the diagonal: over all poses of
             a pose graph, over the free coordinates of a factor graph.
         nnz_free: its nonzeros over the free coordinates.
         density: share of nonzeros in the matrix of ``nnz``.
         costs: one per order, then the dense matrix.
-        auto_ordering: order that a solve selects, of a pose graph with ``auto``.
-        num_threads: threads of the predicted times. Those of a factor graph are of Ceres' normal
-            equations with the evaluation of its factors, NaN if a factor failed.
+        auto_ordering: order that a solve selects; for a pose graph, with ``auto``.
+        num_threads: threads of the predicted times. The times of a factor graph are those of
+            Ceres' normal equations and of its factors; NaN if a factor failed.
     """
 
     num_variables: int

@@ -21,7 +21,7 @@ class EliminationCost:
 
     Attributes:
         ordering: "natural" (by position), "amd", "metis", "colamd", "nesdis", or "dense" for a
-            dense matrix; of a method "" without a factorisation, whose counts are then 0.
+            dense matrix; "" for a method without a factorisation, whose counts are 0.
         nnz_factor: nnz(L): lower triangle with its diagonal, without the zeros that supernodes
             store.
         fill: fill-in: pairs of variables or blocks that are nonzero in L and zero in the matrix.

@@ -96,7 +96,7 @@ def inspect(
     A :class:`FactorGraph` of reprojections is inspected as the problem that it states, one of
     relative poses as the pose graph that it states; the result is equal. For any other factor graph
     the result is a :class:`FactorGraphInspection`, with the same table of orders. The graph decides
-    which coordinates are constant; of the options only ``num_threads`` has an effect.
+    which coordinates are constant; only ``num_threads`` of the options has an effect.
 
     Args:
         problem: Problem, path of one, or pycolmap.Reconstruction; not modified.

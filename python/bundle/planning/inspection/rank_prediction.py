@@ -256,8 +256,8 @@ def find_rank_limit(predictions: Sequence[RankPrediction]) -> RankLimit | None:
             reason="",
             share=0.0,
             message=(
-                f"All pay: {most} processes still have {last.efficiency:.0%} efficiency; a step "
-                f"takes {duration(last.time_per_step_in_seconds)}."
+                f"No number is too large: {most} processes have {last.efficiency:.0%} "
+                f"efficiency; a step takes {duration(last.time_per_step_in_seconds)}."
             ),
         )
     waste = _waste(beyond)

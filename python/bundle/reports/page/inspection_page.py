@@ -63,8 +63,8 @@ def write_inspection(
 
     Args:
         inspection: inspection of a problem or of a graph. A single small graph is compared with
-            itself in natural order and under minimum degree. Several graphs must be the same
-            graph under the orders to compare.
+            itself in natural order and under minimum degree. Several inspections
+            must be of one graph, under the orders to compare.
         path: path of the file. A failed write leaves no partial file.
         problem: the inspected problem; its matrices and co-visibility graph are drawn. Without
             it, the page has only tables and bars. None for a graph.
@@ -74,7 +74,7 @@ def write_inspection(
         network: network of these predictions: gigabits per second, latency in microseconds.
 
     Raises:
-        InputError: the path is a folder, or a path above it is no folder.
+        InputError: the path is a folder, or a path above it is not a folder.
         OSError: the file cannot be written.
     """
     path = as_path(path)

@@ -171,7 +171,7 @@ def worst_section(images: Sequence[ImageResiduals], photographs: Photographs) ->
     for image in images[:NUM_WORST]:
         picture = photographs.pictures.get(image.error.image_id)
         figures.append(image_figure(image, picture=picture and picture.address))
-    words = "Lines go from the measurement to the projection, longer by the factor given."
+    words = "Lines go from the measurement to the projection, enlarged by the given factor."
     table = Table.of(head, rows, most=20)
     return [
         Section(title="Worst images", text=[words], notes=photographs.notes, is_warning=True,

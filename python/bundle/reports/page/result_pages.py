@@ -74,7 +74,7 @@ def write_comparison(
     """Write a comparison of a problem or of a graph as one self-contained HTML file.
 
     Raises:
-        InputError: the path is a folder, or a path above it is no folder.
+        InputError: the path is a folder, or a path above it is not a folder.
         OSError: the file cannot be written.
     """
     if isinstance(comparison, GraphComparison):

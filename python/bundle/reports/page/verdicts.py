@@ -12,7 +12,8 @@ two limits; "problem" beyond the second. Limits:
 * positions: their median standard deviation, 3 and 10 % of the extent of the cameras.
 * held-out error: the ratio of its median to that of the fitted observations, 2 and 5.
 * tracks: points with less than 2 degrees of parallax, 25 and 60 %.
-* worst image: the ratio of its RMSE to the median of the images, 3. A single image is no problem.
+* worst image: the ratio of its RMSE to the median of the images, 3. A single image is not a
+  problem.
 * georeference: the root mean square of check points or positions in their sigmas, 3 and 10.
 """
 

@@ -146,7 +146,7 @@ def _error(description: Description) -> str:
     if error is None:
         return "unknown: there are camera models that bundle does not know"
     if error.num_observations == 0:
-        return "there is no observation that counts"
+        return "no observation has a projection"
     return (
         f"RMSE {pixels(error.rmse)} px, mean {pixels(error.mean)}, median {pixels(error.median)}, "
         f"95th percentile {pixels(error.p95)}, max {pixels(error.max)}, "

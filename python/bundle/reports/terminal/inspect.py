@@ -314,8 +314,9 @@ def _needs(needs: ProblemNeeds) -> Section:
              "a disk."]  # fmt: skip
     if needs.num_submaps > 1:
         notes.append(
-            "One solve has at most 1,073,741,823 observations, so submaps share images, their "
-            "separators. `refine --only-images --rest marginal` eliminates all else exactly. The "
+            "One solve has at most 1,073,741,823 observations: divide the problem into submaps "
+            "that share images (separators). `refine --only-images --rest marginal` eliminates "
+            "everything else exactly. The "
             f"dense system of {needs.most_separator_images:,} images fits into the free memory."
         )
     return Section(facts=facts, notes=notes)

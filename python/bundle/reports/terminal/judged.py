@@ -374,7 +374,7 @@ def _legend(found: Validation) -> list[str]:
         "error; sigma: of the positions, relative to the recommended"
     )
     if found.row_test is not None and math.isfinite(found.row_test.gain):
-        words.append("difference and =: shared lenses with a rolling shutter, all else without")
+        words.append("difference and =: only shared lenses are compared with a rolling shutter")
     return words
 
 

@@ -236,7 +236,7 @@ def with_loops(
 ) -> Report:
     """Return the report of an odometry, extended by that of its two loops.
 
-    Error and ``written`` are those of the published poses.
+    ``error`` and ``written`` belong to the published poses.
     """
     return replace(
         report,

@@ -59,30 +59,30 @@ class ConstantParts:
     def _why_held(self, member: Member) -> str:
         """Return why a parameter is constant; "" if it is not constant."""
         if member in self._fixed:
-            return f"is held by {self._place(self._fixed[member])}"
+            return f"is constant by {self._place(self._fixed[member])}"
         camera, j = member
         key = int(self._problem.camera_ids[camera])
         if self._is_outside("camera", key):
-            return "is held (its camera took none of the images that are refined)"
+            return "is constant (its camera took none of the refined images)"
         if key in self._fixed_ids["camera"]:
-            return f"is held (camera {key} is among the fixed ones)"
+            return f"is constant (camera {key} is a fixed camera)"
         kind = param_kinds(self._problem.camera_models[camera])[j]
         if kind == "metadata":
             return "no solve refines"
         if kind not in self._free_kinds:
-            return f"is held (refine lacks {kind})"
+            return f"is constant (refine lacks {kind})"
         lower, upper = self._bounds.get(member, (-math.inf, math.inf))
-        return f"is held by {self._place(self._bounded[member])}" if lower == upper else ""
+        return f"is constant by {self._place(self._bounded[member])}" if lower == upper else ""
 
     def _why_pose_held(self, kind: str, index: int, name: str) -> str:
         key = int(getattr(self._problem, f"{kind}_ids")[index])
         group = "points" if kind == "point" else "poses"
         rule = self._points.get(index) if kind == "point" else self._poses.get((index, name))
         if rule is not None:
-            return f"is held by {self._place(rule)}"
+            return f"is constant by {self._place(rule)}"
         if key in self._fixed_ids[kind]:
-            return f"is held (it is among the fixed {kind}s)"
-        return "" if group in self._free_kinds else f"is held (refine lacks {group})"
+            return f"is constant (it is one of the fixed {kind}s)"
+        return "" if group in self._free_kinds else f"is constant (refine lacks {group})"
 
     def _is_outside(self, kind: str, key: int) -> bool:
         return self._part is not None and key not in self._part[kind]

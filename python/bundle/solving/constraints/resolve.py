@@ -288,7 +288,9 @@ class _Resolver(ConstantParts):
             for j in columns:
                 member = camera, j
                 self._expect_first(number, ("camera", member), self._name(member))
-                why = self._why_held(member) or ("is held by what it shares" * (member in held))
+                why = self._why_held(member) or (
+                    "is constant because a parameter that it shares is constant" * (member in held)
+                )
                 if why:
                     raise InputError(
                         f"{rule.place}: expected a prior on a refined parameter, found "
