@@ -29,7 +29,7 @@ class Verdict:
     Attributes:
         name: "camera RADIAL k1", "rotation".
         verdict: "correct", "wrong" or "undecided". A parameter is undecided if the reference is not
-            accurate enough for most of its entries; entries that are certainly zero do not count. A
+            accurate enough for most of its entries; entries that are certainly zero are ignored. A
             group is undecided if most of its parameters are.
         num_entries: number of compared entries of the Jacobians.
         num_wrong: entries above the tolerance.

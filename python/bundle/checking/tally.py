@@ -97,7 +97,7 @@ class Tally:
         return wrong_points
 
     def is_undecided(self, column: int) -> bool:
-        """Return True if most entries of a column are undecided; certain zeros do not count."""
+        """Return True if most entries of a column are undecided; certain zeros are ignored."""
         return bool(2 * self.num_undecided[column] > self.num_telling[column])
 
     @property

@@ -90,7 +90,7 @@ def _with_scale(
 def cameras_by_size(problem: Problem) -> list[list[int]]:
     """Return the ids of the cameras of each image size, for sizes with two or more cameras.
 
-    Cameras without an image and cameras of unknown size do not count.
+    Cameras without an image and cameras of unknown size are ignored.
     """
     used = np.unique(problem.image_camera)
     used = used[(problem.camera_sizes[used] > 0).all(axis=1)]

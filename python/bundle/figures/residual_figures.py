@@ -339,7 +339,7 @@ def worst_residuals(
 ) -> list[ImageResiduals]:
     """Return the residuals of the images with the largest RMSE, the largest first."""
     lengths = np.where(found.counted, found.lengths, np.nan)
-    behind = np.zeros(len(lengths), bool)  # observations that do not count have length NaN
+    behind = np.zeros(len(lengths), bool)  # ignored observations have length NaN
     return image_residuals(
         problem, found, worst_of_errors(problem, lengths, behind, "algebraic", most=most)
     )

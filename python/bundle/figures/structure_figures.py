@@ -161,7 +161,7 @@ class TrackStatistics:
         angle_limits: limits of the angle classes in degrees, ascending.
         angles: (len(angle_limits) + 1,) points by the largest angle between two of their rays:
             below the first limit, between consecutive limits, and above the last one. Only points
-            with at least two observations count.
+            with at least two observations are used.
     """
 
     lengths: NDArray[np.int64]

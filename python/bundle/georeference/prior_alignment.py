@@ -278,7 +278,7 @@ def _similarity_beside_offset(
 def robust_similarity(points: Correspondences, what: str) -> Similarity:
     """Return the similarity that most of the points agree on.
 
-    Points that contradict the majority do not count. With fewer than three known heights, or
+    Points that contradict the majority are ignored. With fewer than three known heights, or
     heights that do not determine the tilt, all points are assumed to have one height.
 
     Args:
@@ -327,7 +327,7 @@ def _listed(priors: Any) -> tuple[PositionPrior, ...]:
 #
 #     a = arg sum conj(p_i) q_i,    s = (|sum conj(p_i) q_i| + sum u_i v_i) / sum (|p_i|^2 + u_i^2).
 #
-# Unknown heights do not count. Lever arms, which are short beside the line, are left to the solve.
+# Unknown heights are ignored. Lever arms, which are short beside the line, are left to the solve.
 
 
 def level_similarity(points: Correspondences, upright: Array) -> Similarity:

@@ -70,7 +70,7 @@ class VectorPrior(FrozenArrays, Displayed):
 
     @property
     def full_covariance(self) -> Array:
-        """Covariance (3, 3); axes that do not count have a variance of 1e200."""
+        """Covariance (3, 3); axes that are ignored have a variance of 1e200."""
         given: Any = self
         if self.covariance is not None:
             full: Array = np.array(self.covariance, dtype=np.float64)
@@ -92,7 +92,7 @@ class VectorPrior(FrozenArrays, Displayed):
         return np.nan_to_num(np.asarray(getattr(self, self.noun), dtype=np.float64))
 
     def whiten(self, residual: Array) -> Array:
-        """Return L^-1 times a (3,) residual; axes that do not count are zero."""
+        """Return L^-1 times a (3,) residual; axes that are ignored are zero."""
         root = np.linalg.cholesky(self.information)
         return np.asarray(root.T @ np.nan_to_num(residual), dtype=np.float64)
 
@@ -185,7 +185,7 @@ class PositionPrior(VectorPrior):
         position: (3,) position of the projection centre, or of the antenna, in the length unit of
             ``sigma``. If the third coordinate is nan, only the horizontal position counts.
         sigma: standard deviation: one number, (horizontal, vertical), or one per axis. An axis with
-            an infinite sigma does not count. Give either ``sigma`` or ``covariance``.
+            an infinite sigma is ignored. Give either ``sigma`` or ``covariance``.
         covariance: (3, 3) symmetric positive definite, in squared length units.
         lever_arm: (3,) position of the antenna in the camera frame (x right, y down, z forward), in
             the same length unit.

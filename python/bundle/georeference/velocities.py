@@ -71,7 +71,7 @@ class VelocityPrior(VectorPrior):
             units per second (:attr:`bundle.RollingShutter.frame_rate` has the frames per second).
             If the third coordinate is nan, only the horizontal velocity counts.
         sigma: standard deviation: one number, (horizontal, vertical), or one per axis. An axis with
-            an infinite sigma does not count. Give either ``sigma`` or ``covariance``.
+            an infinite sigma is ignored. Give either ``sigma`` or ``covariance``.
         covariance: (3, 3) symmetric positive definite, in squared units of the velocity.
         lever_arm: (3,) position of the antenna in the camera frame (x right, y down, z forward), in
             the length unit.

@@ -52,8 +52,9 @@ class Summary(Displayed):
       first process.
 
     Size of the matrix that each step factorises. Values are None, or "", if no matrix is factorised
-    or the number is unknown. All entries of a block count. Matrices count with both triangles and
-    the diagonal, the factor L with its lower triangle and the diagonal, as in ``bundle.inspect``:
+    or the number is unknown. All entries of a block are counted. Matrices count with both triangles
+    and the diagonal, the factor L with its lower triangle and the diagonal, as in
+    ``bundle.inspect``:
 
     - ``num_information_nonzeros``: nonzeros of J^T J, where J is the Jacobian of all refined
       variables; None only without ``check_solution``.

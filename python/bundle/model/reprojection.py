@@ -158,7 +158,7 @@ def linearize(
 
     Args:
         problem: the problem; the evaluation is at its values.
-        cheirality: as in a solve; rows of observations that do not count are zero.
+        cheirality: as in a solve; rows of observations that it ignores are zero.
         rotation_offsets: (num_images, 3) values of w at which to evaluate; 0 by default.
     """
     shape = (problem.num_images, 3)
@@ -265,7 +265,7 @@ class HeldOut(ClippedErrors):
 def errors_or_nan(
     problem: Problem, cheirality: str = "auto", num_threads: int = 0
 ) -> NDArray[np.float64]:
-    """Return the reprojection error of each observation; NaN if it does not count."""
+    """Return the reprojection error of each observation; NaN if it is ignored."""
     cheirality = resolve_cheirality(problem, cheirality)
     errors, behind = reprojection_errors(problem, cheirality=cheirality, num_threads=num_threads)
     return np.where(counted_errors(errors, behind, cheirality), errors, np.nan)
@@ -333,7 +333,7 @@ def worst_images(
 
     Args:
         problem: the problem; errors are evaluated at its values.
-        cheirality: as in a solve; observations that do not count are left out.
+        cheirality: as in a solve; observations that it ignores are left out.
         num_threads: number of threads; 0: all cores.
     """
     errors, behind = reprojection_errors(problem, cheirality=cheirality, num_threads=num_threads)

@@ -316,7 +316,7 @@ def _as_asked(used: SolveOptions, asked: SolveOptions) -> SolveOptions:
 #
 # The points' system after eliminating the cameras couples all points of an image. The 3 k
 # coordinates of the k points of an image form a clique, whose elimination needs the sum of c^2 + 3
-# c for c below 3 k in every order, about (3 k)^3 / 3. Ceres does not count the flops of this
+# c for c below 3 k in every order, about (3 k)^3 / 3. Ceres is ignored the flops of this
 # system: the bound of the largest image replaces them. The other order, points first, is counted
 # exactly.
 

@@ -107,8 +107,8 @@ def diagnose(
     For a pose graph, the result of its solve, or a g2o file, the diagnosis has the rank from the
     information of the edges, weak joints by pose and edge, condition numbers, and edges that the
     others contradict. ``options`` are then
-    :class:`bundle.PoseGraphOptions`, of which error, information and loss count. The result of a
-    solve is diagnosed with its own options and the final weights of the solve.
+    :class:`bundle.PoseGraphOptions`, of which error, information and loss have an effect. The
+    result of a solve is diagnosed with its own options and the final weights of the solve.
 
     A :class:`FactorGraph` of relative poses or of reprojections is diagnosed as the pose graph or
     the problem that it states. Any other factor graph has keys in place of ids and factors in place

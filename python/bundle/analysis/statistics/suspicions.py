@@ -62,7 +62,7 @@ PROBLEMS = ("collapsed_points", "unsupported_camera_models")
 """Kinds with which a model is not a reconstruction."""
 FEW_FOR_POSE, SMALL_DIFFERENCE, MOST_LOOSE = 15, 20.0, 20
 LARGEST = 1e50
-"""Derivatives beyond this limit, whose products would overflow, do not count."""
+"""Derivatives beyond this limit, whose products would overflow, are ignored."""
 OPEN_ROTATION = 0.3
 """Standard deviation [rad], for noise of 1 px, from which a rotation is not determined."""
 UNUSABLE = 0.01

@@ -370,12 +370,12 @@ def covariance(
     For a pose graph, the result of its solve, or a g2o file, the result has the covariance of each
     pose, as a right perturbation X Exp(d) in the frame of the body, from the information of the
     edges. ``options`` are then
-    :class:`bundle.PoseGraphOptions`, of which error, information and loss count. A loss reduces the
-    weight of edges and makes poses less certain. The result of a solve uses its own options and the
-    final weights of the solve. ``gauge`` is "first" (the default: as in a solve, the first pose of
-    each component without a fixed pose is constant), "inner" (the pseudo-inverse) or "none" (fixed
-    poses determine the gauge). ``relative`` has pairs of pose ids, for the covariance of X_a^-1
-    X_b.
+    :class:`bundle.PoseGraphOptions`, of which error, information and loss have an effect. A loss
+    reduces the weight of edges and makes poses less certain. The result of a solve uses its own
+    options and the final weights of the solve. ``gauge`` is "first" (the default: as in a solve,
+    the first pose of each component without a fixed pose is constant), "inner" (the pseudo-inverse)
+    or "none" (fixed poses determine the gauge). ``relative`` has pairs of pose ids, for the
+    covariance of X_a^-1 X_b.
 
     For a :class:`FactorGraph` the result is a :class:`FactorGraphCovariance` at the values of the
     graph. ``of`` is a list of keys (by default all), ``relative`` a list of pairs of keys. Losses

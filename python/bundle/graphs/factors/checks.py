@@ -65,7 +65,7 @@ def check_jacobians(
             with the same code and the same manifolds; None: all.
         seed: seed of the sampling.
         tolerance: relative error above which an entry is wrong.
-        cheirality: as in a solve; observations that do not count are skipped.
+        cheirality: as in a solve; observations that it ignores are skipped.
         error: error of the edges of a pose graph, as in a solve.
         num_threads: number of threads; 0: all cores. Graphs are checked on one thread.
         details: also compute what ``bundle.html.write_check`` draws.

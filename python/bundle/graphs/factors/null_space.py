@@ -10,7 +10,7 @@ and a scaling of the world. The gauge is the intersection of span(C) and span(N)
 the rows of poses. With orthonormal bases A of C and B of N, it has as many dimensions as A^T B has
 singular values of 1. Points, velocities and biases move as they must, because N contains them.
 Poses are world_from_body, X to Exp(e) X, or cam_from_world, X to X Exp(-e); the convention with the
-larger intersection counts. A component of several variables without poses has the common
+larger intersection is used. A component of several variables without poses has the common
 translation of its Euclidean variables as gauge.
 
 Held coordinates. N must have no direction that is zero at them. The first variable of a component

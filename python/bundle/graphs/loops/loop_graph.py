@@ -26,8 +26,8 @@ sufficient. If they share fewer than ``MIN_SHARED`` points, no observation would
 closed, and the closure is passed to bundle adjustment as a factor.
 
 A point moves to the mean of the positions to which its observing images carry it. Only images whose
-observation fits the model are used. If no observation fits, the one with the smallest error counts.
-Points without observations, and points of images that do not move, stay in place.
+observation fits the model are used. If no observation fits, the one with the smallest error is
+used. Points without observations, and points of images that do not move, stay in place.
 """
 
 from __future__ import annotations

@@ -45,7 +45,7 @@ DISPERSION = 2.0
 """Mean of the chi2 of right arms over its expectation in 30 simulated flights: errors of positions
 are not white."""
 LEAST = 0.02
-"""Metres: smaller errors do not count."""
+"""Metres: smaller errors are ignored."""
 
 
 class ArmError(NamedTuple):
@@ -156,7 +156,7 @@ def _covariance(times: Array, noise: ImuNoise) -> Array:
 STEP = 0.03
 """D: the smallest error of interest, over which the residuals are linear."""
 LEAST_MOVEMENT = 0.02
-"""Share of the positions: smaller movements do not count."""
+"""Share of the positions: smaller movements are ignored."""
 
 
 class LeastCost(NamedTuple):

@@ -128,7 +128,8 @@ class RotationMap(NamedTuple):
                 found = "rates of another unit (degrees per second?)"
                 if self.scale > 2:
                     found = f"{1 / self.scale:.2g} of them"
-                return "gyro_scale", f"expected rates in rad/s as by the images, found {found}"
+                words = f"expected rates in rad/s that agree with the images, found {found}"
+                return "gyro_scale", words
             if self.angle < TURNED:
                 return "", ""
             if _degrees(right.T @ (right @ q).T) < NEAR:

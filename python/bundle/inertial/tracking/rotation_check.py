@@ -136,7 +136,7 @@ def share_unexplained(recording: Recording, turns: list[Turn]) -> float:
 class RotationPairs:
     """Rotation vectors of image pairs by the tracks, and by samples at a shift of time.
 
-    Rotations by the tracks below ``least_turn`` [rad] do not count.
+    Rotations by the tracks below ``least_turn`` [rad] are ignored.
 
     Attributes:
         spans: (n, 2) stamps of the pairs on the IMU's clock, ns.

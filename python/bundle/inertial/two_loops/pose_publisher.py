@@ -101,7 +101,7 @@ class PosePublisher(Displayed):
     """Publisher of a pose for each IMU sample, without waiting.
 
     Call :meth:`publish` from one thread only. Other threads put into the rings ``solutions`` and
-    ``corrections``; only the newest entry of a ring counts.
+    ``corrections``; only the newest entry of a ring is used.
 
     Args:
         timestamp_ns: stamp of the start.

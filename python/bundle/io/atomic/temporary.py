@@ -143,8 +143,8 @@ def is_same(path: Path, descriptor: int) -> bool:
 def holds_only_copies(path: Path) -> bool:
     """Return True if a temporary folder holds the only copies of some files and must be kept.
 
-    Model files in ``new`` do not count, because they are either unfinished or replaced. Other files
-    in ``new`` do not count if they are hard links to files that also exist elsewhere. All other
+    Model files in ``new`` are ignored, because they are either unfinished or replaced. Other files
+    in ``new`` are ignored if they are hard links to files that also exist elsewhere. All other
     content must be kept: files in ``old``, the folders of an unfinished replacement (see
     ``bundle.io.atomic.replacement``), and files that another program wrote into a folder while it
     was exchanged.

@@ -29,7 +29,7 @@ uncertainty, a solve from A also refines these parameters. If it lowers the cost
 0.025 sigma0^2, they were refined, and the covariance is taken with them; one of twenty models with
 one held principal point looks like that. Otherwise the verdict states its assumption.
 
-Images of one frame of a rig have a constant relative pose, with C = 0; such pairs do not count.
+Images of one frame of a rig have a constant relative pose, with C = 0; such pairs are ignored.
 """
 
 from __future__ import annotations

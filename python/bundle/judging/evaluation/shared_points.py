@@ -2,7 +2,7 @@
 
 Two observations in a shared image are the same measurement if they have the same keypoint index and
 pixels that differ by at most 0.01 (models of one database), or else exactly the same pixel. A pixel
-that several observations of an image have is ambiguous and does not count. Each common measurement
+that several observations of an image have is ambiguous and is ignored. Each common measurement
 is a vote for its pair of points. A pair counts if each of its points has its most votes with the
 other.
 """

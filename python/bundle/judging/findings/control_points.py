@@ -4,8 +4,8 @@ If most points fail their test after a solve, no single one is wrong: the sigmas
 gives those that the errors show: the median of their squares, horizontal and vertical, divided by
 that of the chi-squared distribution. A gross error does not enlarge them, and the next run names
 it. The model bends to points with small sigmas, so that the error of a point left out may be small
-where its residual is not, and the reverse: the larger one counts. If few points fail, a robust loss
-removes their influence.
+where its residual is not, and the reverse: the larger one is used. If few points fail, a robust
+loss removes their influence.
 """
 
 from __future__ import annotations

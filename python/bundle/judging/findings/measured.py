@@ -101,7 +101,7 @@ class Measured:
 
     @cached_property
     def errors(self) -> Floats:
-        """(n,) lengths of the residuals [px]; NaN where an observation does not count."""
+        """(n,) lengths of the residuals [px]; NaN where an observation is ignored."""
         with np.errstate(over="ignore", invalid="ignore"):
             return np.where(self.counted, np.hypot(*self.residuals.T), np.nan)
 

@@ -171,7 +171,7 @@ def _distance(source: _Floats | None, target: _Floats | None) -> float:
 
 
 def _independent(problem: Problem, folds: NDArray[np.int16]) -> NDArray[np.bool_]:
-    """Return the observations to decide by: without repeated measurements, if most are left."""
+    """Return the observations for the decision: those without repetitions, if they are most."""
     repeated = are_repeated(problem, folds)
     return ~repeated if repeated.mean() < MOST_REPEATED else np.ones_like(repeated)
 

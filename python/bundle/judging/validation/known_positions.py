@@ -55,7 +55,7 @@ def known_errors(prepared: Prepared, full: Result, priors: Sequence[Prior]) -> K
 
 
 def _rms(residuals: np.ndarray) -> float:
-    """Return the root mean square length; unknown coordinates (NaN) do not count."""
+    """Return the root mean square length; unknown coordinates (NaN) are ignored."""
     known = np.isfinite(residuals).any(axis=1)
     if not known.any():
         return float("nan")

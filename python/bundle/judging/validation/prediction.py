@@ -113,7 +113,7 @@ def _sums(matrices: _Floats, index: NDArray[np.int32], count: int) -> _Floats:
 
 
 def dispersion(lengths: NDArray[np.float64], options: SolveOptions) -> float:
-    """Return s^2 from the lengths of residuals, in sigmas; NaN lengths do not count."""
+    """Return s^2 from the lengths of residuals, in sigmas; NaN lengths are ignored."""
     lengths = lengths[np.isfinite(lengths)]
     if not len(lengths):
         return float("nan")

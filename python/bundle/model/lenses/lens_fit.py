@@ -13,7 +13,7 @@ by orthogonal factorisation, because polynomials of high degree are too ill-cond
 normal equations. A step needs only the triangle R of the QR factorisation of [J r]. The best fit to
 a lens that is symmetric about its axis is a symmetric lens; the principal point and the asymmetric
 coefficients then stay constant. Some models are strongly nonlinear, or have zero derivatives, at
-their neutral parameters. Therefore a fit starts from several lenses, and the best result counts.
+their neutral parameters. Therefore a fit starts from several lenses, and the best result is used.
 
 The error of the fit is evaluated at the pixels of the observations. The fit itself uses a grid of
 pixels, so that regions with many observations do not dominate. The grid covers the image up to the
@@ -21,8 +21,8 @@ distance of the farthest observation from the principal point, because no observ
 the old lens farther out. With few observations, the grid covers the entire image; for a perspective
 lens, up to 80 degrees from the axis.
 
-The size of the image defines its borders. Observations outside the image are gross errors and do
-not count. The bounding box of the observations is used instead if the size is unknown, or if most
+The size of the image defines its borders. Observations outside the image are gross errors and are
+ignored. The bounding box of the observations is used instead if the size is unknown, or if most
 observations are outside because of another origin. With few observations, this box is extended to
 half a focal length on each side of the principal point.
 """

@@ -1,7 +1,7 @@
 """Minima at which the methods of a comparison ended.
 
 Solutions within one sigma of that of the lowest cost are at the same minimum: no measurement could
-distinguish them. Single points at other positions do not count. A solution farther away is at
+distinguish them. Single points at other positions are ignored. A solution farther away is at
 another minimum, or its method stopped too early. To distinguish these cases, one method continues
 from each solution at tight tolerances. Solutions whose continuations meet are at one minimum. Costs
 alone cannot distinguish them: an early stop and a poor minimum can have the same gap.
@@ -169,7 +169,7 @@ class SolutionDistance:
         self._sigma0 = max(math.sqrt(variance), LEAST_SIGMA0)
 
     def between(self, one: Path, other: Path) -> Distance:
-        """Return the distance. Observations without a projection in one solution do not count."""
+        """Return the distance. Observations without a projection in one solution are ignored."""
         apart = self._residual(one) - self._residual(other)
         squared = (np.where(np.isfinite(apart), apart, 0.0) ** 2).sum(axis=1)
         problem = self._problem
@@ -181,7 +181,7 @@ class SolutionDistance:
         return Distance(math.sqrt(float(of_points[~elsewhere].sum())), int(elsewhere.sum()))
 
     def _residual(self, path: Path) -> NDArray[np.float64]:
-        """Return (num_observations, 2) residuals in sigmas; NaN where they do not count."""
+        """Return (num_observations, 2) residuals in sigmas; NaN where they are ignored."""
         problem = restore_solution(self._problem, path)
         found = residuals(problem, self._options.cheirality)
         xy = np.where(found.counted[:, None], found.xy, np.nan)

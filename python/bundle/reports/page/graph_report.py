@@ -216,8 +216,8 @@ def _diagnosis(facts: GraphFacts, notes: Sequence[str]) -> list[Section]:
 
 def structure_section(found: FactorGraphInspection) -> Section:
     """Return the table of the elimination orders."""
-    words = f"{plural(found.num_edges, 'pair', grouped=True)} of variables; without constant ones "
-    words += f"the matrix has {amount(found.nnz_free)} nonzeros. {found.recommendation}"
+    words = f"{plural(found.num_edges, 'pair', grouped=True)} of variables. Without the constant "
+    words += f"variables, the matrix has {amount(found.nnz_free)} nonzeros. {found.recommendation}"
     table = cost_table(found)
     table = replace(table, legend=f"{CONVENTION} {table.legend}")
     return Section(title="Structure", text=[escape(words)], tables=[table])
