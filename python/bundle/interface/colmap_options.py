@@ -167,8 +167,8 @@ def _refuse_others(
             raise InputError(f"{place(name)}: unknown to bundle, found {brief(value)}")
         if value != defaults[name]:
             raise InputError(
-                f"{place(name)}: expected COLMAP's default {defaults[name]}, which alone bundle "
-                f"can honour, found {brief(value)}"
+                f"{place(name)}: expected COLMAP's default {defaults[name]}, the only value that "
+                f"bundle supports, found {brief(value)}"
             )
 
 

@@ -125,8 +125,8 @@ def choose(
                 f"most {seen.max()} observations in an image"
             )
         raise InputError(
-            f"{name}: expected observations of points in at least {images} images, in images of "
-            f"more than {FEWEST_OF_IMAGE} observations, found 0"
+            f"{name}: expected images with more than {FEWEST_OF_IMAGE} observations, and in them "
+            f"points that at least {images} images observe, found 0"
         )
     return held
 

@@ -43,12 +43,12 @@ def test_a_rule_that_does_not_fit_the_problem(text):
 
 CONTRADICTIONS = {
     ("cameras *: f prior 2 %", "camera 1: f prior 1 %"): "already has a prior, by constraints.0.",
-    ("cameras *: k prior 0 sigma 1", "camera 1: k fixed"): "held by constraints.1.",
+    ("cameras *: k prior 0 sigma 1", "camera 1: k fixed"): "constant by constraints.1.",
     ("camera 1: f in [1, 9999]", "camera 1: f in [2, 9999]"): "already has bounds",
-    ("image 1: rotation prior sigma 1", "image 1: rotation fixed"): "held by constraints.1.",
-    ("point 1: position prior sigma 1", "point 1: position fixed"): "held by constraints.1.",
+    ("image 1: rotation prior sigma 1", "image 1: rotation fixed"): "constant by constraints.1.",
+    ("point 1: position prior sigma 1", "point 1: position fixed"): "constant by constraints.1.",
     ("image 1: position prior sigma 1",) * 2: "already has a prior",
-    ("camera 1: f in [1000, 1000]", "camera 1: f prior sigma 2"): "within|held by constraints.0.",
+    ("camera 1: f in [1000, 1000]", "camera 1: f prior sigma 2"): "within|by constraints.0.",
 }
 
 

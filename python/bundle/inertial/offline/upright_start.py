@@ -74,8 +74,8 @@ def upright_start(
         )
     if is_metric and not 1 / MOST_METRIC_SCALE < start.scale < MOST_METRIC_SCALE:
         raise InputError(
-            f"imu: expected constant sensors of a rig in metres, found {start.scale:.3g} m per "
-            "unit; scale the model, or refine sensor-from-rig"
+            f"imu: expected a rig with constant sensors to have metres as its unit, found "
+            f"{start.scale:.3g} m per unit; scale the model, or refine sensor-from-rig"
         )
     scale = 1.0 if is_metric else start.scale
     level = _level(start.gravity / np.linalg.norm(start.gravity))

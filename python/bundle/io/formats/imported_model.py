@@ -157,7 +157,7 @@ def _median(errors: Array) -> float:
 
 
 def _frozen(fields: Mapping[str, Any]) -> dict[str, Any]:
-    """Return fields whose arrays, which have no other owner, are immutable without a copy."""
+    """Return the fields with immutable arrays; arrays that own their data are not copied."""
     return {
         name: freeze(value) if isinstance(value, np.ndarray) and value.flags.owndata else value
         for name, value in fields.items()

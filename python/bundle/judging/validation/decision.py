@@ -19,7 +19,7 @@ may have a smaller error. The recommended candidate is the one of these with the
 parameters, as in the one-standard-error rule of Breiman, Friedman, Olshen and Stone (1984). Among
 equal numbers of parameters the lower score decides.
 
-Two exceptions look at the cameras. A significant difference of less than t to a smaller lens is
+Two exceptions depend on the cameras. A significant difference of less than t to a smaller lens is
 relevant if the cameras of both fits are farther apart than m = 1 times their standard deviation:
 the block bends, and hardly any residual shows it. A best candidate whose positions are more than 3
 times less certain than those of another must predict better by 3 t; otherwise the more certain one
