@@ -79,10 +79,13 @@ def test_images_without_observations_and_no_images_have_none(files_read):
 
 
 @needs_memory_folder
-@pytest.mark.parametrize("fault", ["no folder", "cut", "other version"])
+@pytest.mark.parametrize("fault", ["no folder", "not written", "cut", "other version"])
 def test_objects_are_read_where_a_file_cannot(monkeypatch, files_read, fault):
     def refuse(*_):
         raise PermissionError("read-only")
+
+    def fail(*_):
+        raise ValueError("Could not open images.bin")  # as pycolmap
 
     def cut(content):
         return content[:-8]
@@ -93,6 +96,8 @@ def test_objects_are_read_where_a_file_cannot(monkeypatch, files_read, fault):
     images = images_of(rigs(1))
     if fault == "no folder":
         monkeypatch.setattr(module.Path, "mkdir", refuse)
+    elif fault == "not written":
+        monkeypatch.setattr(module.pycolmap.Reconstruction, "write_binary", fail)
     else:
         change = cut if fault == "cut" else other_version
         read = module.Path.read_bytes

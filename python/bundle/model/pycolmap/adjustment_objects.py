@@ -244,8 +244,7 @@ def adjusted_fields(
     listed = sorted(config.variable_points | config.constant_points)
     is_whole = len(config.images) == reconstruction.num_reg_images()
     if listed and not is_whole:
-        others = _other_observations(reconstruction, config.images, listed)
-        observations = observations.joined(others)
+        observations = _with_others(reconstruction, observations, config.images, listed)
     order = np.argsort(observations.point_id, kind="stable")  # images and keypoints ascend already
     sorted_ids = observations.point_id[order]
     is_first = np.ones(len(order), bool)
@@ -281,35 +280,38 @@ def adjusted_fields(
     return AdjustedFields(fields, tracks, frames, points, positions)
 
 
-def _other_observations(
-    reconstruction: Reconstruction, images: frozenset[int], point_ids: list[int]
+def _with_others(
+    reconstruction: Reconstruction, inside: Observations, images: frozenset[int], listed: list[int]
 ) -> Observations:
-    """Return the observations of points in other images than these."""
-    points = list(map(reconstruction.point3D, point_ids))
-    elements = [element for point in points for element in point.track.elements]
-    rows = np.empty((len(elements), 3), np.int64)  # image, keypoint, point
-    rows[:, 0] = np.fromiter(map(attrgetter("image_id"), elements), np.int64, len(elements))
-    rows[:, 1] = np.fromiter(map(attrgetter("point2D_idx"), elements), np.int64, len(elements))
-    rows[:, 2] = np.repeat(np.array(point_ids, np.int64), lengths_of_tracks(points))
-    rows = rows[~np.isin(rows[:, 0], list(images))]
+    """Return observations of images with those of listed points in other images."""
+    points, ids = list(map(reconstruction.point3D, listed)), np.array(listed, np.uint64)
+    tracks, sorted_ids = lengths_of_tracks(points), np.sort(inside.point_id)
+    seen = np.searchsorted(sorted_ids, ids, "right") - np.searchsorted(sorted_ids, ids)
+    are_longer = tracks > seen  # new points are often in these images alone
+    longer = compress(points, are_longer.tolist())
+    elements = [element for point in longer for element in point.track.elements]
+    of_images = list(map(attrgetter("image_id"), elements))
+    are_others = [image_id not in images for image_id in of_images]
+    if not any(are_others):
+        return inside
+    keypoints = list(map(attrgetter("point2D_idx"), compress(elements, are_others)))
+    rows = np.empty((len(keypoints), 3), np.int64)  # image, keypoint, point
+    rows[:, 0] = list(compress(of_images, are_others))
+    rows[:, 1] = keypoints
+    rows[:, 2] = np.repeat(ids[are_longer].astype(np.int64), tracks[are_longer])[are_others]
     rows = rows[np.lexsort(rows.T[::-1])]
-    rows = rows[np.append(True, (rows[1:] != rows[:-1]).any(axis=1))[: len(rows)]]
+    rows = rows[np.append(True, (rows[1:] != rows[:-1]).any(axis=1))]
     _check_elements(rows, np.isin(rows[:, 0], reconstruction.reg_image_ids()))
     image_ids, image = np.unique(rows[:, 0], return_inverse=True)
     others = list(map(reconstruction.image, image_ids.tolist()))
     counts = np.array([other.num_points2D() for other in others], np.int64)
     _check_elements(rows, rows[:, 1] < counts[image])
     seeing = [others[row] for row in image.tolist()]
-    keypoints = pycolmap.Point2DList(list(map(pycolmap.Image.point2D, seeing, rows[:, 1].tolist())))
-    found = np.fromiter(map(attrgetter("point3D_id"), keypoints), np.uint64, len(keypoints))
-    _check_elements(rows, found == rows[:, 2].astype(np.uint64))
-    return Observations(
-        images=others,
-        image=image.astype(np.int32),
-        keypoint=rows[:, 1].astype(np.int32),
-        point_id=found,
-        xy=pixels_of(keypoints),
-    )
+    found = list(map(pycolmap.Image.point2D, seeing, rows[:, 1].tolist()))
+    point_id = np.fromiter(map(attrgetter("point3D_id"), found), np.uint64, len(found))
+    _check_elements(rows, point_id == rows[:, 2].astype(np.uint64))
+    keypoint, xy = rows[:, 1].astype(np.int32), pixels_of(pycolmap.Point2DList(found))
+    return inside.joined(Observations(others, image.astype(np.int32), keypoint, point_id, xy))
 
 
 def _check_elements(elements: NDArray[np.int64], are_right: _Mask) -> None:
