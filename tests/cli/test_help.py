@@ -25,7 +25,7 @@ def printed(capsys: pytest.CaptureFixture[str], *words: str) -> str:
 def flags_in(text: str) -> list[str]:
     """Return the long flags that a help explains, in its order."""
     entries = re.findall(r"^  (-.*)$", text, re.MULTILINE)
-    found = [re.findall(r"--[a-z][a-z-]*", re.split(r"  +", entry)[0]) for entry in entries]
+    found = [re.findall(r"--[a-z][a-z0-9-]*", re.split(r"  +", entry)[0]) for entry in entries]
     return [flags[0] for flags in found if flags]
 
 

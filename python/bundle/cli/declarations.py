@@ -268,6 +268,7 @@ RELIABILITY_ARRAYS = argument(
     type=PathArgument("file", format="arrays for NumPy (.npz)", own=".npz"),
     help="with --reliability, arrays for NumPy: redundancy (n, 2), least_redundancy, "
     "standardized, minimal_detectable_error [px], external_bound and others",
+    use=4,
 )
 SUFFIX = r"(\.txt(\.gz|\.bz2)?)?$"
 """Suffix of a BAL file."""

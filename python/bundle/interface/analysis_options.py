@@ -90,6 +90,7 @@ class ReliabilityOptions(Options):
         "--reliability",
         "also compute the redundancy of every measurement, and which errors would go unnoticed",
         negatable=False,
+        use=3,
     )
     delta0: float = option(
         DELTA0,
