@@ -33,20 +33,30 @@ def end_error(path: Path, mav: Path) -> float:
 
 @pytest.fixture(scope="module")
 def flight(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return render(Flight(), tmp_path_factory.mktemp("flight"))
+    return render(Flight(duration=6.0), tmp_path_factory.mktemp("flight"))
 
 
-def test_a_flight_ends_within_two_per_cent_of_its_path(flight: Path, tmp_path: Path) -> None:
-    report, out = tmp_path / "report.json", tmp_path / "out.tum"
+@pytest.fixture(scope="module")
+def followed(flight: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """The trajectory of the flight's images, and the report."""
+    folder = tmp_path_factory.mktemp("followed")
+    report, out = folder / "report.json", folder / "out.tum"
     words = ["vio", str(flight), "-o", str(out), "--json", str(report), "--time-budget", "10"]
     assert main([*words, "--quiet"]) == 0
+    return out, report
+
+
+def test_a_flight_ends_within_two_per_cent_of_its_path(
+    flight: Path, followed: tuple[Path, Path]
+) -> None:
+    out, report = followed
     assert end_error(out, flight) < SHARE
     found = json.loads(report.read_text())
     jsonschema.Draft202012Validator(report_schema()).validate(found)
     assert set(found) <= described_entries()["vio"]
     assert found["input"]["format"] == "mav"
     tracking = found["tracking"]
-    assert tracking["num_images"] == 198
+    assert tracking["num_images"] == 118
     assert tracking["tracks_per_image"] > 60
     assert tracking["mean_track_length"] > 8
     assert sum(tracking["share_lost"].values()) < 0.2
@@ -56,13 +66,13 @@ def test_a_flight_ends_within_two_per_cent_of_its_path(flight: Path, tmp_path: P
     assert any("tracks of" in sentence for sentence in found["headline"])
 
 
-def test_tracks_written_by_convert_give_the_same_bits(flight: Path, tmp_path: Path) -> None:
-    folder, trajectories = tmp_path / "tracks", [tmp_path / "a.tum", tmp_path / "b.tum"]
+def test_tracks_written_by_convert_give_the_same_bits(
+    flight: Path, followed: tuple[Path, Path], tmp_path: Path
+) -> None:
+    folder, out = tmp_path / "tracks", tmp_path / "b.tum"
     assert main(["convert", str(flight.parent), str(folder), "--quiet"]) == 0
-    for source, out in zip((flight, folder), trajectories, strict=True):
-        given = ["vio", str(source), "-o", str(out), "--time-budget", "10", "--quiet"]
-        assert main(given) == 0
-    assert trajectories[0].read_bytes() == trajectories[1].read_bytes()
+    assert main(["vio", str(folder), "-o", str(out), "--time-budget", "10", "--quiet"]) == 0
+    assert out.read_bytes() == followed[0].read_bytes()
     calibration = bundle.load_sequence(folder).calibration
     assert calibration.camera_model == "OPENCV"
 
@@ -70,17 +80,15 @@ def test_tracks_written_by_convert_give_the_same_bits(flight: Path, tmp_path: Pa
 @pytest.mark.parametrize(
     "settings",
     [
-        {"seed": 12},
-        {"seed": 14, **SMALL_FISHEYE},
-        {"seed": 15, "still": 1.5, "duration": 8.0},
-        {"seed": 16, "bare": (3.0, 4.0)},
-        {"seed": 17, "offset": 0.005},
+        {"seed": 14, **SMALL_FISHEYE, "offset": 0.005},
+        {"seed": 15, "still": 1.5, "duration": 7.0},
+        {"seed": 16, "bare": (3.0, 4.0), "duration": 6.0},
         {"seed": 18, "speed": 0.6},
     ],
     ids=lambda settings: "-".join(map(str, settings)),
 )
 def test_other_flights(tmp_path: Path, settings: dict[str, Any]) -> None:
-    mav = render(Flight(**{"duration": 6.0, **SMALL, **settings}), tmp_path)
+    mav = render(Flight(**{"duration": 5.0, **SMALL, **settings}), tmp_path)
     if "bare" in settings:  # and a dropped image
         table = mav / "cam0/data.csv"
         lines = table.read_text().splitlines()
