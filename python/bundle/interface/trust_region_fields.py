@@ -57,7 +57,7 @@ def smallest_radius() -> Any:
 
 
 def relative_decrease() -> Any:
-    """Return the field of the quality that an accepted step exceeds."""
+    """Return the field of the least relative decrease of an accepted step."""
     return option(
         1e-3,
         "--min-relative-decrease",

@@ -93,7 +93,7 @@ def test_images_with_few_observations_keep_them():
     problem = make_problem(num_images=5, num_points=FEWEST_OF_IMAGE + 1)
     held = choose(problem, 50)
     assert np.bincount(problem.observation_image[held], minlength=5).max() == 1
-    with pytest.raises(bundle.InputError, match="expected images with more than .* observations"):
+    with pytest.raises(bundle.InputError, match="expected images with more than"):
         choose(make_problem(num_images=5, num_points=FEWEST_OF_IMAGE), 50)
 
 
