@@ -20,7 +20,6 @@
 #include <memory>
 #include <vector>
 
-#include "core/cameras/registry.h"
 #include "core/ceres/gradient_check.h"
 #include "core/ceres/reprojection_cost.h"
 #include "core/model/camera_states.h"

@@ -5,13 +5,11 @@
 #include <utility>
 #include <vector>
 
-#include "core/cameras/registry.h"
 #include "core/factors/reprojection.h"
 
 namespace bundle {
 namespace {
 
-template <typename Model>
 class ReprojectionCost final : public ceres::CostFunction {
  public:
   ReprojectionCost(const ReprojectionContext& context, int64_t observation) : context_(context) {
@@ -19,9 +17,11 @@ class ReprojectionCost final : public ceres::CostFunction {
     const ParameterLayout& layout = context.layout;
     const int point = problem.observation_point[observation];
     image_ = problem.observation_image[observation];
+    const int camera = problem.image_camera[image_];
+    model_ = problem.camera_models[camera];
     pose_ = &context.states.pose(image_);
     shutter_ = context.states.shutter(image_);
-    params_ = context.states.params(problem.image_camera[image_]);
+    params_ = context.states.params(camera);
     measurement_ = problem.observation_xy + 2 * observation;
 
     set_num_residuals(2);
@@ -48,14 +48,14 @@ class ReprojectionCost final : public ceres::CostFunction {
     if (abandoned != nullptr && abandoned->load(std::memory_order_relaxed)) return false;
     const double* point = fixed_point_ != nullptr ? fixed_point_ : parameters[0];
     if (jacobians == nullptr) {
-      const bool in_front = EvaluateReprojection<Model, kParams>(
-          *pose_, params_, point, measurement_, context_.cheirality, residuals, nullptr, shutter_);
+      const bool in_front = EvaluateReprojection(*model_, *pose_, params_, point, measurement_,
+                                                 context_.cheirality, residuals, nullptr, shutter_);
       if (context_.watch != nullptr) AtCandidate(in_front, residuals);
       return true;
     }
-    ReprojectionJacobian<kParams> jacobian;
-    const bool in_front = EvaluateReprojection<Model>(
-        *pose_, params_, point, measurement_, context_.cheirality, residuals, &jacobian, shutter_);
+    ReprojectionJacobian jacobian;
+    const bool in_front = EvaluateReprojection(*model_, *pose_, params_, point, measurement_,
+                                               context_.cheirality, residuals, &jacobian, shutter_);
     if (context_.watch != nullptr) AtStateOrCandidate(in_front, residuals, &jacobian);
     if (fixed_point_ == nullptr) {
       if (jacobians[0] != nullptr) std::copy_n(jacobian.point, 6, jacobians[0]);
@@ -79,8 +79,6 @@ class ReprojectionCost final : public ceres::CostFunction {
   }
 
  private:
-  static constexpr int kParams = kNumParams<Model>;
-
   void AtCandidate(bool in_front, double* residual) const {
     const bool counts = CountsAfterState(in_front, residual);
     if (!counts) {
@@ -90,8 +88,7 @@ class ReprojectionCost final : public ceres::CostFunction {
     if (counts != counted_) context_.watch->has_changed.store(true, std::memory_order_relaxed);
   }
 
-  void AtStateOrCandidate(bool in_front, double* residual,
-                          ReprojectionJacobian<kParams>* jacobian) const {
+  void AtStateOrCandidate(bool in_front, double* residual, ReprojectionJacobian* jacobian) const {
     const bool counts = context_.watch->is_at_start.load(std::memory_order_relaxed)
                             ? in_front
                             : CountsAfterState(in_front, residual);
@@ -122,7 +119,7 @@ class ReprojectionCost final : public ceres::CostFunction {
         (residual[0] * residual[0] + residual[1] * residual[1]) / (sigma * sigma), cost);
   }
 
-  void Hold(double* residual, ReprojectionJacobian<kParams>* jacobian) const {
+  void Hold(double* residual, ReprojectionJacobian* jacobian) const {
     std::copy_n(held_, 2, residual);
     *jacobian = {};
   }
@@ -140,8 +137,8 @@ class ReprojectionCost final : public ceres::CostFunction {
     }
   }
 
-  void GatherMapped(const ReprojectionJacobian<kParams>& jacobian, int place,
-                    const CameraBlock& block, double* out) const {
+  void GatherMapped(const ReprojectionJacobian& jacobian, int place, const CameraBlock& block,
+                    double* out) const {
     ColumnMap map;
     context_.layout.FillMap(context_.problem, image_, place, *pose_,
                             context_.states.twist_map(image_), &map);
@@ -153,9 +150,11 @@ class ReprojectionCost final : public ceres::CostFunction {
     }
   }
 
-  static const double* EntryOf(const ReprojectionJacobian<kParams>& jacobian, int row, int column) {
+  const double* EntryOf(const ReprojectionJacobian& jacobian, int row, int column) const {
     if (column < kPoseSize) return jacobian.pose + kPoseSize * row + column;
-    if (column < kFirstTwist) return jacobian.params + kParams * row + (column - kPoseSize);
+    if (column < kFirstTwist) {
+      return jacobian.params + model_->num_params * row + (column - kPoseSize);
+    }
     return jacobian.twist + kTwistSize * row + (column - kFirstTwist);
   }
 
@@ -163,8 +162,7 @@ class ReprojectionCost final : public ceres::CostFunction {
     for (int k = 0; k < size; ++k) to[k] += factor * from[k];
   }
 
-  static void Gather(const ReprojectionJacobian<kParams>& jacobian, const CameraBlock& block,
-                     double* out) {
+  void Gather(const ReprojectionJacobian& jacobian, const CameraBlock& block, double* out) const {
     for (int k = 0; k < block.size; ++k) {
       for (int row = 0; row < 2; ++row) {
         out[row * block.size + k] = *EntryOf(jacobian, row, block.columns[k]);
@@ -173,6 +171,7 @@ class ReprojectionCost final : public ceres::CostFunction {
   }
 
   const ReprojectionContext& context_;
+  const CameraModel* model_;
   const PoseState* pose_;
   const ImageShutter* shutter_;
   const double* params_;
@@ -221,14 +220,11 @@ class DividedBySigma final : public ceres::CostFunction {
 
 std::unique_ptr<ceres::CostFunction> MakeReprojectionCost(const ReprojectionContext& context,
                                                           int64_t observation) {
-  const AdjustmentProblem& problem = context.problem;
-  const int camera = problem.image_camera[problem.observation_image[observation]];
-  std::unique_ptr<ceres::CostFunction> cost;
-  VisitCameraModel(*problem.camera_models[camera], [&](auto model) {
-    cost = std::make_unique<ReprojectionCost<decltype(model)>>(context, observation);
-  });
-  if (problem.observation_sigma == nullptr) return cost;
-  return std::make_unique<DividedBySigma>(std::move(cost), problem.observation_sigma[observation]);
+  std::unique_ptr<ceres::CostFunction> cost =
+      std::make_unique<ReprojectionCost>(context, observation);
+  const double* const sigmas = context.problem.observation_sigma;
+  if (sigmas == nullptr) return cost;
+  return std::make_unique<DividedBySigma>(std::move(cost), sigmas[observation]);
 }
 
 }  // namespace bundle

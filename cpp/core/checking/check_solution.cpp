@@ -10,7 +10,6 @@
 #include <utility>
 #include <vector>
 
-#include "core/cameras/registry.h"
 #include "core/checking/convergence_watch.h"
 #include "core/checking/lost_observations.h"
 #include "core/checking/steep_end.h"
@@ -184,34 +183,26 @@ bool SolutionUnderCheck::operator()(int64_t observation, const double* x, double
   const double* measurement = problem_.observation_xy + 2 * observation;
   PoseState pose;
   ExpandPose(states_.chart_rotation(image), x, &pose);
-  bool counts = false;
-  VisitCameraModel(*problem_.camera_models[problem_.image_camera[image]], [&](auto model) {
-    using Model = decltype(model);
-    constexpr int kParams = kNumParams<Model>;
-    const double *params = x + kPoseSize, *point = params + kParams;
-    ImageShutter moving;
-    const ImageShutter* shutter = states_.shutter(image);
-    if (shutter != nullptr) {
-      moving = *shutter;
-      std::copy_n(point + 3, kTwistSize, moving.twist);
-      shutter = &moving;
-    }
-    if (jacobian == nullptr) {
-      counts = EvaluateReprojection<Model, kParams>(pose, params, point, measurement, cheirality_,
-                                                    residual, nullptr, shutter);
-      return;
-    }
-    ReprojectionJacobian<kParams> parts;
-    counts = EvaluateReprojection<Model>(pose, params, point, measurement, cheirality_, residual,
-                                         &parts, shutter);
-    for (int row = 0; row < 2; ++row) {
-      jacobian = std::copy_n(parts.pose + kPoseSize * row, kPoseSize, jacobian);
-      jacobian = std::copy_n(parts.params + kParams * row, kParams, jacobian);
-      jacobian = std::copy_n(parts.point + 3 * row, 3, jacobian);
-      if (shutter == nullptr) continue;
-      jacobian = std::copy_n(parts.twist + kTwistSize * row, kTwistSize, jacobian);
-    }
-  });
+  const CameraModel& model = *problem_.camera_models[problem_.image_camera[image]];
+  const double *params = x + kPoseSize, *point = params + model.num_params;
+  ImageShutter moving;
+  const ImageShutter* shutter = states_.shutter(image);
+  if (shutter != nullptr) {
+    moving = *shutter;
+    std::copy_n(point + 3, kTwistSize, moving.twist);
+    shutter = &moving;
+  }
+  ReprojectionJacobian parts;
+  const bool counts =
+      EvaluateReprojection(model, pose, params, point, measurement, cheirality_, residual,
+                           jacobian == nullptr ? nullptr : &parts, shutter);
+  for (int row = 0; jacobian != nullptr && row < 2; ++row) {
+    jacobian = std::copy_n(parts.pose + kPoseSize * row, kPoseSize, jacobian);
+    jacobian = std::copy_n(parts.params + model.num_params * row, model.num_params, jacobian);
+    jacobian = std::copy_n(parts.point + 3 * row, 3, jacobian);
+    if (shutter == nullptr) continue;
+    jacobian = std::copy_n(parts.twist + kTwistSize * row, kTwistSize, jacobian);
+  }
   return counts;
 }
 

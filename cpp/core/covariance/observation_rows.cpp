@@ -4,7 +4,6 @@
 #include <cmath>
 #include <utility>
 
-#include "core/cameras/registry.h"
 #include "core/factors/loss.h"
 #include "core/factors/reprojection.h"
 #include "core/factors/rig_pose.h"
@@ -58,21 +57,19 @@ void HoldUnknowns(const std::vector<uint8_t>& held, int offset, LocalMap* map) {
 
 /// Rows by (w, t), followed by those by the model's parameters, and from kFirstTwist on by the
 /// twist.
-template <typename Model>
-bool EvaluateLocal(const PoseState& pose, const ImageShutter* shutter, const double* params,
-                   const double* point, const double* xy, Cheirality cheirality, double* residual,
-                   double* local, double* by_point) {
-  constexpr int kParams = kNumParams<Model>;
-  ReprojectionJacobian<kParams> jacobian;
-  if (!EvaluateReprojection<Model>(pose, params, point, xy, cheirality, residual, &jacobian,
-                                   shutter)) {
+bool EvaluateLocal(const CameraModel& model, const PoseState& pose, const ImageShutter* shutter,
+                   const double* params, const double* point, const double* xy,
+                   Cheirality cheirality, double* residual, double* local, double* by_point) {
+  ReprojectionJacobian jacobian;
+  if (!EvaluateReprojection(model, pose, params, point, xy, cheirality, residual, &jacobian,
+                            shutter)) {
     return false;
   }
   std::copy_n(jacobian.point, 6, by_point);
   for (int row = 0; row < 2; ++row) {
     double* const to = local + kMaxLocal * row;
     std::copy_n(jacobian.pose + kPoseSize * row, kPoseSize, to);
-    std::copy_n(jacobian.params + kParams * row, kParams, to + kPoseSize);
+    std::copy_n(jacobian.params + model.num_params * row, model.num_params, to + kPoseSize);
     if (shutter == nullptr) continue;
     std::copy_n(jacobian.twist + kTwistSize * row, kTwistSize, to + kFirstTwist);
   }
@@ -150,14 +147,13 @@ bool ObservationEvaluator::Evaluate(int64_t observation, ObservationRows* rows) 
   const int image = problem_.observation_image[observation];
   const int camera = problem_.image_camera[image];
   double local[2 * kMaxLocal];
-  bool counts = false;
-  VisitCameraModel(*problem_.camera_models[camera], [&](auto model) {
-    counts = EvaluateLocal<decltype(model)>(
-        states_.pose(image), states_.shutter(image), states_.params(camera),
-        problem_.points + 3 * int64_t{problem_.observation_point[observation]},
-        problem_.observation_xy + 2 * observation, cheirality_, rows->residual, local, rows->point);
-  });
-  if (!counts) return false;
+  if (!EvaluateLocal(*problem_.camera_models[camera], states_.pose(image), states_.shutter(image),
+                     states_.params(camera),
+                     problem_.points + 3 * int64_t{problem_.observation_point[observation]},
+                     problem_.observation_xy + 2 * observation, cheirality_, rows->residual, local,
+                     rows->point)) {
+    return false;
+  }
   const double sigma =
       problem_.observation_sigma == nullptr ? 1 : problem_.observation_sigma[observation];
   double rho[3];

@@ -5,7 +5,6 @@
 #include <string>
 #include <utility>
 
-#include "core/cameras/registry.h"
 #include "core/factors/factor.h"
 #include "core/factors/reprojection.h"
 #include "core/geometry/rotation.h"
@@ -220,28 +219,25 @@ ReprojectionFactor::ReprojectionFactor(FactorHead head, const CameraModel& model
 bool ReprojectionFactor::Evaluate(const double* const* values, double* residual,
                                   double* const* jacobians) const {
   const PoseState state = StateOf(values[0]);
-  bool has_value = false;
-  VisitCameraModel(model_, [&](auto model) {
-    using Model = decltype(model);
-    ReprojectionJacobian<kNumParams<Model>> jacobian;
-    has_value = EvaluateReprojection<Model>(state, values[1], values[2], observation_.data(),
-                                            Cheirality::kAlgebraic, residual,
-                                            jacobians == nullptr ? nullptr : &jacobian);
-    if (!has_value || jacobians == nullptr) return;
+  ReprojectionJacobian jacobian;
+  if (!EvaluateReprojection(model_, state, values[1], values[2], observation_.data(),
+                            Cheirality::kAlgebraic, residual,
+                            jacobians == nullptr ? nullptr : &jacobian)) {
+    return false;
+  }
+  if (jacobians != nullptr) {
     if (jacobians[0] != nullptr) {
       for (int part = 0; part < 4; ++part) {  // of two rows: rotation, translation
         VectorMatrix3(jacobian.pose + 3 * part, state.rotation, jacobians[0] + 3 * part);
       }
     }
     if (jacobians[1] != nullptr) {
-      std::copy(std::begin(jacobian.params), std::end(jacobian.params), jacobians[1]);
+      std::copy_n(jacobian.params, 2 * model_.num_params, jacobians[1]);
     }
-    if (jacobians[2] != nullptr) {
-      std::copy(std::begin(jacobian.point), std::end(jacobian.point), jacobians[2]);
-    }
-  });
-  if (has_value) whitening_.Apply(residual, jacobians, {6, model_.num_params, 3});
-  return has_value;
+    if (jacobians[2] != nullptr) std::copy_n(jacobian.point, 6, jacobians[2]);
+  }
+  whitening_.Apply(residual, jacobians, {6, model_.num_params, 3});
+  return true;
 }
 
 }  // namespace bundle

@@ -83,24 +83,14 @@ enum class Cheirality {
   kZero,       ///< contributes nothing, as in COLMAP
 };
 
-/// Derivatives of one residual, rows x then y.
-template <int kNumModelParams>
+/// Derivatives of one residual, rows x then y. The rows by the parameters of the camera are as long
+/// as its model has parameters.
 struct ReprojectionJacobian {
-  double pose[2 * 6];
-  double params[2 * kNumModelParams];
+  double pose[2 * kPoseSize];
+  double params[2 * kMaxCameraParams];
   double point[2 * 3];
   double twist[2 * kTwistSize];  ///< only with a rolling shutter
 };
-
-/// Pixels of a world point, and how it projects.
-template <typename Model>
-Projection ProjectWorldPoint(const PoseState& pose, const double* params, const double* point,
-                             double* xy) {
-  double camera_point[3];
-  MatrixVector3(pose.rotation, point, camera_point);
-  for (int i = 0; i < 3; ++i) camera_point[i] += pose.translation[i];
-  return Model::Project(params, camera_point, xy, nullptr, nullptr);
-}
 
 /// True if an observation counts.
 inline bool Counts(Projection projection, Cheirality cheirality) {
@@ -111,53 +101,10 @@ inline bool Counts(Projection projection, Cheirality cheirality) {
 
 /// The residual, and its derivatives unless `jacobian` is nullptr. Returns false, with everything
 /// set to zero, if the observation does not count. `shutter`: nullptr for a global shutter.
-template <typename Model, int kNumModelParams>
-bool EvaluateReprojection(const PoseState& pose, const double* params, const double* point,
-                          const double* measurement, Cheirality cheirality, double* residual,
-                          ReprojectionJacobian<kNumModelParams>* jacobian,
-                          const ImageShutter* shutter = nullptr) {
-  double rotated[3], camera_point[3], xy[2], d_point[6];
-  MatrixVector3(pose.rotation, point, rotated);
-  for (int i = 0; i < 3; ++i) camera_point[i] = rotated[i] + pose.translation[i];
-  Projection projection;
-  if (shutter == nullptr) {
-    projection = jacobian == nullptr
-                     ? Model::Project(params, camera_point, xy, nullptr, nullptr)
-                     : Model::Project(params, camera_point, xy, d_point, jacobian->params);
-  } else {
-    const auto project = [&](const double* at, double* r, double* by_point, double* by_params) {
-      const Projection found = Model::Project(params, at, xy, by_point, by_params);
-      if (!Counts(found, cheirality)) return Projection::kUndefined;
-      ModelDifference<Model>(params, xy, measurement, r, by_params);
-      return found;
-    };
-    projection = jacobian == nullptr
-                     ? ProjectByRow(project, kNumModelParams, *shutter, camera_point, measurement,
-                                    residual, nullptr, nullptr, nullptr)
-                     : ProjectByRow(project, kNumModelParams, *shutter, camera_point, measurement,
-                                    residual, d_point, jacobian->params, jacobian->twist);
-  }
-  if (!Counts(projection, cheirality)) {
-    residual[0] = residual[1] = 0;
-    if (jacobian != nullptr) *jacobian = {};
-    return false;
-  }
-  if (shutter == nullptr) {
-    ModelDifference<Model>(params, xy, measurement, residual,
-                           jacobian == nullptr ? nullptr : jacobian->params);
-  }
-  if (jacobian == nullptr) return true;
-  for (int row = 0; row < 2; ++row) {
-    const double* a = d_point + 3 * row;
-    double* d_pose = jacobian->pose + 6 * row;
-    double torque[3];
-    Cross3(rotated, a, torque);
-    VectorMatrix3(torque, pose.left_jacobian, d_pose);
-    for (int i = 0; i < 3; ++i) d_pose[3 + i] = a[i];
-    VectorMatrix3(a, pose.rotation, jacobian->point + 3 * row);
-  }
-  return true;
-}
+bool EvaluateReprojection(const CameraModel& model, const PoseState& pose, const double* params,
+                          const double* point, const double* measurement, Cheirality cheirality,
+                          double* residual, ReprojectionJacobian* jacobian,
+                          const ImageShutter* shutter = nullptr);
 
 /// ||h|| / ||r|| of an observation that stops counting (Counts()): it is behind its camera, or has
 /// no projection. What such an observation costs:

@@ -7,7 +7,6 @@
 #include <vector>
 
 #include "core/cameras/camera_model.h"
-#include "core/cameras/registry.h"
 #include "core/error.h"
 #include "core/geometry/rotation.h"
 #include "core/parallel/thread_pool.h"
@@ -43,19 +42,18 @@ bool FindShutter(const ProblemView& problem, int64_t image, ImageShutter* shutte
   return true;
 }
 
-template <typename Model>
 void LinearizeOne(const ProblemView& problem, const PoseState& pose, int64_t i,
                   Cheirality cheirality, const ReprojectionDerivatives& out) {
-  constexpr int kParams = kNumParams<Model>;
   const int camera = problem.image_camera[problem.observation_image[i]];
+  const CameraModel& model = *problem.camera_models[camera];
   const int stride = problem.camera_params_stride;
-  ReprojectionJacobian<kParams> jacobian;
+  ReprojectionJacobian jacobian;
   ImageShutter shutter;
   const bool rolls = FindShutter(problem, problem.observation_image[i], &shutter);
-  EvaluateReprojection<Model>(pose, problem.ParamsOf(camera),
-                              problem.points + 3 * int64_t{problem.observation_point[i]},
-                              problem.observation_xy + 2 * i, cheirality, out.residual + 2 * i,
-                              &jacobian, rolls ? &shutter : nullptr);
+  EvaluateReprojection(model, pose, problem.ParamsOf(camera),
+                       problem.points + 3 * int64_t{problem.observation_point[i]},
+                       problem.observation_xy + 2 * i, cheirality, out.residual + 2 * i, &jacobian,
+                       rolls ? &shutter : nullptr);
   std::copy_n(jacobian.pose, 12, out.d_pose + 12 * i);
   std::copy_n(jacobian.point, 6, out.d_point + 6 * i);
   if (out.d_twist != nullptr) {
@@ -66,7 +64,8 @@ void LinearizeOne(const ProblemView& problem, const PoseState& pose, int64_t i,
   double* d_params = out.d_params + 2 * stride * i;
   std::fill_n(d_params, 2 * stride, 0.0);
   for (int row = 0; row < 2; ++row) {
-    std::copy_n(jacobian.params + kParams * row, kParams, d_params + stride * row);
+    std::copy_n(jacobian.params + model.num_params * row, model.num_params,
+                d_params + stride * row);
   }
 }
 
@@ -148,10 +147,7 @@ void Linearize(const ProblemView& problem, const double* rotation_offsets, Cheir
     poses.push_back(PoseAt(problem.cam_from_world + 7 * i, rotation_offsets + 3 * i));
   }
   for (int64_t i = 0; i < problem.num_observations; ++i) {
-    const int image = problem.observation_image[i];
-    VisitCameraModel(*problem.camera_models[problem.image_camera[image]], [&](auto model) {
-      LinearizeOne<decltype(model)>(problem, poses[image], i, cheirality, out);
-    });
+    LinearizeOne(problem, poses[problem.observation_image[i]], i, cheirality, out);
   }
 }
 

@@ -44,15 +44,10 @@ bool SchurProblem::ResidualOf(const HeldResidual& held, double* residual) const 
   const int image = plan_.image[held.observation];
   const int camera = problem_.image_camera[image];
   const CameraStates& cameras = x_->cameras();
-  bool counts = false;
-  VisitCameraModel(*problem_.camera_models[camera], [&](auto model) {
-    using Model = decltype(model);
-    counts = EvaluateReprojection<Model, kNumParams<Model>>(
-        cameras.pose(image), cameras.params(camera), &x_->points[3 * point],
-        &plan_.xy[2 * held.observation], input_.cheirality, residual, nullptr,
-        cameras.shutter(image));
-  });
-  return counts;
+  return EvaluateReprojection(*problem_.camera_models[camera], cameras.pose(image),
+                              cameras.params(camera), &x_->points[3 * point],
+                              &plan_.xy[2 * held.observation], input_.cheirality, residual, nullptr,
+                              cameras.shutter(image));
 }
 
 }  // namespace bundle

@@ -4,7 +4,6 @@
 #include <cmath>
 #include <utility>
 
-#include "core/cameras/registry.h"
 #include "core/model/factor_costs.h"
 #include "core/model/gauge.h"
 #include "core/parallel/thread_pool.h"

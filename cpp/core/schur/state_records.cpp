@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <limits>
 
-#include "core/cameras/registry.h"
 #include "core/schur/elimination_plan.h"
 
 namespace bundle {

@@ -6,8 +6,6 @@
 #include <string>
 #include <vector>
 
-#include "core/cameras/registry.h"
-
 namespace bundle::testing {
 
 inline std::vector<double> UsualParams(const CameraModel& model) {

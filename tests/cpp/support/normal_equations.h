@@ -9,7 +9,6 @@
 #include <cstdint>
 #include <vector>
 
-#include "core/cameras/registry.h"
 #include "core/factors/reprojection.h"
 #include "core/interface/adjustment_problem.h"
 #include "core/interface/options.h"
@@ -73,10 +72,7 @@ class LinearizedProblem {
       num_columns += 3;
     }
     for (int64_t i = 0; i < problem.num_observations; ++i) {
-      const int camera = problem.image_camera[problem.observation_image[i]];
-      VisitCameraModel(*problem.camera_models[camera], [&](auto model) {
-        AddObservation<decltype(model)>(problem, layout, options, cameras, points, i);
-      });
+      AddObservation(problem, layout, options, cameras, points, i);
     }
     if (problem.factors != nullptr) {
       for (const auto& factor : problem.factors->factors) {
@@ -157,18 +153,17 @@ class LinearizedProblem {
     return sum;
   }
 
-  template <typename Model>
   void AddObservation(const AdjustmentProblem& problem, const ParameterLayout& layout,
                       const SolveOptions& options, const CameraStates& cameras,
                       const LargeVector<double>& points, int64_t i) {
-    constexpr int kParams = kNumParams<Model>;
     const int image = problem.observation_image[i], point = problem.observation_point[i];
     const int camera = problem.image_camera[image];
-    ReprojectionJacobian<kParams> jacobian;
+    const CameraModel& model = *problem.camera_models[camera];
+    ReprojectionJacobian jacobian;
     double residual[2];
-    EvaluateReprojection<Model>(
-        cameras.pose(image), cameras.params(camera), &points[3 * static_cast<size_t>(point)],
-        problem.observation_xy + 2 * i, options.cheirality, residual, &jacobian);
+    EvaluateReprojection(model, cameras.pose(image), cameras.params(camera),
+                         &points[3 * static_cast<size_t>(point)], problem.observation_xy + 2 * i,
+                         options.cheirality, residual, &jacobian);
     const Real x = residual[0], y = residual[1], s = x * x + y * y;
     const Real cost_here = Rho(options.loss, options.loss_scale, s) / 2;
     const Real weight = std::sqrt(LossSlope(options.loss, options.loss_scale, s));
@@ -188,7 +183,7 @@ class LinearizedProblem {
           add(block.offset + k,
               column < kPoseSize
                   ? ByPose(cameras.rig(image), is_sensor, &jacobian.pose[6 * r], column)
-                  : jacobian.params[kParams * r + column - kPoseSize]);
+                  : jacobian.params[model.num_params * r + column - kPoseSize]);
         }
       }
       for (int k = 0; k < 3 && point_column_[point] >= 0; ++k) {
