@@ -39,14 +39,17 @@ inline RandomSystem MakeRandomSystem(const std::vector<int>& sizes, double coupl
   for (int j = 0; j < num_blocks; ++j) system.columns[j].push_back(j);
 
   system.u = Eigen::MatrixXd::Zero(n, n);
+  std::vector<Eigen::MatrixXd> roots;  // of the blocks of U
   for (int j = 0; j < num_blocks; ++j) {
     const Eigen::MatrixXd a =
         Eigen::MatrixXd::NullaryExpr(4 * sizes[j], sizes[j], [&] { return normal(random); });
-    system.u.block(offset[j], offset[j], sizes[j], sizes[j]) =
+    const Eigen::MatrixXd block =
         a.transpose() * a / (4 * sizes[j]) + Eigen::MatrixXd::Identity(sizes[j], sizes[j]);
+    system.u.block(offset[j], offset[j], sizes[j], sizes[j]) = block;
+    roots.push_back(oracle::CholeskyFactor(block));
   }
   // What a coupling takes from the diagonal is bounded, so that S stays positive definite:
-  // S = U^(1/2) (I - K) U^(1/2) with the norm of K below 1.
+  // S = L (I - K) L^T with L L^T = U and the norm of K below 1.
   Eigen::MatrixXd k = Eigen::MatrixXd::Zero(n, n);
   for (int j = 0; j < num_blocks; ++j) {
     for (int i = j + 1; i < num_blocks; ++i) {
@@ -60,8 +63,16 @@ inline RandomSystem MakeRandomSystem(const std::vector<int>& sizes, double coupl
   }
   const double norm = n > 0 ? k.cwiseAbs().rowwise().sum().maxCoeff() : 0;
   if (norm > 0) k *= 0.9 / norm;
-  const Eigen::MatrixXd l = oracle::CholeskyFactor(system.u);
-  system.s = l * (Eigen::MatrixXd::Identity(n, n) - k) * l.transpose();
+  system.s = system.u;
+  for (int j = 0; j < num_blocks; ++j) {
+    for (const int i : system.columns[j]) {
+      if (i == j) continue;
+      const auto coupled = k.block(offset[i], offset[j], sizes[i], sizes[j]);
+      const Eigen::MatrixXd block = -(roots[i] * coupled * roots[j].transpose());
+      system.s.block(offset[i], offset[j], sizes[i], sizes[j]) = block;
+      system.s.block(offset[j], offset[i], sizes[j], sizes[i]) = block.transpose();
+    }
+  }
   system.b = Eigen::VectorXd::NullaryExpr(n, [&] { return normal(random); });
   for (int i = 0; i < n; ++i) system.scale.push_back(0.5 + uniform(random));
   return system;
