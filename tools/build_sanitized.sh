@@ -16,7 +16,10 @@ else
     flags+=" -Wno-error=$warning"
   done
 fi
+# The tests run the kernels of the baseline and of the best instruction set that the machine has.
+sets=avx2
+! grep -qs avx512vl /proc/cpuinfo || sets=avx512
 cmake -S . -B "$3" -G Ninja --log-level=WARNING -DCMAKE_CXX_COMPILER="$1" -DBUNDLE_SANITIZE="$2" \
   -DCMAKE_BUILD_TYPE=Sanitize -DCMAKE_CXX_FLAGS_SANITIZE="$flags" -DBUNDLE_WARNINGS_AS_ERRORS=ON \
-  -DBUNDLE_PYTHON=OFF -DBUNDLE_CPP_TESTS=ON
+  -DBUNDLE_INSTRUCTION_SETS="$sets" -DBUNDLE_PYTHON=OFF -DBUNDLE_CPP_TESTS=ON
 cmake --build "$3" --target bundle_tests

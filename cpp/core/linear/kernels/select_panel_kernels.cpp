@@ -10,23 +10,15 @@ namespace bundle {
 namespace baseline {
 extern const PanelKernels kPanelKernels;
 }
-#ifdef BUNDLE_X86_KERNELS
 namespace avx2 {
 extern const PanelKernels kPanelKernels;
 }
 namespace avx512 {
 extern const PanelKernels kPanelKernels;
 }
-#endif
 
 const PanelKernels& SelectPanelKernels() {
-#ifdef BUNDLE_X86_KERNELS
-  static const PanelKernels& kernels =
-      ForBestInstructionSet(&baseline::kPanelKernels, &avx2::kPanelKernels, &avx512::kPanelKernels);
-#else
-  static const PanelKernels& kernels =
-      ForBestInstructionSet<PanelKernels>(&baseline::kPanelKernels, nullptr, nullptr);
-#endif
+  static const PanelKernels& kernels = BUNDLE_BEST(kPanelKernels);
   return kernels;
 }
 

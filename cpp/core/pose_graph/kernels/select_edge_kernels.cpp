@@ -2,8 +2,6 @@
 ///
 /// Choice of the instruction set.
 
-#include <type_traits>
-
 #include "core/parallel/instruction_set.h"
 #include "core/pose_graph/kernels/edge_kernels.h"
 
@@ -15,14 +13,8 @@ namespace bundle {
   extern const EdgeKernels<Se3> kSpatialEdgeKernels; \
   }
 BUNDLE_DECLARE_EDGE_KERNELS(baseline)
-#ifdef BUNDLE_X86_KERNELS
 BUNDLE_DECLARE_EDGE_KERNELS(avx2)
 BUNDLE_DECLARE_EDGE_KERNELS(avx512)
-#define BUNDLE_BEST(name) ForBestInstructionSet(&baseline::name, &avx2::name, &avx512::name)
-#else
-#define BUNDLE_BEST(name) \
-  ForBestInstructionSet<std::decay_t<decltype(baseline::name)>>(&baseline::name, nullptr, nullptr)
-#endif
 
 template <>
 const EdgeKernels<Se2>& SelectEdgeKernels<Se2>() {

@@ -11,23 +11,15 @@ namespace bundle {
 namespace baseline {
 extern const Kernels kKernels;
 }
-#ifdef BUNDLE_X86_KERNELS
 namespace avx2 {
 extern const Kernels kKernels;
 }
 namespace avx512 {
 extern const Kernels kKernels;
 }
-#endif
 
 const Kernels& SelectKernels() {
-#ifdef BUNDLE_X86_KERNELS
-  static const Kernels& kernels =
-      ForBestInstructionSet(&baseline::kKernels, &avx2::kKernels, &avx512::kKernels);
-#else
-  static const Kernels& kernels =
-      ForBestInstructionSet<Kernels>(&baseline::kKernels, nullptr, nullptr);
-#endif
+  static const Kernels& kernels = BUNDLE_BEST(kKernels);
   return kernels;
 }
 
