@@ -59,6 +59,11 @@ def test_modules_that_must_not_be_imported_exist(name: str) -> None:
     assert spec.origin is not None, "a former name, which is never in sys.modules"
 
 
+@pytest.mark.parametrize("word", ["--help", "--version"])
+def test_help_of_all_commands_needs_no_arrays(word: str) -> None:
+    assert not imported(word) & (NOT_FOR_HELP | {"bundle.interface", "bundle.base.arrays"})
+
+
 def test_help_of_a_command_imports_no_other_command() -> None:
     found = imported("refine", "--help")
     assert "bundle.cli.declarations" in found

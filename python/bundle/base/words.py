@@ -13,6 +13,12 @@ _LISTED = 5
 """Ids that a sentence lists before it counts the others."""
 
 
+def join(words: Iterable[str]) -> str:
+    """Return "a", "a or b", "a, b or c"."""
+    *most, last = words
+    return f"{', '.join(most)} or {last}" if most else last
+
+
 def number(value: float) -> str:
     """Format a number with four significant digits; "-" if it is not finite."""
     if not math.isfinite(value):

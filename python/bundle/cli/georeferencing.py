@@ -7,11 +7,11 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from bundle.base.words import join
 from bundle.cli.option_flags import flags_of, naming_flags, options_given
 from bundle.errors import InputError, shown
 from bundle.georeference.measurements import ROWS, Measurements, kinds_given, options_class, readers
 from bundle.interface.georeference_options import GeoreferenceOptions
-from bundle.interface.option_fields import join
 from bundle.io.atomic import atomic_write as atomic
 from bundle.io.georeference_file import OWNER, georeference_of, owner_of, path_beside
 from bundle.io.open import is_folder_format

@@ -13,10 +13,10 @@ from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from bundle.base.words import join
 from bundle.cli.path_checks import PathArgument, a_path
 from bundle.errors import InputError
 from bundle.interface.option_class import Options, option_class
-from bundle.interface.option_fields import join
 from bundle.model.problem_keys import MOST_IDS, find_images, id_range
 
 if TYPE_CHECKING:

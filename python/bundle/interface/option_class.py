@@ -14,8 +14,9 @@ from collections.abc import Callable, Iterable, Mapping
 from types import MappingProxyType
 from typing import Any, NamedTuple, Self, TypeVar
 
+from bundle.base.words import join
 from bundle.errors import InputError, brief, check_keywords
-from bundle.interface.option_fields import checked, join, limits_of
+from bundle.interface.option_fields import checked, limits_of
 
 AnyOptions = TypeVar("AnyOptions", bound="Options")
 Function = TypeVar("Function", bound=Callable[..., Any])

@@ -147,12 +147,6 @@ def number(name: str, value: Any, *, whole: bool = False, **limits: float) -> in
     return _number(name, value, limits, whole=whole)
 
 
-def join(words: Iterable[str]) -> str:
-    """Return "a", "a or b", "a, b or c"."""
-    *most, last = words
-    return f"{', '.join(most)} or {last}" if most else last
-
-
 def _number(name: str, value: Any, limits: Mapping[str, Any], *, whole: bool) -> int | float:
     found: int | float = 0
     exact = isinstance(value, numbers.Real) and not isinstance(value, bool)

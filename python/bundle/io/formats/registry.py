@@ -21,8 +21,8 @@ from pathlib import Path
 from typing import Any
 
 from bundle.base.records import dataclass
+from bundle.base.words import join
 from bundle.errors import InputError, shown
-from bundle.interface.option_fields import join
 
 GROUP = "bundle.formats"
 
