@@ -331,7 +331,7 @@ def _moved(movement: SigmaMovement) -> str:
     else:
         meaning = "more than the uncertainty of A explains"
     if movement.assumed and movement.is_minimum:
-        meaning += f", if its solve kept {movement.assumed} constant"
+        meaning += f", with {movement.assumed} constant"
     return (
         f"Relative poses differ by {number(movement.median)} sigmas of A's covariance (median; at "
         f"most {number(movement.largest)}): {meaning}."
