@@ -281,9 +281,11 @@ def _criteria(
         if not known:
             continue
         largest = max(known, key=lambda k: certainties[k].num_parameters)
-        lengths = np.hypot(*fits[largest].residuals.T)
+        full, lengths = fits[largest].full, np.hypot(*fits[largest].residuals.T)
+        assert full is not None
+        dof = full.summary.num_residuals - certainties[largest].num_parameters
         options = fitting.options.replace(loss=loss)
-        variance = dispersion(lengths if sigmas is None else lengths / sigmas, options)
+        variance = dispersion(lengths if sigmas is None else lengths / sigmas, dof, options)
         values = np.array([_criterion(fits[k], certainties[k], variance) for k in known])
         for k, row in zip(known, values - values.min(axis=0), strict=True):
             found[k] = (float(row[0]), float(row[1]))

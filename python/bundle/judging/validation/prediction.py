@@ -105,22 +105,27 @@ def _sums(matrices: _Floats, index: NDArray[np.int32], count: int) -> _Floats:
 #
 #     s^2 = E[psi^2] / E[psi'],    psi(r) = rho'(||r||^2) r.
 #
-# Both expectations are means over the residuals of the candidate with the most parameters, so that
-# systematic errors of smaller candidates do not count as noise. psi' is the mean over the two
-# directions of the derivative of psi: rho' + rho'' ||r||^2. For the trivial loss s^2 is the mean of
-# r^2 per coordinate. Criteria compare candidates
-# with one loss; each loss has a dispersion of its own.
+# Both come from the residuals of the candidate with the most parameters, so that systematic errors
+# of smaller candidates do not count as noise. A fit follows its noise: the sum of psi^2 is divided
+# by the degrees of freedom, residuals minus parameters (Huber 1981, "Robust statistics", section
+# 7.6), as tracks of two images leave only one residual in four. psi' is the mean over the two
+# directions of the derivative of psi: rho' + rho'' ||r||^2. For the trivial loss s^2 is the sum of
+# r^2 per degree of freedom. Criteria compare candidates with one loss; each loss has a dispersion
+# of its own.
 
 
-def dispersion(lengths: NDArray[np.float64], options: SolveOptions) -> float:
-    """Return s^2 from the lengths of residuals, in sigmas; NaN lengths are ignored."""
+def dispersion(lengths: NDArray[np.float64], dof: int, options: SolveOptions) -> float:
+    """Return s^2 from the lengths of residuals, in sigmas; NaN lengths are ignored.
+
+    NaN without residuals or without degrees of freedom.
+    """
     lengths = lengths[np.isfinite(lengths)]
-    if not len(lengths):
+    if not len(lengths) or dof <= 0:
         return float("nan")
     squares = lengths**2
     _, first, second = evaluate_loss(options.loss, options.loss_scale, squares).T
     slope = np.mean(first + second * squares)
-    return float(np.mean(first**2 * squares) / 2 / slope) if slope > 0 else float("nan")
+    return float(np.sum(first**2 * squares) / dof / slope) if slope > 0 else float("nan")
 
 
 def information_criteria(
