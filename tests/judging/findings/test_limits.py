@@ -221,15 +221,18 @@ def test_limits_of_weak_images():
         assert weak([1.0] * 8 + [2.0], medians=np.array([1.0] * 8 + [last])) == expected
 
 
-def systematic_images(chi2, sizes, *, scale=1.0, is_general=False, is_jointed=False):
+def systematic_images(
+    chi2, sizes, *, ratio=10.0, count=50, scale=1.0, loss="trivial", is_general=False,
+    is_jointed=False,
+):  # fmt: skip
     num = len(chi2)
     problem = SimpleNamespace(
         num_images=num, image_ids=np.arange(num), image_names=("",) * num,
-        observation_image=np.repeat(np.arange(num), 50),
+        observation_image=np.repeat(np.arange(num), [count] + [50] * (num - 1)),
     )  # fmt: skip
     measured = SimpleNamespace(
-        problem=problem, scale=scale, image_scale=np.ones(num), command=NextCommand(),
-        options=SimpleNamespace(loss="trivial"),
+        problem=problem, scale=scale, image_scale=np.array([ratio] + [1.0] * (num - 1)),
+        command=NextCommand(), options=SimpleNamespace(loss=loss),
     )  # fmt: skip
     fits = SimpleNamespace(chi2=np.array(chi2), sizes=np.array(sizes), medians=np.ones(num))
     found = SimpleNamespace(images=images_of(num))
@@ -249,6 +252,23 @@ def test_limits_of_images_with_systematic_residuals():
     assert systematic_images([limit + 0.1, *[0.0] * 8], [0.51] * 9, is_general=True) is None
     assert systematic_images([99.0] * 3 + [0.0] * 6, [0.51] * 9) is not None  # a third
     assert systematic_images([99.0] * 4 + [0.0] * 5, [0.51] * 9) is None
+
+
+@pytest.mark.parametrize(
+    ("ratio", "count", "share"),
+    [
+        (4.01, 50, 4.01**2 / (4.01**2 + 8)),  # 66.8 % of the squares
+        (3.99, 50, 3.99**2 / (3.99**2 + 8)),  # 66.6 %
+        (2.84, 100, 2.84**2 / (2.84**2 + 4)),  # twice as many observations as the others
+        (2.82, 100, 2.82**2 / (2.82**2 + 4)),
+    ],
+)
+def test_a_loss_is_advised_for_images_with_most_of_the_squares(ratio, count, share):
+    known = {"ratio": ratio, "count": count}
+    found = systematic_images([99.0, *[0.0] * 8], [0.51] * 9, **known)
+    assert found.evidence["share"] == pytest.approx(share)
+    assert bool(found.command) == (share > 2 / 3)
+    assert not systematic_images([99.0, *[0.0] * 8], [0.51] * 9, loss="huber", **known).command
 
 
 def absorbed(monkeypatch, statistic, moved, *, present=0.0):
