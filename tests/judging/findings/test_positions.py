@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import bundle
+from bundle.judging.findings import positions as positions_module
 from bundle.judging.findings.find import find
 from bundle.judging.findings.measured import Measured
 from bundle.judging.findings.next_command import NextCommand
@@ -138,6 +139,43 @@ def test_smaller_sigmas_are_advised_until_the_positions_hold_the_scale():
         steps += 1
         tighter *= float(shlex.split(found[0].command)[-1])  # --gps-sigma-scale
     assert 1 <= steps <= 2
+
+
+@pytest.mark.parametrize("has_model", [True, False])
+def test_sigmas_are_advised_only_if_a_model_can_have_them(monkeypatch, has_model):
+    scene = make(20_000, ("scale_drift",))
+    result = bundle.solve(scene.start, priors=scene.priors, align=True, num_threads=1)
+    gravity = bundle.GravityPrior(int(scene.start.image_ids[0]), [0.0, 1.0, 0.0], 90.0)
+    tried = []
+
+    def solved(_, start, priors):
+        tried.append((start, priors))
+        return start if has_model else None
+
+    monkeypatch.setattr(positions_module, "_solved", solved)
+    judged = find(result.problem, options=result.options, priors=[gravity, *scene.priors])
+    (found,) = [one for one in judged if one.kind == "scale_drift"]
+    assert bool(found.command) == has_model
+    start, priors = tried[0]
+    factors = {
+        np.mean(np.asarray(one.sigma) / np.asarray(scaled_from.sigma))
+        for one, scaled_from in zip(priors[: len(scene.priors)], scene.priors, strict=True)
+    }
+    assert start is result.problem and priors[len(scene.priors) :] == [gravity]
+    assert len({round(one, 12) for one in factors}) == 1
+    if has_model:
+        advised = float(shlex.split(found.command)[-1])
+        assert advised == pytest.approx(factors.pop(), rel=0.05)  # two digits
+
+
+def test_images_that_contradict_a_drift_get_no_command():
+    """With sigmas that bend this model, its observations go behind the cameras."""
+    scene = make(60_011)
+    assert scene.planted == {"motion", "outliers", "scale_drift"}
+    result = bundle.solve(scene.start, priors=scene.priors, align=True, num_threads=1)
+    judged = find(result.problem, options=result.options, priors=scene.priors)
+    (found,) = [one for one in judged if one.kind == "scale_drift"]
+    assert abs(found.evidence["left"]) > 0.2 and not found.command
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,8 @@ and with a larger lens if its own is too small. With its centres c and the posit
 a part of the images is s = sum |p - mean p| / sum |c - mean c|. That of the first half of the
 images in their order and that of the second differ by more than 9 % and by 5 standard errors; the
 error of each is sigma / (spread sqrt n). Smaller sigmas are advised while more than 3 % of drift is
-left in the model with its positions.
+left in the model with its positions, unless a solve with them ends without a usable model: then the
+images contradict the drift.
 """
 
 from __future__ import annotations
@@ -247,9 +248,16 @@ def scale_drift(measured: Measured, free: Problem) -> Finding | None:
     left, _ = _drift(measured.whole, measured, rows, priors)
     command, advice = "", "The positions correct it."
     if abs(left) > LEFT:
-        advice = "Give the positions smaller sigmas, or close loops."
-        sigmas, factors = [_sigma(priors, axis) for axis in (0, 2)], [_shrinking(free_drift, left)]
-        command = _sigma_command(measured, sigmas, 2 * factors)
+        factors = 2 * [_shrinking(free_drift, left)]
+        if is_affordable(measured) and not _has_model(measured, np.array(factors)):
+            advice = (
+                "The images contradict it: with sigmas that make them follow the positions, no "
+                "model is usable. Check the positions, or close loops."
+            )
+        else:
+            advice = "Give the positions smaller sigmas, or close loops."
+            sigmas = [_sigma(priors, axis) for axis in (0, 2)]
+            command = _sigma_command(measured, sigmas, factors)
     return Finding(
         kind="scale_drift",
         sentence="The scale drifts: from the first to the second half of the images, the scale of "
@@ -262,6 +270,14 @@ def scale_drift(measured: Measured, free: Problem) -> Finding | None:
             "left": float(np.expm1(left)),
         },
     )
+
+
+def _has_model(measured: Measured, factors: Floats) -> bool:
+    """Return True if a solve with these factors on the sigmas of positions has a usable result."""
+    positions = _used(measured)[1]
+    scaled = [_scaled(one, factors) for one in positions]
+    priors = [*scaled, *_others(measured, positions)]
+    return _solved(measured, measured.whole, priors) is not None
 
 
 def _shrinking(free: float, left: float) -> float:
@@ -406,28 +422,20 @@ def sigma_factors(
     for both if a solve fails.
     """
     from bundle.analysis.uncertainty.covariance_by_input import covariance
-    from bundle.solving.executors import solve_prepared
-    from bundle.solving.prepare import prepare
-    from bundle.solving.request import SolveRequest
 
-    others = [one for one in measured.priors if all(one is not prior for prior in priors)]
+    others = _others(measured, priors)
     problem, factors = measured.whole, np.full(2, TOO_LARGE * max(ratio, 1.0))
     known = np.zeros(2, bool)
-    options = measured.options.replace(gauge="auto", check_solution=False, num_threads=1)
+    options = measured.options.replace(gauge="none", check_solution=False, num_threads=1)
     for _ in range(MOST_ROUNDS):
         scaled = [_scaled(prior, factors) for prior in priors]
+        solved = _solved(measured, problem, [*scaled, *others])
+        if solved is None:
+            return None
+        problem = solved
         request = {"priors": [*scaled, *others], "constraints": measured.constraints}
         try:
-            prepared = prepare(
-                SolveRequest(problem=problem, options=options, align=False, **request)
-            )
-            result = prepared.finished(solve_prepared(prepared, None))
-            if not result.summary.is_solution_usable:
-                return None
-            problem = result.problem
-            found = covariance(
-                problem, options.replace(gauge="none"), of="poses", gauge="none", **request
-            )
+            found = covariance(problem, options, of="poses", gauge="none", **request)
         except InputError:
             return None
         place = {image: k for k, image in enumerate(found.pose_ids.tolist())}
@@ -444,6 +452,30 @@ def sigma_factors(
         for factor, is_known in zip(factors, known.tolist(), strict=True)
     )
     return horizontal, vertical
+
+
+def _others(measured: Measured, priors: list[Any]) -> list[Any]:
+    """Return the priors of a model without these."""
+    return [one for one in measured.priors if all(one is not prior for prior in priors)]
+
+
+def _solved(measured: Measured, start: Problem, priors: list[Any]) -> Problem | None:
+    """Return a start solved with the options of a model and these priors; None: not usable."""
+    from bundle.solving.executors import solve_prepared
+    from bundle.solving.prepare import prepare
+    from bundle.solving.request import SolveRequest
+
+    options = measured.options.replace(gauge="auto", check_solution=False, num_threads=1)
+    rules = measured.constraints
+    try:
+        request = SolveRequest(
+            problem=start, options=options, priors=priors, align=False, constraints=rules
+        )
+        prepared = prepare(request)
+        result = prepared.finished(solve_prepared(prepared, None))
+    except InputError:
+        return None
+    return result.problem if result.summary.is_solution_usable else None
 
 
 def _scaled(prior: Any, factors: Floats) -> Any:
