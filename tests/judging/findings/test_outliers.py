@@ -66,15 +66,16 @@ def test_outliers_are_those_that_the_images_alone_have(monkeypatch, num_alone, n
     scene = make(40_000, ("positions",))
     known = {"priors": scene.priors, "align": True}
     result = bundle.solve(scene.start, num_threads=1, max_num_iterations=200, **known)
-    stages, repaired = [], find_module.repaired
+    stages, models, repaired = [], [], find_module.repaired
 
     def solved(measured, *repairs, **how):
         if how.get("with_priors") and num_held is None:
             return None
         return repaired(measured, *repairs, **how)
 
-    def planted(stage):
+    def planted(stage, robust=None):
         stages.append(stage)
+        models.append(robust)
         is_free = stage.whole is not result.problem and not stage.priors
         is_held = stage.whole is not result.problem and bool(stage.priors)
         many = num_alone if is_free else num_held if is_held else 10
@@ -84,8 +85,9 @@ def test_outliers_are_those_that_the_images_alone_have(monkeypatch, num_alone, n
     monkeypatch.setattr(find_module, "outliers", planted)
     found = find(result.problem, options=result.options, priors=scene.priors)
     assert ("outliers" in {one.kind for one in found}) == are_named
-    given, alone, held = stages
-    assert given.whole is result.problem and given.priors
+    given, again, alone, held = stages
+    assert given.whole is again.whole is result.problem and given.priors
+    assert models[1].whole is alone.whole  # its noise is that of the images alone
     assert alone.options is given.options and not alone.priors
     assert held.options is given.options and held.priors
     assert (held.whole is result.problem) == (num_held is None)  # that solve failed
@@ -116,8 +118,11 @@ def test_outliers_beside_wrong_sigmas_get_one_command_for_both():
     assert sorted(words[0]) == sorted(words[1])
 
 
-def judged(errors, *, loss="cauchy", loss_scale=1.0, scale=1.0, sigma=None):
-    """Return the finding about these errors, in surroundings of this scale."""
+def judged(errors, *, loss="cauchy", loss_scale=1.0, scale=1.0, sigma=None, robust=None):
+    """Return the finding about these errors, in surroundings of this scale.
+
+    robust is the scale after a robust solve.
+    """
     errors = np.asarray(errors, float)
     measured = SimpleNamespace(
         counted=np.ones(len(errors), bool),
@@ -128,7 +133,7 @@ def judged(errors, *, loss="cauchy", loss_scale=1.0, scale=1.0, sigma=None):
         problem=SimpleNamespace(observation_sigma=sigma),
         command=NextCommand(),
     )
-    return outliers(measured)
+    return outliers(measured, None if robust is None else SimpleNamespace(scale=robust))
 
 
 @pytest.mark.parametrize(
@@ -155,6 +160,26 @@ def test_limits_of_the_test(far, others, is_found):
 @pytest.mark.parametrize("loss", ["trivial", "huber", "soft_l1"])
 def test_losses_whose_influence_stays_are_replaced(loss):
     assert "--loss cauchy" in judged([50.0] * 10 + [1.0] * 100, loss=loss).command
+
+
+@pytest.mark.parametrize("loss", ["trivial", "huber"])
+@pytest.mark.parametrize(
+    ("robust", "loss_scale", "sigma", "advised"),
+    [
+        (None, 0.1, 1.0, None),  # without a robust solve the noise is not known
+        (0.66, 1.0, 1.0, None),  # 1.5 times the noise is 0.99 px
+        (0.67, 1.0, 1.0, "1.6"),
+        (0.67, 1.1, 1.0, None),  # the scale of the run
+        (1.34, 1.0, 2.0, "1.6"),  # in sigmas
+        (1.32, 1.0, 2.0, None),
+        (9.0, 1.0, 1.0, "4.8"),  # at most the scale before it, 2
+    ],
+)
+def test_a_loss_below_the_noise_gets_a_larger_scale(loss, robust, loss_scale, sigma, advised):
+    known = {"loss": loss, "loss_scale": loss_scale, "robust": robust, "scale": 2.0}
+    found = judged([50.0] * 10 + [1.0] * 100, sigma=np.full(110, sigma), **known)
+    flags = shlex.split(found.command)[5:]
+    assert flags == ["--loss", "cauchy", *(["--loss-scale", advised] if advised else [])]
 
 
 @pytest.mark.parametrize("loss", ["cauchy", "tukey", "arctan"])

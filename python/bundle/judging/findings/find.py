@@ -129,6 +129,7 @@ def _findings(measured: Measured) -> Iterator[Finding | None]:
     free = held = None
     if can_repair and (far is not None or is_bent):
         free = repaired(measured, is_bent=is_bent)
+        far = outliers(measured, free)
     if free is not None and is_bent and far is not None:
         # Least squares spreads outliers over their neighbours: both models have a robust loss.
         held = repaired(measured, with_priors=True)
@@ -153,7 +154,9 @@ def _findings(measured: Measured) -> Iterator[Finding | None]:
         far = dataclasses.replace(far, command=places.command)  # one without the other bends
     yield from (far, drift, places)
     if free is not None:
-        command = measured.command if far is None else free.command
+        command = measured.command
+        if far is not None:
+            command = command.with_flags_of(far.command)
         for one in (turned, places):  # a bend is repaired beside the measurements that bend
             if one is not None and one.command:
                 command = command.with_flags_of(one.command)
