@@ -148,15 +148,17 @@ def test_sigmas_are_advised_only_if_a_model_can_have_them(monkeypatch, has_model
     gravity = bundle.GravityPrior(int(scene.start.image_ids[0]), [0.0, 1.0, 0.0], 90.0)
     tried = []
 
-    def solved(_, start, priors):
-        tried.append((start, priors))
-        return start if has_model else None
+    def solved(_, start, options, priors):
+        tried.append((start, options, priors))
+        if not has_model:
+            raise bundle.InputError("nothing is usable")
 
-    monkeypatch.setattr(positions_module, "_solved", solved)
+    monkeypatch.setattr(positions_module, "solved", solved)
     judged = find(result.problem, options=result.options, priors=[gravity, *scene.priors])
     (found,) = [one for one in judged if one.kind == "scale_drift"]
     assert bool(found.command) == has_model
-    start, priors = tried[0]
+    start, options, priors = tried[0]
+    assert options.loss == "trivial"
     factors = {
         np.mean(np.asarray(one.sigma) / np.asarray(scaled_from.sigma))
         for one, scaled_from in zip(priors[: len(scene.priors)], scene.priors, strict=True)

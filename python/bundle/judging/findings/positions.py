@@ -38,7 +38,7 @@ from bundle.errors import InputError, shown
 from bundle.interface.finding import Finding
 from bundle.interface.georeference_options import GPS_SIGMA
 from bundle.judging.findings.measured import Measured
-from bundle.judging.findings.repaired import is_affordable
+from bundle.judging.findings.repaired import is_affordable, solved
 from bundle.model.problem import Problem
 from bundle.model.rigid_motions import (
     cross_matrices,
@@ -275,9 +275,12 @@ def scale_drift(measured: Measured, free: Problem) -> Finding | None:
 def _has_model(measured: Measured, factors: Floats) -> bool:
     """Return True if a solve with these factors on the sigmas of positions has a usable result."""
     positions = _used(measured)[1]
-    scaled = [_scaled(one, factors) for one in positions]
-    priors = [*scaled, *_others(measured, positions)]
-    return _solved(measured, measured.whole, priors) is not None
+    priors = [*(_scaled(one, factors) for one in positions), *_others(measured, positions)]
+    try:
+        solved(measured, measured.whole, measured.options.replace(num_threads=1), priors)
+    except InputError:
+        return False
+    return True
 
 
 def _shrinking(free: float, left: float) -> float:
@@ -429,12 +432,10 @@ def sigma_factors(
     options = measured.options.replace(gauge="none", check_solution=False, num_threads=1)
     for _ in range(MOST_ROUNDS):
         scaled = [_scaled(prior, factors) for prior in priors]
-        solved = _solved(measured, problem, [*scaled, *others])
-        if solved is None:
-            return None
-        problem = solved
-        request = {"priors": [*scaled, *others], "constraints": measured.constraints}
+        given = [*scaled, *others]
+        request = {"priors": given, "constraints": measured.constraints}
         try:
+            problem = solved(measured, problem, options, given).problem
             found = covariance(problem, options, of="poses", gauge="none", **request)
         except InputError:
             return None
@@ -457,25 +458,6 @@ def sigma_factors(
 def _others(measured: Measured, priors: list[Any]) -> list[Any]:
     """Return the priors of a model without these."""
     return [one for one in measured.priors if all(one is not prior for prior in priors)]
-
-
-def _solved(measured: Measured, start: Problem, priors: list[Any]) -> Problem | None:
-    """Return a start solved with the options of a model and these priors; None: not usable."""
-    from bundle.solving.executors import solve_prepared
-    from bundle.solving.prepare import prepare
-    from bundle.solving.request import SolveRequest
-
-    options = measured.options.replace(gauge="auto", check_solution=False, num_threads=1)
-    rules = measured.constraints
-    try:
-        request = SolveRequest(
-            problem=start, options=options, priors=priors, align=False, constraints=rules
-        )
-        prepared = prepare(request)
-        result = prepared.finished(solve_prepared(prepared, None))
-    except InputError:
-        return None
-    return result.problem if result.summary.is_solution_usable else None
 
 
 def _scaled(prior: Any, factors: Floats) -> Any:

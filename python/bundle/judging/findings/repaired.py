@@ -20,9 +20,16 @@ tests that its fault would mislead.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
 from bundle.errors import InputError
+from bundle.interface.options import SolveOptions
 from bundle.judging.findings.measured import Measured
+from bundle.model.problem import Problem
+
+if TYPE_CHECKING:
+    from bundle.solving.result import Result
 
 MOST_OBSERVATIONS, MOST_IMAGES = 50_000, 100
 MOST_STEPS = 50
@@ -35,6 +42,32 @@ def is_affordable(measured: Measured) -> bool:
     """Return True if the model is small enough to be solved again."""
     whole = measured.whole
     return whole.num_observations <= MOST_OBSERVATIONS and whole.num_images <= MOST_IMAGES
+
+
+def solved(
+    measured: Measured, start: Problem, options: SolveOptions, priors: Sequence[Any]
+) -> Result:
+    """Return the result of a start in the frame of a model, with its rules.
+
+    Raises:
+        InputError: the solve cannot start, or has no usable result.
+    """
+    from bundle.solving.executors import solve_prepared
+    from bundle.solving.prepare import prepare
+    from bundle.solving.request import SolveRequest
+
+    request = SolveRequest(
+        problem=start,
+        options=options.replace(gauge="auto", check_solution=False),
+        priors=priors,
+        align=False,
+        constraints=measured.constraints,
+    )
+    prepared = prepare(request)
+    result = prepared.finished(solve_prepared(prepared, None))
+    if not result.summary.is_solution_usable:
+        raise InputError(result.summary.message)
+    return result
 
 
 def repaired(
@@ -52,18 +85,12 @@ def repaired(
     "" is the present lens model, and no shutter. If positions, which are left out, bend the model,
     the solve has more steps.
     """
-    from bundle.solving.executors import solve_prepared
-    from bundle.solving.prepare import prepare
-    from bundle.solving.request import SolveRequest
-
     problem = measured.whole
     options = measured.options.replace(
         loss="cauchy",
         loss_scale=max(2.0 * measured.scale, 1e-3),
-        gauge="auto",
         max_num_iterations=MOST_FREE_STEPS if is_bent else MOST_STEPS,
         function_tolerance=FREE_TOLERANCE if is_bent else TOLERANCE,
-        check_solution=False,
     )
     priors = measured.priors if with_priors else ()
     try:
@@ -77,12 +104,7 @@ def repaired(
 
             rolling = ShutterOptions(rolling_shutter=shutter)
             problem, options = with_shutters(problem, rolling, options)
-        rules = measured.constraints
-        request = SolveRequest(
-            problem=problem, options=options, priors=priors, align=False, constraints=rules
-        )
-        prepared = prepare(request)
-        result = prepared.finished(solve_prepared(prepared, None))
+        result = solved(measured, problem, options, priors)
     except InputError:
         return None
     flags = ["--camera-model", lens_model] if lens_model else []
