@@ -311,7 +311,10 @@ class CovarianceComputation {
                      ReliabilityOutput* found);
   Eigen::MatrixXd CovarianceOf(const std::vector<int>& unknowns, const LongMatrix& inverse) const;
   void FindWorst(const ReliabilityOptions& wanted, ReliabilityOutput* found) const;
-  void FindEffects(ReliabilityOutput* found);
+  std::vector<int> PointsBeside(const ReliabilityOutput& found) const;
+  std::vector<Matrix3> CovariancesOf(const std::vector<int>& points) const;
+  void FindEffects(const std::vector<int>& points, const std::vector<Matrix3>& covariances,
+                   ReliabilityOutput* found);
   void SubtractEliminated(const PointBlocks& blocks, const Vector3& b, Eigen::MatrixXd* columns,
                           int k) const;
   // influence.cpp

@@ -80,15 +80,16 @@ void CovarianceComputation::FindReliability(const ReliabilityOptions& wanted,
     if (constraints_ != nullptr) {
       constraints_->TransformBlocks(system_.structure(), &system_.values());
     }
-    FindPoints();
     FindImages();
+    const std::vector<int> points = PointsBeside(*found);
+    const std::vector<Matrix3> covariances = CovariancesOf(points);
     system_.SetSystem(held);
     Check(system_.Factorize());
     if (is_small_) {
       const Eigen::MatrixXd rounded = lower_.cast<double>();
       system_.TakeFactor(rounded.data());
     }
-    FindEffects(found);
+    FindEffects(points, covariances, found);
   }
   for (const NullPoint& null : system_.null_points()) output_.null_points.push_back(null.point);
   output_.warnings = system_.warnings();
@@ -199,7 +200,9 @@ void CovarianceComputation::FindWorst(const ReliabilityOptions& wanted,
 ///   x_c = C (b_c - Y_q b_q) with q its own point,      x_p = V_p^-1 b_p - Y_p^T x_c.
 ///
 /// Inner constraints subtract N s, with s = N^T x = K^T x_c + N_q^T V_q^-1 b_q (free_gauge.h).
-void CovarianceComputation::FindEffects(ReliabilityOutput* found) {
+void CovarianceComputation::FindEffects(const std::vector<int>& points,
+                                        const std::vector<Matrix3>& covariances,
+                                        ReliabilityOutput* found) {
   const int count = static_cast<int>(found->worst.size()), n = system_.num_unknowns();
   if (count == 0) return;
   const int degrees = constraints_ == nullptr ? 0 : gauge_->degrees();
@@ -250,36 +253,71 @@ void CovarianceComputation::FindEffects(ReliabilityOutput* found) {
       effect.image_sigmas = sigmas;
     }
   }
-  Matrix sigmas = Matrix::Zero(view().num_points, count);
-  system_.ForPoints([&](int p, const PointBlocks& blocks, const PointAssembler&, int) {
-    const Matrix3 covariance = Eigen::Map<const Matrix3>(&output_.points[9 * size_t(p)]);
-    if (!(covariance.trace() > 0)) return;
-    Eigen::Matrix<double, 3, Eigen::Dynamic, Eigen::RowMajor> of(3, count);
-    of.setZero();
-    for (int k = 0; k < count; ++k) {
-      if (view().observation_point[found->worst[k].observation] == p) of.col(k) = own.col(k);
-    }
-    for (size_t b = 0; b < blocks.blocks.size(); ++b) {
-      const double* y = &blocks.y[3 * size_t(blocks.begin[b])];
-      const CameraBlock& block = layout().blocks()[blocks.blocks[b]];
-      for (int r = 0; r < block.size; ++r, y += 3) {
-        for (int c = 0; c < 3; ++c) of.row(c) -= y[c] * by_unknown.row(block.offset + r);
-      }
-    }
-    if (degrees > 0) of -= gauge_->OfPoint(p) * s;
-    const Matrix3 inverse = covariance.inverse();
-    for (int k = 0; k < count; ++k) {
-      sigmas(p, k) = std::sqrt(of.col(k).dot(inverse * of.col(k)));
-    }
-  });
-  for (int p = 0; p < view().num_points; ++p) {
+  std::vector<int> place(view().num_points, -1);
+  for (size_t i = 0; i < points.size(); ++i) place[points[i]] = static_cast<int>(i);
+  Matrix sigmas = Matrix::Zero(static_cast<Eigen::Index>(points.size()), count);
+  system_.ForPoints(system_.num_threads(), points,
+                    [&](int p, const PointBlocks& blocks, const PointAssembler&, int) {
+                      if (blocks.num_null > 0) return;
+                      Eigen::Matrix<double, 3, Eigen::Dynamic, Eigen::RowMajor> of(3, count);
+                      of.setZero();
+                      for (int k = 0; k < count; ++k) {
+                        if (view().observation_point[found->worst[k].observation] == p)
+                          of.col(k) = own.col(k);
+                      }
+                      for (size_t b = 0; b < blocks.blocks.size(); ++b) {
+                        const double* y = &blocks.y[3 * size_t(blocks.begin[b])];
+                        const CameraBlock& block = layout().blocks()[blocks.blocks[b]];
+                        for (int r = 0; r < block.size; ++r, y += 3) {
+                          for (int c = 0; c < 3; ++c)
+                            of.row(c) -= y[c] * by_unknown.row(block.offset + r);
+                        }
+                      }
+                      if (degrees > 0) of -= gauge_->OfPoint(p) * s;
+                      const Matrix3 inverse = covariances[place[p]].inverse();
+                      for (int k = 0; k < count; ++k) {
+                        sigmas(place[p], k) = std::sqrt(of.col(k).dot(inverse * of.col(k)));
+                      }
+                    });
+  for (size_t i = 0; i < points.size(); ++i) {
     for (int k = 0; k < count; ++k) {
       ExternalEffect& effect = found->worst[k];
-      if (!(sigmas(p, k) > effect.point_sigmas)) continue;
-      effect.point = p;
-      effect.point_sigmas = sigmas(p, k);
+      const double moved_by = sigmas(static_cast<Eigen::Index>(i), k);
+      if (!(moved_by > effect.point_sigmas)) continue;
+      effect.point = points[i];
+      effect.point_sigmas = moved_by;
     }
   }
+}
+
+/// Free points in the images of the worst observations, ascending.
+std::vector<int> CovarianceComputation::PointsBeside(const ReliabilityOutput& found) const {
+  std::vector<uint8_t> is_beside(view().num_images), is_wanted(view().num_points);
+  for (const ExternalEffect& effect : found.worst) {
+    is_beside[view().observation_image[effect.observation]] = 1;
+  }
+  for (int64_t i = 0; i < view().num_observations; ++i) {
+    if (is_beside[view().observation_image[i]] != 0) is_wanted[view().observation_point[i]] = 1;
+  }
+  std::vector<int> points;
+  for (int p = 0; p < view().num_points; ++p) {
+    if (is_wanted[p] != 0 && layout().point_is_free(p)) points.push_back(p);
+  }
+  return points;
+}
+
+/// Their covariances, from the inverse under the inner constraints.
+std::vector<CovarianceComputation::Matrix3> CovarianceComputation::CovariancesOf(
+    const std::vector<int>& points) const {
+  std::vector<int> place(view().num_points, -1);
+  for (size_t i = 0; i < points.size(); ++i) place[points[i]] = static_cast<int>(i);
+  std::vector<Matrix3> covariances(points.size(), Matrix3::Identity());
+  std::vector<PaddedRows> padded(system_.num_threads());
+  system_.ForPoints(system_.num_threads(), points,
+                    [&](int p, const PointBlocks& blocks, const PointAssembler&, int thread) {
+                      covariances[place[p]] = OfPoint(p, blocks, &padded[thread]);
+                    });
+  return covariances;
 }
 
 /// Subtracts Y b of a point from column k.

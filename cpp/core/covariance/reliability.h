@@ -21,7 +21,8 @@
 ///
 /// so that d0 sqrt((1 - l) / l) bounds the movement in sigmas of f. The movement itself takes one
 /// solve per observation. For the observations of the least l that is not below `least`, it is
-/// compared with the covariances of all points (3 x 3) and of all poses of images (6 x 6),
+/// compared with the covariances of all poses of images (6 x 6), and of the points (3 x 3) in the
+/// images of these observations, as points elsewhere move with the poses alone,
 ///
 ///   sqrt(dx^T C_b^+ dx)    of a block b,
 ///

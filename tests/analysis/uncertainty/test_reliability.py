@@ -12,7 +12,7 @@ import bundle
 from bundle.analysis.uncertainty.reliability_result import NOT_CHECKABLE, WEAK
 from tests import rolling
 from tests.analysis.uncertainty.dense import Dense, SingularError
-from tests.analysis.uncertainty.random_problems import random_case
+from tests.analysis.uncertainty.random_problems import Case, random_case
 from tests.georeference.flights import flight
 from tests.scenes import make_problem, with_observations
 
@@ -184,12 +184,14 @@ def check_effects(found, case, covariance):
     """The exact movement by the worst errors, in units of the dense covariance."""
     problem, column = case.problem, case.dense.column
     sigma = problem.observation_sigma
+    images = problem.observation_image[[one.observation for one in found.worst]]
+    beside = set(problem.observation_point[np.isin(problem.observation_image, images)].tolist())
     for one in found.worst:
         k = one.observation
         u = found.weakest_direction[k] / np.sqrt(one.least_redundancy)
         moved = found.delta0 * covariance @ (case.dense.jacobian[2 * k : 2 * k + 2].T @ u)
         sizes = {}
-        for p in range(problem.num_points):
+        for p in beside:
             j = column["point", p, 0]
             block = covariance[j : j + 3, j : j + 3]
             if np.trace(block) > 0:
@@ -229,6 +231,8 @@ def test_a_sparse_system_agrees_with_dense_matrices(sparse):
     blocks = diagonal_blocks(residual_maker(rows))
     check_rows(found, blocks, dense.residual.reshape(-1, 2), rtol=1e-8, atol=1e-9)
     assert found.sum == pytest.approx(found.dof, abs=1e-6)
+    basis = np.delete(np.eye(len(dense.names)), held, axis=1)
+    check_effects(found, Case(sparse, {}, [], dense, basis, 0), dense.covariance(basis))
 
 
 def arrays(found):

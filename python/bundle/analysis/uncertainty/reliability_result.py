@@ -88,7 +88,8 @@ class WeakObservation:
         least_redundancy: l.
         minimal_detectable_error: the error [px].
         external_bound: bound of the movement of any function, in its sigmas.
-        moved_point_id: point that moves by the most sigmas; None without a free point.
+        moved_point_id: point that moves by the most sigmas, of those in the images of the worst
+            observations; None without a free point.
         moved_point_sigmas: and by how many, with the point's covariance under inner constraints.
         moved_image_id: image whose pose moves by the most sigmas; None without a free pose.
         moved_image_sigmas: and by how many, likewise.
