@@ -40,6 +40,7 @@ from bundle.io.georeference_file import remove_georeference
 from bundle.io.recognition import (
     OUTPUT_FORMATS,
     check_name,
+    format_by_members,
     format_of_name,
     imported_format,
     is_pose_graph_file,
@@ -280,7 +281,7 @@ def recover(path: str | os.PathLike[str]) -> None:
 def _imported(path: Path, options: ReadOptions) -> Format | None:
     """Return the format of another program that a path has, or that the user named."""
     if options.format is None:
-        return imported_format(path)
+        return imported_format(path) or format_by_members(path)
     if options.format in ("bal", "colmap", "colmap-text"):
         return None
     known = find_format(options.format)

@@ -121,6 +121,22 @@ def imported_format(path: Path, *, others: bool = True) -> Format | None:
     return format_at(path, beginning, others=others and not _HEADER.match(beginning))
 
 
+def format_by_members(path: Path) -> Format | None:
+    """Return the format of a JSON object by the names of its members, in any order, or None.
+
+    Other programs may have sorted the names, so that those of the format are not at the beginning.
+    """
+    if not path.is_file() or not _beginning(path).lstrip().startswith(b"{"):
+        return None
+    import json  # only for files without a known beginning
+
+    try:
+        names = "".join(f'"{name}":' for name in json.loads(path.read_bytes()))
+    except (OSError, ValueError, RecursionError):
+        return None
+    return format_at(path, f"{{{names}".encode(errors="replace"), others=False)
+
+
 def is_pose_graph_file(path: object) -> TypeGuard[str | os.PathLike[str]]:
     """Return True if a path leads to a g2o file; pipes are not opened."""
     if not isinstance(path, str | os.PathLike):

@@ -139,6 +139,21 @@ def test_empty_and_foreign_files(tmp_path) -> None:
         bundle.load(tmp_path / "a.out", image_size="8x")
 
 
+def test_members_of_json_have_any_order(tmp_path) -> None:
+    foreign.write_openmvg(small(num_points=400), tmp_path / "scene.json")
+    scene = json.loads((tmp_path / "scene.json").read_text())
+    other = tmp_path / "other.json"
+    other.write_text(json.dumps({"structure": scene.pop("structure"), **scene}))
+    assert b"sfm_data_version" not in other.read_bytes()[:4096]
+    expected, found = bundle.load(tmp_path / "scene.json"), bundle.load(other)
+    assert found.format == "openmvg"
+    np.testing.assert_array_equal(found.observation_xy, expected.observation_xy)
+    for text in ('{"views": [}', '{"a": 1}', "{" + "[" * 100_000):
+        other.write_text(text)
+        with pytest.raises(bundle.InputError, match=r"an OpenMVG scene.*found JSON"):
+            bundle.load(other)
+
+
 def test_a_project_without_tracks(tmp_path, texts) -> None:
     (tmp_path / "reconstruction.json").write_text(texts["reconstruction.json"])
     with pytest.raises(bundle.InputError, match=r"expected tracks.csv, which has the observations"):
