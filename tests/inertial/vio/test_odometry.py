@@ -227,6 +227,7 @@ def test_the_fill_of_a_batch_is_counted() -> None:
     assert 1 < batch.keyframes[-1].fill_ratio < 4
 
 
+@pytest.mark.usefixtures("few")
 def test_a_motion_that_is_lost_is_no_result(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -140,6 +140,7 @@ def test_the_share_of_far_observations_is_that_of_the_newest_image(
     assert 0.05 < first < 0.5
 
 
+@pytest.mark.usefixtures("few")
 @pytest.mark.parametrize("where", ["start", "add_frame"])
 def test_a_window_without_a_solution_ends_as_lost_with_report_and_trajectory(
     where: str, flight: SyntheticFlight, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
