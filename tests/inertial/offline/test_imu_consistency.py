@@ -54,7 +54,7 @@ def test_scale_vertical_and_shape_are_within_their_sigmas(monkeypatch, kind):
     imu_solve = motion_solve.run
     monkeypatch.setattr(motion_solve, "run", run)
     scales, tilts, squares = [], [], []
-    for seed in range(6):
+    for seed in range(4):
         flight = bundle.synthesize_flight(
             motion=("loop", "room")[seed % 2], duration=8.0, num_tracks=60, seed=seed,
             pixel_noise=SIGMA, imu_samples=kind,
