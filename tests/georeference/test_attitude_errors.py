@@ -15,7 +15,7 @@ from tests.georeference.test_attitude_priors import rotations, upright_and_turne
 from tests.rig_scenes import STEREO, rig_problem
 
 AXIS = (1, 0.3, 0.2)
-TRIALS = 120
+TRIALS = 80
 
 
 def measured(problem, kind, sigma, rng):
@@ -69,7 +69,7 @@ def test_the_bound_holds_with_its_probability(kind, count):
         found = AttitudeErrors.of(known.groups[0], moved(truth, similarity))
         held += error_of(similarity.rotation, kind) < found.within
         assert found.off < 0.01
-    assert held > 0.9 * TRIALS  # 95 % less 2.5 standard errors
+    assert held > 0.89 * TRIALS  # 95 % less 2.5 standard errors
 
 
 def test_images_without_observations_do_not_count():

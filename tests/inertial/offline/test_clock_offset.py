@@ -1,6 +1,7 @@
 """The offset between the clocks of images and IMU, and samples that are means of intervals."""
 
 import dataclasses
+import functools
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from tests.inertial.offline.models import model_of, world_from_imu
 from tests.inertial.offline.test_imu_adjustment import adjusted, error_of, samples_of
 
 
+@functools.cache
 def made(kind="instant", seed=3, step=4, **changes):
     flight = bundle.synthesize_flight(
         duration=8.0, num_tracks=60, seed=seed, imu_samples=kind, **changes
@@ -95,11 +97,17 @@ def test_a_wrong_clock_is_corrected_and_stated():
     assert late.asdict()["clock_offset_used"]
 
 
+@functools.cache
+def without_positions():
+    flight, problem, stamps, _ = made(seed=2)
+    return adjusted(flight.sequence, problem, stamps, imu_noise_scale=1.0).result.problem
+
+
 @pytest.mark.parametrize("are_few", [False, True])
 def test_positions_place_the_result_in_their_frame(are_few):
     """With positions and an IMU, heading and place are those of the positions."""
     flight, problem, stamps, _ = made(seed=2)
-    reference = adjusted(flight.sequence, problem, stamps, imu_noise_scale=1.0).result.problem
+    reference = without_positions()
     turn = Rotation.from_euler("z", 2.1)
     places = turn.apply(reference.projection_centers) + np.array([1e3, -2e3, 50.0])
     chosen = (0, problem.num_images // 2) if are_few else range(problem.num_images)

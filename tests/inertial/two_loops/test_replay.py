@@ -31,6 +31,14 @@ def flight():
     return synthesize_flight(duration=4.0, rest=1.5, num_tracks=20, seed=2)
 
 
+@pytest.fixture(scope="module")
+def saved(flight, tmp_path_factory):
+    """The folder of the flight."""
+    folder = tmp_path_factory.mktemp("flight") / "s"
+    save_sequence(flight.sequence, folder)
+    return folder
+
+
 def poses_at(flight, seconds):
     begin = int(flight.ground_truth.timestamps_ns[0])
     stamps = np.array([begin + round(1e9 * value) for value in seconds], np.int64)
@@ -257,12 +265,11 @@ def test_closures_are_read(tmp_path):
         "EDGE_SE2 1 2 0 0 0 1 0 0 1 0 1",
     ],
 )
-def test_bad_closures_are_one_line_and_nothing_is_written(line, flight, tmp_path, capsys):
+def test_bad_closures_are_one_line_and_nothing_is_written(line, saved, tmp_path, capsys):
     table = tmp_path / "closures"
     table.write_text(line + "\n")
-    save_sequence(flight.sequence, tmp_path / "s")
     written = [tmp_path / "x.tum", tmp_path / "p.tum"]
-    arguments = ["vio", tmp_path / "s", "-o", written[0], "--publish", written[1]]
+    arguments = ["vio", saved, "-o", written[0], "--publish", written[1]]
     assert main([*map(str, arguments), "--loops", str(table), "--quiet"]) == 2
     said = capsys.readouterr().err
     assert said.startswith("error: ")
