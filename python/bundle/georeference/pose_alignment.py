@@ -85,7 +85,8 @@ def _check_spread(name: str, points: Array) -> None:
     spread = np.linalg.svd(points - center, compute_uv=False)
     if not spread[0] > SMALLEST_SPREAD * max(float(np.abs(center).max()), SMALLEST):
         raise InputError(
-            f"{name}: expected shared poses at different places, found all {len(points)} at one"
+            f"{name}: expected shared poses at different places, found all {len(points)} at one "
+            "place"
         )
     if spread[1] <= THINNEST * spread[0]:
         raise InputError(

@@ -49,7 +49,7 @@ class DirectionFactor(_AttitudeFactor):
 
     e = R ``axis`` - ``direction``, for unit vectors: the chord on the sphere, whose length at an
     angle x is 2 sin(x / 2). Two of its three numbers are independent. Turns about the axis do not
-    change it, and a direction that is upside down does not pull.
+    change it, and a direction that is upside down has no gradient.
 
     Attributes:
         key: pose cam_from_world (R, t), on se3.
