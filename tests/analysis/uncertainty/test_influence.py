@@ -164,6 +164,14 @@ def test_random_problems_agree_with_dense_matrices(seed):
     share = (along[: 2 * n].reshape(-1, 2) ** 2).sum(axis=1) / variance
     used = case.dense.rho_prime > 0
     np.testing.assert_allclose(found.share[used], share[used], rtol=1e-5, atol=1e-9)
+    sigma = case.problem.observation_sigma
+    root = np.sqrt(case.dense.rho_prime) / (1 if sigma is None else sigma)
+    by_pixel = along[: 2 * n].reshape(-1, 2) * root[:, None]
+    near = {"rtol": 1e-5, "atol": 1e-7 * np.abs(by_pixel).max()}
+    np.testing.assert_allclose(found.by_observation[used], by_pixel[used], **near)
+    largest = np.sort(share[used])[::-1]
+    assert largest[: found.hangs_on].sum() >= 0.5 * share[used].sum() - 1e-9
+    assert largest[: found.hangs_on - 1].sum() < 0.5 * share[used].sum()
 
 
 # Values and sigmas of another program: ratio of a distance to the longest baseline, focal length,

@@ -196,24 +196,17 @@ _FUNCTIONS = {"distance": _distance, "height": _height, "angle": _angle, "volume
 
 
 def lacking(quantity: Quantity, problem: Problem) -> str:
-    """Return what of a similarity of the world changes a quantity, in words."""
+    """Return what of the world changes a quantity, in words; no position does."""
     rotations = rotation_matrices(problem.cam_from_world[:, :4])
-    of_t, of_w = quantity.images[:, 3:], quantity.images[:, :3]
+    of_w, of_t = quantity.images[:, :3], quantity.images[:, 3:]
     points, t = problem.points, problem.cam_from_world[:, 4:]
-    back_t = np.einsum("nji,nj->ni", rotations, of_t)
-    shift = quantity.points.sum(axis=0) - back_t.sum(axis=0)
     turn = np.cross(points, quantity.points).sum(axis=0)
     turn -= np.einsum("nji,nj->ni", rotations, of_w).sum(axis=0)
     scale = (points * quantity.points).sum() + (t * of_t).sum()
-    size = np.abs(quantity.points).sum() + np.abs(of_t).sum()
     reach = np.abs(points).max(initial=0) + np.abs(t).max(initial=0)
-    found = [
-        name
-        for name, value, least in (
-            ("position", np.linalg.norm(shift), size),
-            ("rotation", np.linalg.norm(turn), size * reach + np.abs(of_w).sum()),
-            ("scale", abs(scale), size * reach),
-        )
-        if value > 1e-9 * max(least, 1e-300)
-    ]
-    return " and ".join(found) or "similarity"
+    size = (np.abs(quantity.points).sum() + np.abs(of_t).sum()) * reach
+    changes = {
+        "rotation": np.linalg.norm(turn) > 1e-9 * (size + np.abs(of_w).sum()),
+        "scale": abs(scale) > 1e-9 * size,
+    }
+    return " and ".join(name for name, is_changed in changes.items() if is_changed)
