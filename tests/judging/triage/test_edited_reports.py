@@ -18,7 +18,10 @@ def reports(tmp_path_factory):
         "model": workshop.run("refine", workshop.model()),
         "flight": workshop.run("vio", workshop.flight(duration=6.0)),
         "graphs": workshop.run("compare", workshop.graph(), "--repeat", 1, "--backends", "fused"),
-        "models": workshop.run("compare", workshop.model(), "--repeat", 1),
+        "models": workshop.run(
+            *("compare", workshop.model(), "--repeat", 1, "--backends", "fused"),
+            *("--solvers", "dense-schur,sparse-schur"),
+        ),
     }
     for path in made.values():
         content = json.loads(path.read_text())
