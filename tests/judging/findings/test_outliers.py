@@ -118,6 +118,16 @@ def test_outliers_beside_wrong_sigmas_get_one_command_for_both():
     assert sorted(words[0]) == sorted(words[1])
 
 
+def test_later_commands_have_the_scale_that_the_outliers_need():
+    scene = make(7_005, ("outliers", "shared_lens"))
+    result = bundle.solve(scene.start, num_threads=1, max_num_iterations=200)
+    found = {one.kind: one for one in find(result.problem, options=result.options)}
+    loss = shlex.split(found["outliers"].command)[5:]
+    assert loss[:3] == ["--loss", "cauchy", "--loss-scale"]
+    assert 1.5 <= float(loss[3]) / scene.noise <= 3.0
+    assert shlex.split(found["shared_lens"].command)[5:] == [*loss, "--share-cameras", "all"]
+
+
 def judged(errors, *, loss="cauchy", loss_scale=1.0, scale=1.0, sigma=None, robust=None):
     """Return the finding about these errors, in surroundings of this scale.
 
