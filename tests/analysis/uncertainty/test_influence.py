@@ -265,6 +265,8 @@ def test_an_error_moves_the_quantity_as_the_derivative_says(small):
         ("height 1 2", "the rotation and scale of"),
         ("volume 1 2 3 4", "the scale of"),
         ("baseline 1 2", "the scale of"),
+        ("distance 1 image:image2.jpg", "the scale of"),
+        ("height 1 image:image2.jpg", "the rotation and scale of"),
     ],
 )
 def test_a_quantity_without_a_datum_is_refused(small, text, lacks):
