@@ -164,15 +164,15 @@ def graphs(folder: Path, data: Path) -> None:
 
 
 def sequence(folder: Path, data: Path) -> None:
-    """The first twelve seconds of EuRoC's V1_01, its truth, and a closure, as the truth has it."""
+    """The first nine seconds of EuRoC's V1_01, its truth, and a closure, as the truth has it."""
     name = "euroc_V1_01_tracks_imu_30s.csv"
     lines = (data / "vio" / name).read_text().splitlines(keepends=True)
     times = [line.split(",", 3)[2] for line in lines]
-    early = [line for line, time in zip(lines[1:], times[1:], strict=True) if float(time or 0) < 12]
+    early = [line for line, time in zip(lines[1:], times[1:], strict=True) if float(time or 0) < 9]
     (folder / name).write_text("".join([lines[0], *early]))
     shutil.copy(data / "vio" / "euroc_V1_01_ground_truth.csv", folder / "truth.csv")
     truth = load_trajectory(folder / "truth.csv")
-    stamps = truth.timestamps_ns[0] + np.array([5_500_000_000, 10_500_000_000])
+    stamps = truth.timestamps_ns[0] + np.array([5_500_000_000, 8_000_000_000])
     ends = states_at(truth, stamps)[:, :7]
     pose = multiply_poses(inverse_poses(ends[:1]), ends[1:])[0]
     numbers = [*stamps.tolist(), *pose[4:].tolist(), *pose[:4].tolist(), 0.01, 0.1]
@@ -181,8 +181,8 @@ def sequence(folder: Path, data: Path) -> None:
 
 
 def images(folder: Path) -> None:
-    """mav0, three seconds of a rendered flight, as a bag and as a video; Kalibr's calibration."""
-    mav = render(Flight(duration=3.0, **SMALL), folder)
+    """mav0, two seconds of a rendered flight, as a bag and as a video; Kalibr's calibration."""
+    mav = render(Flight(duration=2.0, **SMALL), folder)
     write_kalibr(mav)
     write_bag(mav, folder / "flight.bag", 1)
     write_video(mav)
