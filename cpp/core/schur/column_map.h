@@ -50,7 +50,7 @@ struct PartBlock {
 /// Columns of a part in whole quads. Kernels::map_block reads that many numbers from the begin of
 /// each row of a map.
 inline constexpr int kMaxMapColumns = (kImageColumns + 3) / 4 * 4;
-/// Room for a block of two parts, and for its map.
+/// Most values of a block of two parts, before and after mapping.
 inline constexpr int kMaxMapped = kMaxMapColumns * (kImageColumns + 1);
 
 /// Fills both triangles of a symmetric block whose upper triangle is defined; `size` local columns.

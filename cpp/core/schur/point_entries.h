@@ -42,7 +42,7 @@ class PointEntries {
   int operator[](int entry) const { return list_[entry]; }
   int PartOf(int i, int kind) const { return parts_.part_of(plan_.image[first_ + i], kind); }
 
-  /// Entry of observation i by one of its kinds, -1: it has no such part.
+  /// Index in list() of the part of this kind of observation i; -1 if it has none.
   int EntryOf(int i, int kind) const {
     if (is_plain_) return i;
     const int part = PartOf(i, kind);

@@ -302,7 +302,7 @@ class WindowElimination {
     }
   }
 
-  /// Rows [by blocks, r] over all columns.
+  /// Spreads rows with the columns [`blocks`, r] to all columns of the window; others are zero.
   Matrix Spread(const Matrix& dense, const std::vector<int>& blocks) const {
     Matrix out = Matrix::Zero(dense.rows(), columns_.total() + 1);
     int column = 0;

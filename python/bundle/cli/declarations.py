@@ -343,7 +343,7 @@ RULES = options(
 )
 MOVED = (
     "The model is first moved to metres east, north, up. The origin is the middle of the control "
-    "points, or without them of the positions. "
+    "points or, if there are none, of the GPS positions. "
     f"{GEOREFERENCE} in the folder OUTPUT, or beside the file OUTPUT, describes this frame."
 )
 

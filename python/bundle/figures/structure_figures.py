@@ -122,7 +122,7 @@ def within_view(positions: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _plane(centres: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return centres in the plane of their two principal axes, computed without outermost ones."""
+    """Project centres to their two principal axes, computed without the outermost centres."""
     if len(centres) == 0:
         return np.zeros((0, 2))
     offset = centres - np.median(centres, axis=0)

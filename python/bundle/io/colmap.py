@@ -234,8 +234,8 @@ def write(problem: Problem, folder: Path, *, binary: bool) -> tuple[str, ...]:
         losses.append(f"{records.num_new_points} points are not in the source and get no colour.")
     if records.num_renumbered:
         losses.append(
-            f"{records.num_renumbered} keypoints are renumbered: without a source of their image, "
-            "only observed keypoints are known."
+            f"{records.num_renumbered} keypoints get new indices: their images are not in the "
+            "source model, so that only observed keypoints are known."
         )
     return (*losses, *_lost(problem, binary=binary))
 

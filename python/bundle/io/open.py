@@ -76,7 +76,7 @@ def load(
     options = dataclasses.replace(options or ReadOptions(), progress=progress)
     imported = _imported(path, options)
     if options.pixel_origin != ORIGINS[0] and (imported is None or imported.name != "nvm"):
-        raise InputError(f"{shown(path)}: expected an NVM file for another pixel origin")
+        raise InputError(f"pixel_origin: expected an NVM file, found {shown(path)}")
     if imported is not None:
         return imported.reading().read(file_at(path, imported), options)  # type: ignore[no-any-return]
     if path.is_dir():

@@ -66,7 +66,7 @@ class Start:
 
 
 def start_without_poses(graph: PoseGraph) -> PoseGraph:
-    """Return a graph whose file has no poses with poses from odometry or a spanning tree."""
+    """Add poses, from odometry or a spanning tree, to a graph whose file has none."""
     held, _, _ = _core.hold_poses(graph)
     joined = _core.odometry_gap(graph)[0] < 0
     init = "odometry" if joined and not graph.fixed.any() else "spanning_tree"

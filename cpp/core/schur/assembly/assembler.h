@@ -77,7 +77,7 @@ class Assembler {
   };
 
   /// Adds the sums of a chunk for its own part i: its vectors, its diagonal block and its pairs.
-  /// Rows and columns between shared blocks are left out.
+  /// Leaves out sums between two shared blocks.
   void AddPart(const EliminationInput& input, const Chunk& chunk, const ChunkSum& sum, size_t i,
                const PairsOfPart& pairs, CameraSums* sums) const;
 

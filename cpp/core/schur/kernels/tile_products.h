@@ -19,7 +19,7 @@
 
 namespace bundle::BUNDLE_ISA {
 
-/// Rows of a panel, so that it fits the registers: 32 of them with AVX-512 and NEON, otherwise 16.
+/// Rows of a panel that fits into the registers: AVX-512 and NEON have 32 registers, others 16.
 template <int kQuads>
 constexpr int PanelRows() {
   if (kLanes == 8) return kQuads <= 2 ? 12 : kQuads <= 4 ? 9 : 6;

@@ -264,7 +264,7 @@ class _Adjusted(NamedTuple):
         return found
 
     def moved_far(self, motions: list[Preintegration]) -> bool:
-        """Return True if the biases are too far from those of motions."""
+        """Return True if a gyroscope bias is too far from that of its preintegrated motion."""
         pairs = zip(motions, self.state.biases, strict=False)
         return any(motion.needs_repropagation(bias[:3]) for motion, bias in pairs)
 

@@ -59,7 +59,7 @@ def solved_with_motions(
     plan: RunPlan,
     progress: Progress | None,
 ) -> tuple[Result, MotionState]:
-    """Run a plan from a state with the motions between consecutive bodies, and with priors."""
+    """Run a plan from a state; motions between consecutive bodies and priors are its factors."""
     problem, count = state.problem, len(bodies)
     first_id = int(problem.point_ids.max(initial=0)) + 1
     ids = first_id + np.arange(3 * count)
