@@ -84,7 +84,7 @@ class Influence(FrozenArrays, Displayed, Tabular):
         without_observation: (n,) value without an observation.
         without_point: (num_points,) value without a point; NaN of points in the quantity.
         without_image: (num_images,) value without an image; NaN unless requested.
-        hangs_on: number of observations that make half of the variance.
+        hangs_on: number of observations that make half of their part of the variance.
         num_observations: number of observations that count.
         without: "observations", "points" or "images", the kind of ``changes``.
         changes: the 20 largest changes by leaving out one of these.
@@ -121,8 +121,7 @@ class Influence(FrozenArrays, Displayed, Tabular):
         unit = f" {self.unit}" if self.unit not in ("", "1") else ""
         said = [
             f"{self.on}: {number(self.value)}{unit}, sigma {number(self.sigma)}{unit}.",
-            f"Half of its variance comes from {self.hangs_on:,} of {self.num_observations:,} "
-            f"observations{self._of_factors}.",
+            f"{self._most} from {self.hangs_on:,} of {self.num_observations:,} observations.",
         ]
         if self.changes:
             most = self.changes[0]
@@ -132,9 +131,11 @@ class Influence(FrozenArrays, Displayed, Tabular):
         return tuple(said)
 
     @property
-    def _of_factors(self) -> str:
+    def _most(self) -> str:
         percent = 100 * self.share_of_factors
-        return f"; {percent:.0f} % of it from priors" if percent >= 1 else ""
+        if percent < 1:
+            return "Half of its variance comes"
+        return f"{percent:.0f} % of its variance comes from priors, half of the rest"
 
     def _display(self) -> Display:
         rows = tuple(
