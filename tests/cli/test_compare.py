@@ -9,13 +9,20 @@ import subprocess
 import pytest
 
 import bundle
+from bundle.interface.environment import Environment
 from tests.cli.conftest import command, environment
 from tests.planning.comparison.conftest import unpredicted  # noqa: F401
 from tests.printed import figures
 
-pytestmark = pytest.mark.usefixtures("unpredicted")
+pytestmark = pytest.mark.usefixtures("unpredicted", "idle")
 
 QUICK = ("--repeat", 1, "--threads", 1, "--trust-regions", "levenberg-marquardt")
+
+
+@pytest.fixture
+def idle(monkeypatch):
+    """Tests run beside each other: on a busy machine nothing is recommended."""
+    monkeypatch.setattr(Environment, "is_busy", lambda *_: False)
 
 
 def test_table_recommendation_and_command_line(run, model):

@@ -7,6 +7,7 @@ import pycolmap
 import pytest
 
 import bundle
+from tests.printed import figures
 from tests.track_scenes import damaged, synthesize
 
 KEYS = {
@@ -43,8 +44,9 @@ def test_report_and_model(run, folder, tmp_path):
     assert model.compute_num_observations() > 2 * before
     numbers = f"{before:,} -> {model.compute_num_observations():,} observations"
     assert sum(numbers in sentence for sentence in data["headline"]) == 1
-    score = f"{data['tracks'][0]['held_out_rmse']:.4f} -> {held['clipped_rmse']:.4f} px"
-    assert sum(score in sentence for sentence in data["headline"]) == 1
+    scores = (held["clipped_rmse"], data["tracks"][0]["held_out_rmse"])
+    told = [figures(sentence) for sentence in data["headline"] if "Held out" in sentence]
+    assert [one[1:3] for one in told] == [[f"{score:.4f}" for score in scores]]
     for sentence in data["headline"]:
         assert "".join(sentence.split()) in "".join(out.split())
     assert page.stat().st_size > 10_000

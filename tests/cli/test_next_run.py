@@ -22,7 +22,11 @@ def any_path(monkeypatch):
 
 def actions() -> list[argparse.Action]:
     found = command_parser().commands()["refine"]._actions
-    return [one for one in found if one.option_strings and one.dest not in (*BESIDE, "help")]
+    return [
+        one
+        for one in found
+        if one.option_strings and not one.dest.startswith("help") and one.dest not in BESIDE
+    ]
 
 
 def value(action: argparse.Action, parser: argparse.ArgumentParser) -> list[str]:

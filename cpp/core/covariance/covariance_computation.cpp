@@ -21,6 +21,24 @@
 
 namespace bundle {
 
+void CovarianceComputation::CountResiduals() {
+  output_.weighted_squares = system_.point_sums().squares;
+  output_.num_residuals = system_.point_sums().num_residuals;
+  output_.predicted_decrease = system_.point_sums().decrease;
+  system_.ForObservationsOfFixedPoints([&](const ObservationRows& rows) {
+    output_.weighted_squares +=
+        rows.residual[0] * rows.residual[0] + rows.residual[1] * rows.residual[1];
+    output_.num_residuals += 2;
+  });
+  system_.ForFactors([&](const ReducedSystem::FactorRows& rows) {
+    for (const double r : rows.residual) output_.weighted_squares += r * r;
+    output_.num_residuals += rows.num_measurements;
+  });
+  output_.num_parameters = system_.num_unknowns() + 3 * int64_t{layout().num_free_points()};
+  for (const uint8_t bit : system_.held()) output_.num_parameters -= bit;
+  for (const NullPoint& null : system_.null_points()) output_.num_parameters -= null.num_null;
+}
+
 /// S with the terms that fix its gauge, in long doubles, from rows; empty for a large system.
 LongMatrix CovarianceComputation::SumHeld() const {
   if (!is_small_) return {};

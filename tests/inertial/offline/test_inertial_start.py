@@ -317,7 +317,7 @@ def test_lines_of_times(tmp_path):
         ((f"{first} 1.5", f"{second} 3"), "line 1"),
         (("# only",), "found 0"),
         ((f"{first} 1",), "1 image such as"),
-        ((f"{first} 5", f"{second} 4"), "a time from 5 ns of line 1 on"),
+        ((f"{first} 5", f"{second} 4"), "at least 5 ns, the time in line 1"),
     ):
         with pytest.raises(InputError, match=word):
             times(*lines)

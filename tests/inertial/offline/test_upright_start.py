@@ -87,7 +87,7 @@ def test_arms_are_those_of_the_bodies_in_the_world():
 
 def test_rigs_in_large_units_are_refused_too(flight):
     problem, stamps = stereo_of(flight, 8, scale=0.2)
-    with pytest.raises(InputError, match="in metres"):
+    with pytest.raises(InputError, match="metres as its unit"):
         adjusted(flight.sequence, problem, np.repeat(stamps, 2), OPTIONS, **SETTINGS)
 
 

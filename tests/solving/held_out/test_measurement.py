@@ -204,7 +204,7 @@ def test_bad_requests_fail_before_the_solve():
     def never(_):
         raise AssertionError
 
-    with pytest.raises(bundle.InputError, match=r"^hold_out: expected observations"):
+    with pytest.raises(bundle.InputError, match=r"^hold_out: expected images"):
         bundle.solve(problem, hold_out=10, progress=never)
     with pytest.raises(bundle.InputError, match=r"^hold_out: expected"):
         bundle.solve(problem, hold_out=60)
