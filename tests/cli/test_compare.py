@@ -96,5 +96,5 @@ def test_ctrl_c_ends_with_what_is_there(model, tmp_path):
     assert process.returncode == 1
     assert "Traceback" not in err
     assert "fused DENSE_SCHUR" in out
-    assert "bundle refine" in out
+    assert ("bundle refine" in out) != ("the machine was busy" in out)
     assert "interrupted" in out
