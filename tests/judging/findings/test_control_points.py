@@ -1,5 +1,6 @@
 """Findings about control points, alone and as commands that are followed."""
 
+import dataclasses
 import json
 import shlex
 
@@ -55,6 +56,10 @@ def test_a_majority_has_too_small_sigmas():
     assert len(suspicions(points)) == 1
     # Sigmas of the file: the flag has no influence.
     assert control_points(points, COMMAND).command == ""
+    # The model bends to a point, or the others do not place it: the larger error counts.
+    bent = [dataclasses.replace(one, residual=(0.0, 0.0, 0.0)) for one in points[:2]]
+    free = [dataclasses.replace(one, leave_one_out=(0.0, 0.0, 0.0)) for one in points[2:]]
+    assert control_points([*bent, *free], given).evidence["sigmas"] == found.evidence["sigmas"]
     # Half of them: which half is wrong is unknown, and their sigmas are not blamed.
     half = [point(f"t{k}", (1.0, 0, 0), suspect=k < 2) for k in range(4)]
     assert "--prior-loss" in control_points(half, COMMAND).command
