@@ -18,7 +18,8 @@ from bundle.georeference.image_index import ImageIndex
 from bundle.georeference.local_frame import LocalFrame
 from bundle.georeference.similarity import Similarity, moved
 from bundle.georeference.similarity_fit import Correspondences, fit_similarity
-from bundle.georeference.triangulated_targets import direction_of, triangulate
+from bundle.georeference.triangulated_targets import triangulate
+from bundle.model.lenses.pixel_rays import pixel_rays
 from bundle.model.reprojection import reprojection_errors
 from bundle.model.rigid_motions import quaternion_from_matrix, rotation_matrices
 from tests.formulas import PARAMS as MODELS
@@ -78,20 +79,21 @@ def test_directions_of_pixels_are_found_for_every_model(model):
     rng = np.random.default_rng(0)
     for direction in np.column_stack([rng.uniform(-0.3, 0.3, (5, 2)), np.ones(5)]):
         xy = project(model, params, direction[None])[0]
-        found = direction_of(model, params, xy)
+        (found,), (is_seen,) = pixel_rays(model, params, xy[None])
         np.testing.assert_allclose(found, direction / np.linalg.norm(direction), atol=1e-9)
+        assert is_seen
 
 
 def test_directions_behind_the_camera_and_pixels_without_one():
     back = np.array([0.3, -0.2, -0.9])
     params = np.array([1000.0, 500.0])
     xy = project("EQUIRECTANGULAR", params, back[None])[0]
-    found = direction_of("EQUIRECTANGULAR", params, xy)
+    (found,), (is_seen,) = pixel_rays("EQUIRECTANGULAR", params, xy[None])
     np.testing.assert_allclose(found, back / np.linalg.norm(back), atol=1e-9)
+    assert is_seen
     # Barrel distortion of this size turns around before the pixel.
-    assert (
-        direction_of("SIMPLE_RADIAL", np.array([100.0, 0, 0, -0.3]), np.array([500.0, 0])) is None
-    )
+    folded = np.array([100.0, 0, 0, -0.3])
+    assert not pixel_rays("SIMPLE_RADIAL", folded, np.array([[500.0, 0]]))[1].any()
 
 
 def test_targets_are_triangulated_at_scipys_minimum():

@@ -4,14 +4,10 @@ The point X minimizes sum |project(X) - xy|^2 / sigma^2 over its images, by Leve
 the camera models' own Jacobians J. It starts at the point nearest to all rays: with directions d
 and centres c, (sum I - d d^T) X = sum (I - d d^T) c. Its covariance (sum J^T J)^-1 assumes pixels
 of the stated sigma and cameras without error.
-
-The projection of any camera model is inverted here by Gauss-Newton on the sphere of directions,
-along a path of pixels from the optical axis.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable
 
 import numpy as np
@@ -21,6 +17,7 @@ from bundle.base.records import dataclass
 from bundle.georeference.control_point import GroundControlPoint, Measurement
 from bundle.georeference.image_index import ImageIndex
 from bundle.model.cameras import camera_models, project
+from bundle.model.lenses.pixel_rays import pixel_rays
 from bundle.model.problem import Problem
 from bundle.model.rigid_motions import rotation_matrices
 
@@ -30,12 +27,6 @@ FEWEST_IMAGES = 2
 MAX_STEPS = 100
 WORST_CONDITION = 1e12
 """Condition number of a point's normal matrix above which its rays count as parallel."""
-LONGEST_STEP = 0.3
-"""Largest rotation of a direction per step, and per stage, in radians."""
-SMALLEST_STEP = 1e-11
-STAGES = 12
-LARGEST_MISS = 1e-3
-"""Largest error in pixels of a direction found for a pixel."""
 
 
 @dataclass(frozen=True)
@@ -97,10 +88,10 @@ def _triangulated(
     rotations, translations = _poses(problem, images)
     rays = np.empty((len(images), 3))
     for row, image in enumerate(images):
-        direction = direction_of(*_camera(problem, image), xy[row])
-        if direction is None:
+        direction, is_seen = pixel_rays(*_camera(problem, image), xy[row, None])
+        if not is_seen[0]:
             return lost(f"its pixel in {measurements[row].image} is outside the camera model")
-        rays[row] = direction @ rotations[row]
+        rays[row] = direction[0] @ rotations[row]
     start = _intersection(rays, -np.einsum("nji,nj->ni", rotations, translations))
     if start is None:
         return lost("its rays are parallel")
@@ -124,47 +115,6 @@ def _camera(problem: Problem, image: int) -> tuple[str, Array]:
     camera = problem.image_camera[image]
     model = problem.camera_models[camera]
     return model, problem.camera_params[camera, : len(camera_models()[model])]
-
-
-def direction_of(model: str, params: Array, xy: Array) -> Array | None:
-    """Return the unit vector in the camera frame that projects to a pixel, None without one.
-
-    The pixel is approached along a line from the pixel of the optical axis, and the direction
-    follows by Gauss-Newton. The direction therefore stays in the region where the projection is one
-    to one. Models such as OPENCV also project directions beyond the turning point of their
-    distortion into the image.
-    """
-    direction = np.array([0.0, 0.0, 1.0])
-    start = project(model, params, direction[None])[0][0]
-    for stage in range(1, STAGES + 1):
-        goal = start + (xy - start) * stage / STAGES
-        reached = _followed(model, params, goal, direction)
-        if reached is None:
-            return None
-        direction = reached
-    return direction
-
-
-def _followed(model: str, params: Array, xy: Array, start: Array) -> Array | None:
-    """Return the direction that projects to a pixel, found from a nearby start direction."""
-    direction = start
-    with np.errstate(all="ignore"):
-        for _ in range(MAX_STEPS):
-            pixels = project(model, params, direction[None], jacobians=True)
-            miss, jacobian = pixels.xy[0] - xy, pixels.d_point[0]
-            if not (np.isfinite(miss).all() and np.isfinite(jacobian).all()):
-                return None
-            # The least-norm step lies in the tangent plane, because J d = 0.
-            step = -np.linalg.pinv(jacobian) @ miss
-            direction = direction + step / max(np.linalg.norm(step) / LONGEST_STEP, 1)
-            direction /= np.linalg.norm(direction)
-            if direction @ start < math.cos(LONGEST_STEP):
-                return None
-            if np.linalg.norm(step) < SMALLEST_STEP:
-                break
-        found, valid = project(model, params, direction[None])
-    near = np.linalg.norm(found[0] - xy) < LARGEST_MISS
-    return direction if valid[0] and near else None
 
 
 def _intersection(rays: Array, centers: Array) -> Array | None:
