@@ -238,8 +238,10 @@ def block(problem: Problem) -> Block | None:
     rays = problem.points[point] - problem.projection_centers[image]
     forward = rotation_matrices(problem.cam_from_world[:, :4])[:, 2]
     depth = np.abs(np.einsum("ni,ni->n", rays, forward[image]))
+    order = np.argsort(image, kind="stable")
+    heights = np.split(-rays[order, 2], np.flatnonzero(np.diff(image[order])) + 1)
     return Block(
-        height=float(np.median([-np.median(rays[image == one, 2]) for one in np.unique(image)])),
+        height=float(np.median([np.median(one) for one in heights])),
         ground_pixel=float(np.median(depth / _focal_lengths(problem)[problem.image_camera[image]])),
         extent=_extent(problem.points[:, :2]),
         overlap=_overlap(problem),

@@ -290,15 +290,15 @@ def suspicions(points: Iterable[ControlPointError]) -> list[str]:
         f"{', '.join(unchecked)} cannot be checked: the other measurements hardly predict "
         f"{'it' if len(unchecked) == 1 else 'them'}."
     ]
+    said = said if unchecked else []
     if is_contradiction(points):
-        used = [point for point in points if point.role == "control"]
-        wrong = sum(point.suspect for point in used)
+        used = [point.suspect for point in points if point.role == "control"]
         return [
-            *(said if unchecked else []),
-            f"{wrong} of {plural(len(used), 'control point')} contradict the others: no single one "
-            "is wrong, but their sigmas are too small.",
+            *said,
+            f"{sum(used)} of {plural(len(used), 'control point')} contradict the others: no single "
+            "one is wrong, but their sigmas are too small.",
         ]
-    return (said if unchecked else []) + [
+    return said + [
         f"{shown(point.name)} is probably wrong: the other points place it "
         f"{', '.join(_offsets(point.leave_one_out))} of its coordinates."
         for point in points

@@ -71,7 +71,7 @@ def _known(residual: Sequence[float]) -> list[float]:
 
 
 def _sigma(points: Sequence[ControlPointError], axes: slice, typical: float) -> float:
-    """Return the sigma [m] of these axes by the errors of points left out; NaN if unknown."""
+    """Return the sigma [m] of these axes that the larger errors show; NaN if unknown."""
     errors = np.array([(point.residual, point.leave_one_out) for point in points])
     squares = (errors[..., axes] ** 2).sum(axis=2).max(axis=1)
     known = squares[~np.isnan(squares)]
