@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 import bundle._core as _core
-from bundle.analysis.uncertainty.covariance_by_input import check_same_factors, refuse_huge
+from bundle.analysis.uncertainty.covariance_by_input import refuse_huge
 from bundle.analysis.uncertainty.quantity import Quantity, lacking, quantity_of
-from bundle.analysis.uncertainty.reliability import directions_of, notes_of
+from bundle.analysis.uncertainty.reliability import directions_of, notes_of, prepared_at
 from bundle.analysis.uncertainty.reliability_result import NOT_CHECKABLE
 from bundle.base.arrays import FrozenArrays, filled, freeze
 from bundle.base.display import Display, Displayed
@@ -31,9 +31,8 @@ from bundle.interface.analysis_options import WITHOUT, one_of
 from bundle.interface.option_class import takes_options
 from bundle.interface.options import SolveOptions
 from bundle.interface.tabular import Tabular
-from bundle.io.files import Source, as_problem
-from bundle.solving.prepare import Prepared, prepare
-from bundle.solving.request import SolveRequest
+from bundle.io.files import Source
+from bundle.solving.prepare import Prepared
 from bundle.solving.result import Result
 
 if TYPE_CHECKING:
@@ -225,27 +224,12 @@ def influence_of(
     **changes: Any,
 ) -> Influence:
     """Find what a quantity hangs on; see :func:`influence`."""
-    if isinstance(problem, Result):
-        check_same_factors(problem, factors, priors, constraints)
-        options = problem.options if options is None else options
-        problem = problem.problem
-    problem = as_problem(problem)
-    options = SolveOptions.of(options, changes, "influence")
     without = one_of("without", without, WITHOUT)
-    prepared = prepare(
-        SolveRequest(
-            problem=problem,
-            options=options.replace(gauge="none"),
-            factors=factors,
-            priors=priors,
-            align=align,
-            bounds=bounds,
-            constraints=constraints
-            if not isinstance(constraints, Iterable)
-            else tuple(constraints),
-        )
-    )
-    if not problem.num_observations:
+    prepared = prepared_at(
+        problem, options, changes, "influence", factors=factors, priors=priors, align=align,
+        bounds=bounds, constraints=constraints,
+    )  # fmt: skip
+    if not prepared.request.problem.num_observations:
         raise InputError("problem: expected observations, found 0")
     refuse_huge(prepared.start)
     targets = prepared.placed.targets

@@ -112,22 +112,40 @@ def reliability(
         >>> found = bundle.reliability("sparse/0")
         >>> found.images[0].share, found.worst[0].minimal_detectable_error
     """
+    prepared = prepared_at(
+        problem, options, changes, "reliability", factors=factors, priors=priors, align=align,
+        bounds=bounds, constraints=constraints,
+    )  # fmt: skip
+    return reliability_of(prepared, delta0, scale)
+
+
+def prepared_at(
+    problem: Source | Result,
+    options: SolveOptions | None,
+    changes: dict[str, Any],
+    function: str,
+    *,
+    constraints: Constraints | Iterable[str | Rule],
+    **given: Any,
+) -> Prepared:
+    """Prepare the normal equations at a problem or a result, for numbers that need no gauge.
+
+    ``given``: factors, priors, align and bounds, as in :func:`bundle.solve`; ``function``: name in
+    messages about ``changes``.
+    """
     if isinstance(problem, Result):
-        check_same_factors(problem, factors, priors, constraints)
+        check_same_factors(problem, given["factors"], given["priors"], constraints)
         options = problem.options if options is None else options
         problem = problem.problem
     problem = as_problem(problem)
-    options = SolveOptions.of(options, changes, "reliability")
+    options = SolveOptions.of(options, changes, function)
     request = SolveRequest(
         problem=problem,
         options=options.replace(gauge="none"),
-        factors=factors,
-        priors=priors,
-        align=align,
-        bounds=bounds,
         constraints=constraints if not isinstance(constraints, Iterable) else tuple(constraints),
+        **given,
     )
-    return reliability_of(prepare(request), delta0, scale)
+    return prepare(request)
 
 
 def reliability_of(prepared: Prepared, delta0: float = DELTA0, scale: str = "unit") -> Reliability:
