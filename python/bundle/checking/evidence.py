@@ -24,53 +24,35 @@ ReferenceAt = Callable[[int, int], Array | None]
 
 @dataclass(frozen=True)
 class Finding:
-    """A mistake and its description.
+    """A mistake and its description."""
 
-    Attributes:
-        kind: signature, one of ``bundle.checking.classify.MISTAKES``.
-        columns: names of the affected parameters.
-        sentence: explanation.
-        error: largest relative error of these columns.
-        factor: analytic / correct, if this ratio is constant.
-        rows: indices of the residuals with a wrong entry in these columns; () if the mistake is one
-            of the whole Jacobian.
-    """
-
-    kind: str
-    columns: tuple[str, ...]
-    sentence: str
-    error: float = 0.0
-    factor: float | None = None
+    kind: str  # signature, one of ``bundle.checking.classify.MISTAKES``
+    columns: tuple[str, ...]  # names of the affected parameters
+    sentence: str  # explanation
+    error: float = 0.0  # largest relative error of these columns
+    factor: float | None = None  # analytic / correct, if this ratio is constant
+    # indices of the residuals with a wrong entry in these columns; () if the mistake is one of the
+    # whole Jacobian
     rows: tuple[int, ...] = ()
 
 
 @dataclass(eq=False)
 class Evidence:
-    """Points with wrong Jacobians, and their columns that no signature explains yet.
+    """Points with wrong Jacobians, and their columns that no signature explains yet."""
 
-    Attributes:
-        deviations: Jacobians at K points, all of them wrong.
-        columns: N columns.
-        blocks: blocks to test, which may overlap.
-        points: (K, N) the parameters at these points.
-        reference_at: function of (k, j) that returns the reference at point k with parameter j set
-            to zero, or None.
-        wrong: indices of unexplained wrong columns; a signature removes those that it explains.
-        tolerance: relative error above which an entry is wrong.
-        numbers: (K,) sample numbers of the points, for blocks with data per sample.
-        residuals: (K, R) residuals at the points, if available to signatures.
-    """
-
-    deviations: JacobianDeviation
-    columns: Sequence[Column]
-    blocks: Sequence[Block]
-    points: Array
+    deviations: JacobianDeviation  # Jacobians at K points, all of them wrong
+    columns: Sequence[Column]  # N columns
+    blocks: Sequence[Block]  # blocks to test, which may overlap
+    points: Array  # (K, N) the parameters at these points
+    # function of (k, j) that returns the reference at point k with parameter j set to zero, or None
     reference_at: ReferenceAt
+    # indices of unexplained wrong columns; a signature removes those that it explains
     wrong: list[int]
-    tolerance: float = 0.0
+    tolerance: float = 0.0  # relative error above which an entry is wrong
     findings: list[Finding] = field(default_factory=list)
+    # (K,) sample numbers of the points, for blocks with data per sample
     numbers: NDArray[np.intp] | None = None
-    residuals: Array | None = None
+    residuals: Array | None = None  # (K, R) residuals at the points, if available to signatures
 
     def __post_init__(self) -> None:
         scale = self.deviations.scale

@@ -24,89 +24,59 @@ SHOWN = 5
 
 @dataclass(frozen=True)
 class Verdict:
-    """Verdict on a parameter, or on a group of parameters.
+    """Verdict on a parameter, or on a group of parameters."""
 
-    Attributes:
-        name: "camera RADIAL k1", "rotation".
-        verdict: "correct", "wrong" or "undecided". A parameter is undecided if the reference is not
-            accurate enough for most of its entries; entries that are certainly zero are ignored. A
-            group is undecided if most of its parameters are.
-        num_entries: number of compared entries of the Jacobians.
-        num_wrong: entries above the tolerance.
-        num_undecided: entries whose reference is less accurate than the tolerance.
-        max_error: largest relative error, minus the uncertainty of the reference for undecided
-            entries.
-    """
-
-    name: str
+    name: str  # "camera RADIAL k1", "rotation"
+    # "correct", "wrong" or "undecided". A parameter is undecided if the reference is not accurate
+    # enough for most of its entries; entries that are certainly zero are ignored. A group is
+    # undecided if most of its parameters are
     verdict: str
-    num_entries: int
-    num_wrong: int
-    num_undecided: int
+    num_entries: int  # number of compared entries of the Jacobians
+    num_wrong: int  # entries above the tolerance
+    num_undecided: int  # entries whose reference is less accurate than the tolerance
+    # largest relative error, minus the uncertainty of the reference for undecided entries
     max_error: float
 
 
 @dataclass(frozen=True)
 class Offender:
-    """An entry of a Jacobian with a large error.
+    """An entry of a Jacobian with a large error."""
 
-    Attributes:
-        place: place in words: "image IMG_17.jpg, point 12", "sample 3".
-        parameter: name of the column: "camera 3 k1", "image IMG_17.jpg rotation y".
-        residual: index of the row.
-        analytic: value to check.
-        reference: correct value.
-        error: relative error, safe near zero (``JacobianDeviation.scale``), minus the uncertainty
-            of the reference.
-        details: the place for programs, by keys: image_id, image_name, camera_id, model, point_id,
-            or sample.
-    """
-
-    place: str
-    parameter: str
-    residual: int
-    analytic: float
-    reference: float
+    place: str  # place in words: "image IMG_17.jpg, point 12", "sample 3"
+    parameter: str  # name of the column: "camera 3 k1", "image IMG_17.jpg rotation y"
+    residual: int  # index of the row
+    analytic: float  # value to check
+    reference: float  # correct value
+    # relative error, safe near zero (``JacobianDeviation.scale``), minus the uncertainty of the
+    # reference
     error: float
+    # the place for programs, by keys: image_id, image_name, camera_id, model, point_id, or sample
     details: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class Undecided:
-    """Points at which the reference is not accurate enough.
+    """Points at which the reference is not accurate enough."""
 
-    Attributes:
-        reason: "camera_center" (the point is so close to the projection centre that the rounding of
-            point and pose changes the derivatives), "rough" (a kink, a jump or noise), or
-            "no_value" (the residual has no value on both sides of the point).
-        count: number of points.
-        places: places of the first few points: "image IMG_17.jpg, point 12", "sample 3".
-        sentence: reason, count and places in words.
-    """
-
+    # "camera_center" (the point is so close to the projection centre that the rounding of point and
+    # pose changes the derivatives), "rough" (a kink, a jump or noise), or "no_value" (the residual
+    # has no value on both sides of the point)
     reason: str
-    count: int
+    count: int  # number of points
+    # places of the first few points: "image IMG_17.jpg, point 12", "sample 3"
     places: tuple[str, ...]
-    sentence: str
+    sentence: str  # reason, count and places in words
 
 
 @dataclass(frozen=True)
 class GradientCheckerSummary:
-    """Results of ceres::GradientChecker at the same points.
+    """Results of ceres::GradientChecker at the same points."""
 
-    Attributes:
-        num_probes: number of probes.
-        num_agreed: probes that GradientChecker accepted.
-        num_false_alarms: rejected Jacobians that are correct by the second reference.
-        num_gave_up: probes that failed because the residual has no value at a nearby point.
-        num_overlooked: wrong Jacobians that GradientChecker accepted.
-    """
-
-    num_probes: int = 0
-    num_agreed: int = 0
-    num_false_alarms: int = 0
-    num_gave_up: int = 0
-    num_overlooked: int = 0
+    num_probes: int = 0  # number of probes
+    num_agreed: int = 0  # probes that GradientChecker accepted
+    num_false_alarms: int = 0  # rejected Jacobians that are correct by the second reference
+    num_gave_up: int = 0  # probes that failed because the residual has no value at a nearby point
+    num_overlooked: int = 0  # wrong Jacobians that GradientChecker accepted
 
 
 @dataclass(frozen=True, eq=False)

@@ -47,19 +47,12 @@ SETTLED = 0.1
 
 @dataclass(frozen=True, eq=False)
 class JacobianDeviation:
-    """Jacobians of one residual at K points, each num_residuals x num_columns.
+    """Jacobians of one residual at K points, each num_residuals x num_columns."""
 
-    Attributes:
-        analytic: (K, R, N) Jacobians to check.
-        reference: (K, R, N) second reference.
-        uncertainty: (K, R, N) bound on the reference's own error, infinite without a value.
-        tolerance: relative error above which an entry is wrong.
-    """
-
-    analytic: Array
-    reference: Array
-    uncertainty: Array
-    tolerance: float = TOLERANCE
+    analytic: Array  # (K, R, N) Jacobians to check
+    reference: Array  # (K, R, N) second reference
+    uncertainty: Array  # (K, R, N) bound on the reference's own error, infinite without a value
+    tolerance: float = TOLERANCE  # relative error above which an entry is wrong
 
     @cached_property
     def scale(self) -> Array:

@@ -436,26 +436,17 @@ POINT = ("point x", "point y", "point z")
 
 @dataclass(eq=False)
 class ModelCheck:
-    """Check of the observations of one camera model.
+    """Check of the observations of one camera model."""
 
-    Attributes:
-        name: COLMAP's name of the model.
-        source: columns of the core's Jacobian that belong to this model.
-        tally: statistics of its Jacobians.
-        offsets: by observation, the rotation vector at which it was checked.
-        findings: mistakes found so far.
-        num_params: number of the model's parameters.
-        wrong: observations with a mistake, at most MOST_KEPT.
-        right: observations without a mistake, at most MOST_KEPT.
-    """
-
-    name: str
-    source: NDArray[np.intp]
-    tally: Tally
+    name: str  # COLMAP's name of the model
+    source: NDArray[np.intp]  # columns of the core's Jacobian that belong to this model
+    tally: Tally  # statistics of its Jacobians
+    # by observation, the rotation vector at which it was checked
     offsets: dict[int, Array] = field(default_factory=dict)
-    num_params: int = 0
-    findings: list[Finding] = field(default_factory=list)
-    wrong: list[int] = field(default_factory=list)
+    num_params: int = 0  # number of the model's parameters
+    findings: list[Finding] = field(default_factory=list)  # mistakes found so far
+    wrong: list[int] = field(default_factory=list)  # observations with a mistake, at most MOST_KEPT
+    # observations without a mistake, at most MOST_KEPT
     right: list[int] = field(default_factory=list)
 
     @staticmethod

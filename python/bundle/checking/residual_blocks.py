@@ -137,19 +137,12 @@ _TANGENT = {
 
 @dataclass(frozen=True)
 class Manifold:
-    """Manifold of one block.
+    """Manifold of one block."""
 
-    Attributes:
-        name: name in lower case.
-        constant: constant entries of "subset".
-        size: size of the block.
-        tangent_size: dimension of the tangent space.
-    """
-
-    name: str
-    constant: tuple[int, ...]
-    size: int
-    tangent_size: int
+    name: str  # name in lower case
+    constant: tuple[int, ...]  # constant entries of "subset"
+    size: int  # size of the block
+    tangent_size: int  # dimension of the tangent space
 
     @staticmethod
     def parse(given: ManifoldLike, size: int) -> Manifold:

@@ -80,31 +80,18 @@ class Line:
 
 @dataclass(frozen=True, eq=False)
 class StepCurve:
-    """Differences of one entry of a Jacobian against the step size.
+    """Differences of one entry of a Jacobian against the step size."""
 
-    Attributes:
-        parameter: name of the column.
-        place: point of the check in words.
-        residual: index of the row.
-        analytic: value to check.
-        reference: extrapolated difference.
-        uncertainty: bound on the error of the reference.
-        scale: divisor of relative errors.
-        is_wrong: True if the entry is wrong.
-        steps: (S,) step sizes.
-        differences: (S,) central differences; NaN without a value.
-    """
-
-    parameter: str
-    place: str
-    residual: int
-    analytic: float
-    reference: float
-    uncertainty: float
-    scale: float
-    is_wrong: bool
-    steps: Array
-    differences: Array
+    parameter: str  # name of the column
+    place: str  # point of the check in words
+    residual: int  # index of the row
+    analytic: float  # value to check
+    reference: float  # extrapolated difference
+    uncertainty: float  # bound on the error of the reference
+    scale: float  # divisor of relative errors
+    is_wrong: bool  # True if the entry is wrong
+    steps: Array  # (S,) step sizes
+    differences: Array  # (S,) central differences; NaN without a value
 
 
 def walk(values: Values, center: Array, size: float) -> Line:
@@ -163,20 +150,14 @@ LineOf = Callable[[int, int], Line]
 
 @dataclass(frozen=True, eq=False)
 class CheckDetails:
-    """Errors of all entries of a Jacobian, and curves of selected ones.
+    """Errors of all entries of a Jacobian, and curves of selected ones."""
 
-    Attributes:
-        columns: names of the columns.
-        errors: (R, N) largest relative error of each entry over all points; that of the reference
-            where it exceeds the tolerance is subtracted.
-        is_wrong: (R, N) mask of wrong entries.
-        curves: curves of the worst entries, then of right ones.
-    """
-
-    columns: tuple[str, ...]
+    columns: tuple[str, ...]  # names of the columns
+    # (R, N) largest relative error of each entry over all points; that of the reference where it
+    # exceeds the tolerance is subtracted
     errors: Array
-    is_wrong: NDArray[np.bool_]
-    curves: tuple[StepCurve, ...]
+    is_wrong: NDArray[np.bool_]  # (R, N) mask of wrong entries
+    curves: tuple[StepCurve, ...]  # curves of the worst entries, then of right ones
 
 
 def make_details(

@@ -201,20 +201,14 @@ class Placement:
 
 @dataclass(frozen=True)
 class Block:
-    """Dimensions of a georeferenced model; NaN where unknown.
+    """Dimensions of a georeferenced model; NaN where unknown."""
 
-    Attributes:
-        height: median height of a camera above the points that it observes [m].
-        ground_pixel: median over observations of the depth over the focal length [m per pixel].
-        extent: length and width of the smallest rectangle around the points from above, without 1 %
-            at each side [m].
-        overlap: median number of images whose frame contains a point.
-    """
-
-    height: float
-    ground_pixel: float
+    height: float  # median height of a camera above the points that it observes [m]
+    ground_pixel: float  # median over observations of the depth over the focal length [m per pixel]
+    # length and width of the smallest rectangle around the points from above, without 1 % at each
+    # side [m]
     extent: tuple[float, float]
-    overlap: float
+    overlap: float  # median number of images whose frame contains a point
 
     @property
     def sentence(self) -> str:

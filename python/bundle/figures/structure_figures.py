@@ -40,20 +40,14 @@ STRENGTHS = 6
 
 @dataclass(frozen=True, eq=False)
 class CovisibilityGraph:
-    """Images as points of the plane, and the edges to draw, the weakest first.
+    """Images as points of the plane, and the edges to draw, the weakest first."""
 
-    Attributes:
-        positions: (num_images, 2) camera centres in their plane of largest spread, in the
-            reconstruction's length unit; y up.
-        edges: (num_edges, 2) pairs of images with common points.
-        weights: (num_edges,) number of their common points.
-        num_pairs: number of all pairs with common points, drawn or not.
-    """
-
+    # (num_images, 2) camera centres in their plane of largest spread, in the reconstruction's
+    # length unit; y up
     positions: NDArray[np.float64]
-    edges: NDArray[np.int64]
-    weights: NDArray[np.int64]
-    num_pairs: int
+    edges: NDArray[np.int64]  # (num_edges, 2) pairs of images with common points
+    weights: NDArray[np.int64]  # (num_edges,) number of their common points
+    num_pairs: int  # number of all pairs with common points, drawn or not
 
 
 def covisibility_graph(problem: Problem, max_edges: int = 4000) -> CovisibilityGraph:

@@ -83,25 +83,15 @@ _ITERATIVE = ("iterative_schur", "cgnr")
 
 @dataclass(frozen=True, kw_only=True)
 class ColmapAdjustment:
-    """Options of COLMAP's bundle adjustment as options of a solve.
+    """Options of COLMAP's bundle adjustment as options of a solve."""
 
-    Attributes:
-        options: options of the solve, without constant cameras, images and points.
-        min_track_length: points with shorter tracks take no part; they are not deleted.
-        constant_rotations: True to keep the rotation of rig_from_world.
-        min_residuals_for_threads: number of residuals below which one thread is used.
-        max_seconds: time after which the solve stops.
-        print_summary: True to print the summary.
-        asks_for_gpu: True if the options request a GPU, which no solve uses.
-    """
-
-    options: SolveOptions
-    min_track_length: int
-    constant_rotations: bool
-    min_residuals_for_threads: int
-    max_seconds: float
-    print_summary: bool
-    asks_for_gpu: bool
+    options: SolveOptions  # options of the solve, without constant cameras, images and points
+    min_track_length: int  # points with shorter tracks take no part; they are not deleted
+    constant_rotations: bool  # True to keep the rotation of rig_from_world
+    min_residuals_for_threads: int  # number of residuals below which one thread is used
+    max_seconds: float  # time after which the solve stops
+    print_summary: bool  # True to print the summary
+    asks_for_gpu: bool  # True if the options request a GPU, which no solve uses
 
 
 def colmap_adjustment(

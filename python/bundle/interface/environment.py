@@ -20,23 +20,14 @@ from bundle.base.words import plural
 
 @dataclass(frozen=True, kw_only=True)
 class Environment:
-    """Conditions under which times were measured.
+    """Conditions under which times were measured."""
 
-    Attributes:
-        date: start in UTC, in ISO 8601.
-        cpu_model: processor model as the kernel names it.
-        num_cores: cores that this process may use.
-        load_before: load average of the last minute before the measurement; NaN if unknown.
-        load_after: load average of the last minute after it, which includes the measurement.
-        versions: version of "bundle", "ceres", "blas", "python", "numpy" and "os".
-    """
-
-    date: str
-    cpu_model: str
-    num_cores: int
-    load_before: float
-    load_after: float
-    versions: Mapping[str, str]
+    date: str  # start in UTC, in ISO 8601
+    cpu_model: str  # processor model as the kernel names it
+    num_cores: int  # cores that this process may use
+    load_before: float  # load average of the last minute before the measurement; NaN if unknown
+    load_after: float  # load average of the last minute after it, which includes the measurement
+    versions: Mapping[str, str]  # version of "bundle", "ceres", "blas", "python", "numpy" and "os"
 
     @staticmethod
     def now() -> Environment:

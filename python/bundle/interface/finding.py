@@ -21,21 +21,14 @@ SUPERSEDED = {
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """A fact about a model that its user should act on.
+    """A fact about a model that its user should act on."""
 
-    Attributes:
-        kind: stable name for programs, such as "outliers".
-        sentence: the fact with its numbers, in words.
-        command: command line to run next; "" if no command helps.
-        evidence: numbers behind the sentence, by name.
-        is_problem: True if the problem is not determined or not usable as it is.
-    """
-
-    kind: str
-    sentence: str
-    command: str = ""
+    kind: str  # stable name for programs, such as "outliers"
+    sentence: str  # the fact with its numbers, in words
+    command: str = ""  # command line to run next; "" if no command helps
+    # numbers behind the sentence, by name
     evidence: Mapping[str, Any] = field(default_factory=dict)
-    is_problem: bool = False
+    is_problem: bool = False  # True if the problem is not determined or not usable as it is
 
 
 def one_list(*groups: Iterable[Finding]) -> tuple[Finding, ...]:

@@ -45,18 +45,12 @@ ORDERING = "ordering"
 
 @dataclass(frozen=True, kw_only=True)
 class BestOrder:
-    """Cost of the factor in the best order that was tried.
+    """Cost of the factor in the best order that was tried."""
 
-    Attributes:
-        ordering: name of the order.
-        flops: flops of a factorisation.
-        nonzeros: nnz(L).
-        used_flops: lower bound of the flops in the order used, if the solver does not count them.
-    """
-
-    ordering: str
-    flops: float
-    nonzeros: float
+    ordering: str  # name of the order
+    flops: float  # flops of a factorisation
+    nonzeros: float  # nnz(L)
+    # lower bound of the flops in the order used, if the solver does not count them
     used_flops: float = 0.0
 
 

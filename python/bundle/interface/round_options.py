@@ -160,66 +160,40 @@ class OutOfCoreOptions(Options):
 
 @dataclass(frozen=True, kw_only=True)
 class Round:
-    """One round: an adjustment, then a filter. Costs of different rounds cannot be compared.
+    """One round: an adjustment, then a filter. Costs of different rounds cannot be compared."""
 
-    Attributes:
-        round: number of the round, from 1.
-        initial_cost: cost at the start of the adjustment, 1/2 sum rho(||r||^2).
-        cost: cost after the adjustment, before the filter.
-        termination_type: Ceres' name of the adjustment's termination type.
-        num_iterations: steps of the adjustment, including rejected steps.
-        num_points: number of adjusted points.
-        num_observations: number of adjusted observations.
-        num_observations_removed: observations that the filter removed after the adjustment,
-            including those of removed points.
-        num_points_removed: points that the filter removed after the adjustment.
-        num_observations_beyond_max_error: removed because of their own error, because they are
-            behind the camera, or because they have no projection.
-        num_observations_with_short_track: removed with points whose track became too short.
-        num_observations_below_min_angle: removed with points of a small triangulation angle.
-        max_error: largest error that the filter keeps [px].
-        min_angle: smallest triangulation angle that the filter keeps [degrees].
-    """
-
-    round: int
-    initial_cost: float
-    cost: float
-    termination_type: str
-    num_iterations: int
-    num_points: int
-    num_observations: int
+    round: int  # number of the round, from 1
+    initial_cost: float  # cost at the start of the adjustment, 1/2 sum rho(||r||^2)
+    cost: float  # cost after the adjustment, before the filter
+    termination_type: str  # Ceres' name of the adjustment's termination type
+    num_iterations: int  # steps of the adjustment, including rejected steps
+    num_points: int  # number of adjusted points
+    num_observations: int  # number of adjusted observations
+    # observations that the filter removed after the adjustment, including those of removed points
     num_observations_removed: int
-    num_points_removed: int
+    num_points_removed: int  # points that the filter removed after the adjustment
+    # removed because of their own error, because they are behind the camera, or because they have
+    # no projection
     num_observations_beyond_max_error: int = 0
-    num_observations_with_short_track: int = 0
-    num_observations_below_min_angle: int = 0
-    max_error: float = 0.0
-    min_angle: float = 0.0
+    num_observations_with_short_track: int = 0  # removed with points whose track became too short
+    num_observations_below_min_angle: int = 0  # removed with points of a small triangulation angle
+    max_error: float = 0.0  # largest error that the filter keeps [px]
+    min_angle: float = 0.0  # smallest triangulation angle that the filter keeps [degrees]
 
 
 @dataclass(frozen=True, kw_only=True)
 class TrackRound:
-    """One round of :func:`bundle.refine_tracks`, in numbers of observations.
+    """One round of :func:`bundle.refine_tracks`, in numbers of observations."""
 
-    Attributes:
-        round: number of the round, from 1. Round 1 adjusts the input with its own tracks.
-        triangulated: observations that continued a track or made a new point.
-        completed: observations that joined a track over matches of several images.
-        merged: observations of points that became one point.
-        deleted: observations that the filter removed after the adjustment.
-        num_observations: observations after the filter.
-        num_points: points after the filter.
-        held_out_rmse: RMSE in pixels, of errors clipped as in ``held_out``, at the held-out
-            observations after the same round of the second run; None without any.
-    """
-
-    round: int
-    triangulated: int
-    completed: int
-    merged: int
-    deleted: int
-    num_observations: int
-    num_points: int
+    round: int  # number of the round, from 1. Round 1 adjusts the input with its own tracks
+    triangulated: int  # observations that continued a track or made a new point
+    completed: int  # observations that joined a track over matches of several images
+    merged: int  # observations of points that became one point
+    deleted: int  # observations that the filter removed after the adjustment
+    num_observations: int  # observations after the filter
+    num_points: int  # points after the filter
+    # RMSE in pixels, of errors clipped as in ``held_out``, at the held-out observations after the
+    # same round of the second run; None without any
     held_out_rmse: float | None = None
 
 

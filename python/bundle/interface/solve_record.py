@@ -19,21 +19,14 @@ Progress = Callable[[dict[str, Any]], None]
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class SolveRecord(Displayed, Tabular):
-    """Common base of the results of reconstructions and of graphs.
+    """Common base of the results of reconstructions and of graphs."""
 
-    Attributes:
-        options: every option as used.
-        summary: summary of the solver.
-        iterations: one array per field of Ceres' IterationSummary, with one entry per iteration.
-        build_time_in_seconds: time outside the solver.
-        solve_time_in_seconds: time inside the solver.
-    """
-
-    options: SolveOptions
-    summary: Summary
+    options: SolveOptions  # every option as used
+    summary: Summary  # summary of the solver
+    # one array per field of Ceres' IterationSummary, with one entry per iteration
     iterations: dict[str, NDArray[np.generic]]
-    build_time_in_seconds: float
-    solve_time_in_seconds: float
+    build_time_in_seconds: float  # time outside the solver
+    solve_time_in_seconds: float  # time inside the solver
 
     def __post_init__(self) -> None:
         # full_report() of the summary has the table of the iterations

@@ -378,33 +378,22 @@ class ProcessPart:
 
 @dataclass(frozen=True, kw_only=True)
 class Traffic:
-    """Messages of one kind between the processes of a solve.
+    """Messages of one kind between the processes of a solve."""
 
-    Attributes:
-        what: "normal equations" (S, its right-hand side and block diagonal, to the first process),
-            "gradient", "step", "scalars", or "setup".
-        num_messages: number of calls in each process.
-        num_bytes: size of the arrays that were summed or sent, counted once per call.
-        seconds: time that the first process spent in these calls, including waiting for others.
-    """
-
+    # "normal equations" (S, its right-hand side and block diagonal, to the first process),
+    # "gradient", "step", "scalars", or "setup"
     what: str
-    num_messages: int
-    num_bytes: int
-    seconds: float
+    num_messages: int  # number of calls in each process
+    num_bytes: int  # size of the arrays that were summed or sent, counted once per call
+    seconds: float  # time that the first process spent in these calls, including waiting for others
 
 
 @dataclass(frozen=True, kw_only=True)
 class ProcessRecord:
-    """A solve by several processes.
+    """A solve by several processes."""
 
-    Attributes:
-        parts: one entry per process, in order of rank.
-        traffic: one entry per kind of message, in the order of first appearance.
-    """
-
-    parts: tuple[ProcessPart, ...]
-    traffic: tuple[Traffic, ...]
+    parts: tuple[ProcessPart, ...]  # one entry per process, in order of rank
+    traffic: tuple[Traffic, ...]  # one entry per kind of message, in the order of first appearance
 
     @staticmethod
     def of_dict(given: Mapping[str, Any]) -> ProcessRecord:

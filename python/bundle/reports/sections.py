@@ -96,14 +96,6 @@ class Section:
 
     Facts, labelled, are first, then tables without empty lines between them, text, a command line
     to copy, and notes. Figures, or a function that makes them, are for pages.
-
-    Attributes:
-        is_warning: True if the notes are warnings.
-        is_joined: True to omit the empty line above.
-        is_detail: True to show the section with --verbose only; pages fold it away.
-        is_page_only: True to show the section on pages only.
-        title: heading on a page, and its entry in the contents; of a joined section a lower
-            heading; of a detail the text of the fold.
     """
 
     facts: Sequence[tuple[str, str]] = ()
@@ -111,10 +103,12 @@ class Section:
     text: Sequence[Any] = ()
     command: str = ""
     notes: Sequence[str] = ()
-    is_warning: bool = False
-    is_joined: bool = False
-    is_detail: bool = False
-    is_page_only: bool = False
+    is_warning: bool = False  # True if the notes are warnings
+    is_joined: bool = False  # True to omit the empty line above
+    is_detail: bool = False  # True to show the section with --verbose only; pages fold it away
+    is_page_only: bool = False  # True to show the section on pages only
+    # heading on a page, and its entry in the contents; of a joined section a lower heading; of a
+    # detail the text of the fold
     title: str = ""
     figures: Sequence[Figure] | Callable[[], Sequence[Figure]] = ()
 
@@ -140,24 +134,18 @@ def _others(count: int) -> str:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Report:
-    """Report of a command.
-
-    Attributes:
-        input: path, format and counts of the input; None if the data contain them.
-        headline: verdict in sentences.
-        warnings: sentences that restrict the headline.
-        findings: facts to act on, the most important first.
-        data: data for programs, in addition to schema, command, version and input.
-        title: title of the page with these sections; "" if the command has another page, or none.
-    """
+    """Report of a command."""
 
     command: str
+    # path, format and counts of the input; None if the data contain them
     input: Mapping[str, Any] | None = None
-    headline: Sequence[str] = ()
-    warnings: Sequence[str] = ()
-    findings: Sequence[Finding] = ()
+    headline: Sequence[str] = ()  # verdict in sentences
+    warnings: Sequence[str] = ()  # sentences that restrict the headline
+    findings: Sequence[Finding] = ()  # facts to act on, the most important first
     sections: Sequence[Section] = ()
+    # data for programs, in addition to schema, command, version and input
     data: Mapping[str, Any] = field(default_factory=dict)
+    # title of the page with these sections; "" if the command has another page, or none
     title: str = ""
 
     def json(self) -> dict[str, Any]:

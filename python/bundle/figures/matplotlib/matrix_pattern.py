@@ -173,18 +173,14 @@ ROUNDING = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Density:
-    """Nonzeros per pixel of a square matrix.
+    """Nonzeros per pixel of a square matrix."""
 
-    Attributes:
-        entries: (pixels, pixels) nonzeros of the matrix on each pixel; fractional if a block
-            covers several pixels.
-        fill: (pixels, pixels) fill-in: nonzeros of the factor that are zero in the matrix.
-        num_unknowns: scalar rows of the matrix.
-    """
-
+    # (pixels, pixels) nonzeros of the matrix on each pixel; fractional if a block covers several
+    # pixels
     entries: NDArray[np.float64]
+    # (pixels, pixels) fill-in: nonzeros of the factor that are zero in the matrix
     fill: NDArray[np.float64]
-    num_unknowns: int
+    num_unknowns: int  # scalar rows of the matrix
 
     @property
     def num_nonzeros(self) -> int:

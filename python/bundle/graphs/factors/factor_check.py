@@ -51,23 +51,15 @@ FactorFunction = Callable[[list[Array]], tuple[Array, list[Array]] | None]
 
 @dataclass(frozen=True, eq=False)
 class CheckedFactor:
-    """Factor to check.
+    """Factor to check."""
 
-    Attributes:
-        name: name of the factor in its graph.
-        label: name of its kind.
-        kind: identifier that factors with the same code and the same manifolds share.
-        variables: its variables.
-        function: function of their values.
-        is_own: True for a function of the user, whose Jacobians are by the tangent coordinates of
-            the settings; the others are by those of a factor graph.
-    """
-
-    name: str
-    label: str
-    kind: Hashable
-    variables: Sequence[Variable]
-    function: FactorFunction
+    name: str  # name of the factor in its graph
+    label: str  # name of its kind
+    kind: Hashable  # identifier that factors with the same code and the same manifolds share
+    variables: Sequence[Variable]  # its variables
+    function: FactorFunction  # function of their values
+    # True for a function of the user, whose Jacobians are by the tangent coordinates of the
+    # settings; the others are by those of a factor graph
     is_own: bool = False
 
 

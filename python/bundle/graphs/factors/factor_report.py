@@ -36,67 +36,39 @@ class Member(NamedTuple):
 
 @dataclass(frozen=True)
 class FactorFinding:
-    """A mistake in factors of one kind.
+    """A mistake in factors of one kind."""
 
-    Attributes:
-        kind: signature, one of ``bundle.checking.classify.MISTAKES``.
-        sentence: explanation, with factor, variables, rows and columns.
-        factor: name of the first factor with the mistake.
-        keys: its variables whose derivatives are wrong.
-        columns: names of the wrong columns.
-        rows: indices of the wrong rows.
-        error: largest relative error.
-        ratio: analytic / correct, if this ratio is constant.
-        num_wrong: number of factors with this mistake.
-        num_checked: number of checked factors of this kind.
-    """
-
-    kind: str
-    sentence: str
-    factor: str
-    keys: tuple[str, ...]
-    columns: tuple[str, ...]
-    rows: tuple[int, ...]
-    error: float
-    ratio: float | None
-    num_wrong: int
-    num_checked: int
+    kind: str  # signature, one of ``bundle.checking.classify.MISTAKES``
+    sentence: str  # explanation, with factor, variables, rows and columns
+    factor: str  # name of the first factor with the mistake
+    keys: tuple[str, ...]  # its variables whose derivatives are wrong
+    columns: tuple[str, ...]  # names of the wrong columns
+    rows: tuple[int, ...]  # indices of the wrong rows
+    error: float  # largest relative error
+    ratio: float | None  # analytic / correct, if this ratio is constant
+    num_wrong: int  # number of factors with this mistake
+    num_checked: int  # number of checked factors of this kind
 
 
 @dataclass(frozen=True)
 class FactorKind:
-    """Verdict on the factors with the same code and the same manifolds.
+    """Verdict on the factors with the same code and the same manifolds."""
 
-    Attributes:
-        name: class of the factors, and the name of a function.
-        verdict: "correct", "wrong" or "undecided": the worst of its factors.
-        num_checked: number of checked factors.
-        num_wrong: number of factors with a wrong Jacobian.
-        num_undecided: number of factors without a verdict.
-        max_error: largest relative error.
-    """
-
-    name: str
-    verdict: str
-    num_checked: int
-    num_wrong: int
-    num_undecided: int
-    max_error: float
+    name: str  # class of the factors, and the name of a function
+    verdict: str  # "correct", "wrong" or "undecided": the worst of its factors
+    num_checked: int  # number of checked factors
+    num_wrong: int  # number of factors with a wrong Jacobian
+    num_undecided: int  # number of factors without a verdict
+    max_error: float  # largest relative error
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FactorCheck(Displayed):
-    """Result of a check of factors. True if every Jacobian is right.
+    """Result of a check of factors. True if every Jacobian is right."""
 
-    Attributes:
-        reports: one report per checked factor, by its name in the graph.
-        members: kind and columns of each checked factor, by its name.
-        num_factors: number of factors of the graph.
-    """
-
-    reports: Mapping[str, GradientReport]
-    members: Mapping[str, Member]
-    num_factors: int
+    reports: Mapping[str, GradientReport]  # one report per checked factor, by its name in the graph
+    members: Mapping[str, Member]  # kind and columns of each checked factor, by its name
+    num_factors: int  # number of factors of the graph
 
     @property
     def ok(self) -> bool:

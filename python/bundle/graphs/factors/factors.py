@@ -127,16 +127,13 @@ def as_information(name: str, information: Array, size: int) -> Array:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class WeightedFactor(MeasuredFactor):
-    """Base class of factors with an information matrix, which is given in one of three ways.
+    """Base class of factors with an information matrix, which is given in one of three ways."""
 
-    Attributes:
-        sigma: in place of the information, one standard deviation of all coordinates of the error;
-            None after the construction, which computes the information.
-        sigmas: in place of the information, a standard deviation of each coordinate; None after the
-            construction.
-    """
-
+    # in place of the information, one standard deviation of all coordinates of the error; None
+    # after the construction, which computes the information
     sigma: float | None = field(default=None, kw_only=True)
+    # in place of the information, a standard deviation of each coordinate; None after the
+    # construction
     sigmas: ArrayLike | None = field(default=None, kw_only=True)
 
     if TYPE_CHECKING:

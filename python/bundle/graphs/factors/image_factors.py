@@ -140,26 +140,17 @@ class HeadingFactor(_AttitudeFactor):
 class TwistTieFactor(MeasuredFactor):
     """Tie of an image's twist m to the poses of two images of the same video.
 
-    Attributes:
-        twist: key of the twist, ``("twist", image_id)``.
-        readout: key of the readout, ``("readout", camera_id)``.
-        before: key of the earlier image, ``("image", image_id)``.
-        after: key of the later image.
-        num_frames: frame times from the earlier to the later image, above 0.
-        sigma_w: standard deviation of the angular part of m, radians.
-        sigma_v: standard deviation of the other part, in the length unit; inf: only the angular
-            part is tied.
-
     Raises:
         InputError: a number is not above 0 (once the factor is added to a problem).
     """
 
-    twist: Key
-    readout: Key
-    before: Key
-    after: Key
-    num_frames: float
-    sigma_w: float
+    twist: Key  # key of the twist, ``("twist", image_id)``
+    readout: Key  # key of the readout, ``("readout", camera_id)``
+    before: Key  # key of the earlier image, ``("image", image_id)``
+    after: Key  # key of the later image
+    num_frames: float  # frame times from the earlier to the later image, above 0
+    sigma_w: float  # standard deviation of the angular part of m, radians
+    # standard deviation of the other part, in the length unit; inf: only the angular part is tied
     sigma_v: float
 
     kind = "twist_tie"
@@ -207,24 +198,17 @@ class VelocityFactor(WeightedFactor):
 
     e = -R^T (v + w x lever_arm) / readout - velocity, with the twist (w, v) of the image.
 
-    Attributes:
-        pose: key of the pose cam_from_world (R, t), on se3.
-        twist: key of the twist, ``("twist", image_id)``.
-        readout: key of the readout, ``("readout", camera_id)``; above 0.
-        velocity: (3,) velocity of the antenna in the world frame, length units per frame.
-        information: (3, 3) symmetric positive definite, along the world axes, or its diagonal (3,),
-            or a number.
-        lever_arm: (3,) position of the antenna in the camera frame; zeros: the projection centre.
-
     Raises:
         InputError: an argument is not numeric.
     """
 
-    pose: Key
-    twist: Key
-    readout: Key
-    velocity: ArrayLike
+    pose: Key  # key of the pose cam_from_world (R, t), on se3
+    twist: Key  # key of the twist, ``("twist", image_id)``
+    readout: Key  # key of the readout, ``("readout", camera_id)``; above 0
+    velocity: ArrayLike  # (3,) velocity of the antenna in the world frame, length units per frame
+    # (3, 3) symmetric positive definite, along the world axes, or its diagonal (3,), or a number
     information: ArrayLike | None = None
+    # (3,) position of the antenna in the camera frame; zeros: the projection centre
     lever_arm: ArrayLike = field(default=(0.0, 0.0, 0.0), kw_only=True)
 
     kind = "velocity"

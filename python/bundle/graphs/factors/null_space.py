@@ -50,30 +50,19 @@ STILL = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class NullSpace:
-    """Directions of all tangent coordinates that change no residual.
+    """Directions of all tangent coordinates that change no residual."""
 
-    Attributes:
-        begin: (n + 1,) first tangent coordinate of each variable, and their number.
-        constant: (t,) mask of constant coordinates.
-        labels: (n,) component of each variable.
-        nullity: dimension of the null space.
-        nullities: dimension by component, without entries of 0; empty if not computed.
-        gauge: number of directions in which whole components move; equal to ``nullity`` if
-            ``directions`` were not computed.
-        directions: (t, nullity) orthonormal basis; without columns if there are too many.
-        others: (t, nullity - gauge) basis of the directions beyond the gauge.
-        is_exact: False if the directions were not computed.
-    """
-
-    begin: NDArray[np.int64]
-    constant: Flags
-    labels: NDArray[np.int64]
-    nullity: int
-    nullities: dict[int, int]
+    begin: NDArray[np.int64]  # (n + 1,) first tangent coordinate of each variable, and their number
+    constant: Flags  # (t,) mask of constant coordinates
+    labels: NDArray[np.int64]  # (n,) component of each variable
+    nullity: int  # dimension of the null space
+    nullities: dict[int, int]  # dimension by component, without entries of 0; empty if not computed
+    # number of directions in which whole components move; equal to ``nullity`` if ``directions``
+    # were not computed
     gauge: int
-    directions: Floats
-    others: Floats
-    is_exact: bool
+    directions: Floats  # (t, nullity) orthonormal basis; without columns if there are too many
+    others: Floats  # (t, nullity - gauge) basis of the directions beyond the gauge
+    is_exact: bool  # False if the directions were not computed
 
     def held(self) -> Flags:
         """Return constant coordinates, and further ones that leave no null direction."""

@@ -44,21 +44,13 @@ class AsPoseGraph(NamedTuple):
 
 
 class AsProblem(NamedTuple):
-    """Bundle adjustment problem of a factor graph.
+    """Bundle adjustment problem of a factor graph."""
 
-    Attributes:
-        problem: poses, cameras and points in the order of their variables.
-        options: constant parameters, the loss and the cheirality of the graph.
-        images: keys of the poses.
-        cameras: keys of the cameras.
-        points: keys of the points.
-    """
-
-    problem: Problem
-    options: SolveOptions
-    images: tuple[Key, ...]
-    cameras: tuple[Key, ...]
-    points: tuple[Key, ...]
+    problem: Problem  # poses, cameras and points in the order of their variables
+    options: SolveOptions  # constant parameters, the loss and the cheirality of the graph
+    images: tuple[Key, ...]  # keys of the poses
+    cameras: tuple[Key, ...]  # keys of the cameras
+    points: tuple[Key, ...]  # keys of the points
 
 
 def pose_graph_of(graph: GraphContents) -> AsPoseGraph | None:

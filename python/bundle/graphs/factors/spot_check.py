@@ -54,40 +54,27 @@ Evaluate = Callable[[list[Array], bool], tuple[Array, Any] | None]
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """Factor that may be checked.
+    """Factor that may be checked."""
 
-    Attributes:
-        name: name of the factor.
-        evaluate: function that returns the residual and, if requested, the Jacobians at given
-            values.
-        variables: name, manifold and names of the tangent coordinates of each variable.
-        free: coordinates of each variable that a solve may change.
-        points: values of the variables at which to check.
-        seconds_a_call: duration of a call of its function.
-    """
-
-    name: str
+    name: str  # name of the factor
+    # function that returns the residual and, if requested, the Jacobians at given values
     evaluate: Evaluate
+    # name, manifold and names of the tangent coordinates of each variable
     variables: Sequence[tuple[str, str, Sequence[str]]]
-    free: Sequence[Sequence[int]]
-    points: Sequence[list[Array]]
-    seconds_a_call: float
+    free: Sequence[Sequence[int]]  # coordinates of each variable that a solve may change
+    points: Sequence[list[Array]]  # values of the variables at which to check
+    seconds_a_call: float  # duration of a call of its function
 
 
 @dataclass(eq=False)
 class Kind:
-    """Factors with the same code, and the verdicts on their columns.
+    """Factors with the same code, and the verdicts on their columns."""
 
-    Attributes:
-        members: the factors.
-        candidate: function that makes a candidate of a member.
-        decided: number of decided entries, by variable and coordinate.
-        convicted: wrong entries, with the ratio to the correct derivative.
-    """
-
-    members: Sequence[Any]
-    candidate: Callable[[Any], Candidate]
+    members: Sequence[Any]  # the factors
+    candidate: Callable[[Any], Candidate]  # function that makes a candidate of a member
+    # number of decided entries, by variable and coordinate
     decided: dict[tuple[int, int], int] = field(default_factory=dict)
+    # wrong entries, with the ratio to the correct derivative
     convicted: dict[tuple[int, int], list[tuple[Candidate, float | None]]] = field(
         default_factory=dict
     )

@@ -62,25 +62,15 @@ def variable_name(key: Key) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Variable(FrozenArrays):
-    """Variable of a graph.
+    """Variable of a graph."""
 
-    Attributes:
-        key: name of the variable in the graph.
-        manifold: one of MANIFOLDS.
-        value: (n,) in the manifold's representation; quaternions have norm 1.
-        coordinates: names of the tangent coordinates.
-        held: flag per tangent coordinate, True if constant; () if all are free.
-        lower: lower bounds (n,), or (0,) without bounds.
-        upper: upper bounds in the same shape.
-    """
-
-    key: Key
-    manifold: str
-    value: Array
-    coordinates: tuple[str, ...]
-    held: tuple[bool, ...]
-    lower: Array
-    upper: Array
+    key: Key  # name of the variable in the graph
+    manifold: str  # one of MANIFOLDS
+    value: Array  # (n,) in the manifold's representation; quaternions have norm 1
+    coordinates: tuple[str, ...]  # names of the tangent coordinates
+    held: tuple[bool, ...]  # flag per tangent coordinate, True if constant; () if all are free
+    lower: Array  # lower bounds (n,), or (0,) without bounds
+    upper: Array  # upper bounds in the same shape
 
     @cached_property
     def name(self) -> str:
@@ -256,17 +246,12 @@ _ON_THE_LEFT = {"left", "split", "turn", "inverse"}
 
 @dataclass(frozen=True)
 class Tangent:
-    """Tangent coordinates of one manifold.
+    """Tangent coordinates of one manifold."""
 
-    Attributes:
-        motion: motion of a variable, one of MOTIONS.
-        is_translation_first: order of the coordinates; in the plane, False for the angle first.
-        is_half: True if the rotation is the vector part of a quaternion.
-    """
-
-    motion: str = "right"
+    motion: str = "right"  # motion of a variable, one of MOTIONS
+    # order of the coordinates; in the plane, False for the angle first
     is_translation_first: bool = False
-    is_half: bool = False
+    is_half: bool = False  # True if the rotation is the vector part of a quaternion
 
     def order(self, manifold: str) -> list[int]:
         """Return the coordinate of a factor graph, x y angle in the plane, for each column."""

@@ -60,18 +60,12 @@ _ROWS = 50_000
 
 @dataclass(frozen=True)
 class CovisibilityEdges:
-    """Pairs of images that share points.
+    """Pairs of images that share points."""
 
-    Attributes:
-        pairs: (m, 2) indices of images, ascending.
-        num_shared: (m,) number of shared points in use.
-        information: (m, 7, 7) information of the second image relative to the first, in the frame
-            of the second: rotation, translation, log scale; observations have a sigma of 1 px, or
-            their own.
-    """
-
-    pairs: NDArray[np.int64]
-    num_shared: NDArray[np.int64]
+    pairs: NDArray[np.int64]  # (m, 2) indices of images, ascending
+    num_shared: NDArray[np.int64]  # (m,) number of shared points in use
+    # (m, 7, 7) information of the second image relative to the first, in the frame of the second:
+    # rotation, translation, log scale; observations have a sigma of 1 px, or their own
     information: Array
 
 

@@ -61,15 +61,10 @@ WORST_DAMPING = 1e12
 
 @dataclass(frozen=True)
 class Nodes:
-    """Similarities world_from_node.
+    """Similarities world_from_node."""
 
-    Attributes:
-        poses: (n, 7) qx qy qz qw and the origin of the node in the world.
-        scales: (n,) world units per node unit.
-    """
-
-    poses: Array
-    scales: Array
+    poses: Array  # (n, 7) qx qy qz qw and the origin of the node in the world
+    scales: Array  # (n,) world units per node unit
 
     def of(self, index: NDArray[np.int64], mounts: Array) -> Nodes:
         """Return the cameras with these mounts (m, 7), node_from_camera, on nodes."""
@@ -89,24 +84,15 @@ class Nodes:
 
 @dataclass(frozen=True)
 class SimilarityGraph:
-    """Edges between cameras on nodes; see the head of the file.
+    """Edges between cameras on nodes; see the head of the file."""
 
-    Attributes:
-        edges: (m, 2) nodes i and j.
-        mounts: (m, 2, 7) node_from_camera of both cameras.
-        measurements: (m, 7) camera_i_from_camera_j.
-        information: (m, 7, 7) of rotation, translation and log scale, symmetric positive
-            semidefinite.
-        held: (n,) constant nodes.
-        has_free_scales: True if nodes may change their scale.
-    """
-
-    edges: NDArray[np.int64]
-    mounts: Array
-    measurements: Array
+    edges: NDArray[np.int64]  # (m, 2) nodes i and j
+    mounts: Array  # (m, 2, 7) node_from_camera of both cameras
+    measurements: Array  # (m, 7) camera_i_from_camera_j
+    # (m, 7, 7) of rotation, translation and log scale, symmetric positive semidefinite
     information: Array
-    held: NDArray[np.bool_]
-    has_free_scales: bool
+    held: NDArray[np.bool_]  # (n,) constant nodes
+    has_free_scales: bool  # True if nodes may change their scale
 
     def residuals(self, nodes: Nodes) -> Array:
         """Return (m, 7): rotation vectors, translations and logarithms of scales."""

@@ -79,17 +79,11 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class ClosureConsistency:
-    """Result of the pairwise check.
+    """Result of the pairwise check."""
 
-    Attributes:
-        left_out: closures outside the set, by descending chi2.
-        num_closures: number of all closures.
-        proven: False if the time limit was reached and a larger set may exist.
-    """
-
-    left_out: tuple[LeftOutEdge, ...]
-    num_closures: int
-    proven: bool
+    left_out: tuple[LeftOutEdge, ...]  # closures outside the set, by descending chi2
+    num_closures: int  # number of all closures
+    proven: bool  # False if the time limit was reached and a larger set may exist
 
 
 def closure_consistency(graph: PoseGraph, num_threads: int = 1) -> ClosureConsistency:
@@ -253,17 +247,11 @@ SINGULAR = 1e-14
 
 @dataclass(frozen=True, kw_only=True)
 class OdometryChain:
-    """Odometry of a graph, relative to the centre of its poses.
+    """Odometry of a graph, relative to the centre of its poses."""
 
-    Attributes:
-        poses: (n, 3) or (n, 7) in the order of the graph's poses.
-        place: (n,) place of each pose along the chain, from 0.
-        accumulated: (n, d, d) matrices W by place; zero at the first place.
-    """
-
-    poses: Floats
-    place: NDArray[np.intp]
-    accumulated: Floats
+    poses: Floats  # (n, 3) or (n, 7) in the order of the graph's poses
+    place: NDArray[np.intp]  # (n,) place of each pose along the chain, from 0
+    accumulated: Floats  # (n, d, d) matrices W by place; zero at the first place
 
 
 def odometry_chain(graph: PoseGraph, num_threads: int) -> OdometryChain:

@@ -32,21 +32,13 @@ from bundle.model.starts import started
 
 @dataclass(frozen=True)
 class WeightedGraph:
-    """Graph with the weights of the loss multiplied into the information.
+    """Graph with the weights of the loss multiplied into the information."""
 
-    Attributes:
-        given: the given graph.
-        graph: the weighted graph, without edges of weight 0.
-        edges: (k,) positions in ``given`` of the edges of ``graph``.
-        weights: (m,) weights of the edges of ``given``.
-        options: options as used.
-    """
-
-    given: PoseGraph
-    graph: PoseGraph
-    edges: NDArray[np.int64]
-    weights: NDArray[np.float64]
-    options: PoseGraphOptions
+    given: PoseGraph  # the given graph
+    graph: PoseGraph  # the weighted graph, without edges of weight 0
+    edges: NDArray[np.int64]  # (k,) positions in ``given`` of the edges of ``graph``
+    weights: NDArray[np.float64]  # (m,) weights of the edges of ``given``
+    options: PoseGraphOptions  # options as used
 
 
 def is_graph(source: object) -> bool:

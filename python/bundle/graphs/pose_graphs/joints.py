@@ -51,20 +51,14 @@ Ints = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Joint:
-    """Poses that move as a rigid body, with edges to other poses that do not fix this body.
+    """Poses that move as a rigid body, with edges to other poses that do not fix this body."""
 
-    Attributes:
-        poses: positions of the poses, the reference pose first.
-        edges: positions of the edges to other poses.
-        eigenvalues: (d,) ascending eigenvalues of the information of these edges on the cluster,
-            with the other clusters held constant, in units of typical sigmas. A typical edge has
-            eigenvalues of about 1.
-        vectors: (d, d), one column each, in the frame of the reference pose, in typical sigmas.
-    """
-
-    poses: Ints
-    edges: Ints
+    poses: Ints  # positions of the poses, the reference pose first
+    edges: Ints  # positions of the edges to other poses
+    # (d,) ascending eigenvalues of the information of these edges on the cluster, with the other
+    # clusters held constant, in units of typical sigmas. A typical edge has eigenvalues of about 1
     eigenvalues: Floats
+    # (d, d), one column each, in the frame of the reference pose, in typical sigmas
     vectors: Floats
 
     @property
@@ -80,23 +74,17 @@ class Joint:
 
 @dataclass(frozen=True)
 class Joints:
-    """Undetermined and weak directions of a graph.
+    """Undetermined and weak directions of a graph."""
 
-    Attributes:
-        opened: joints with undetermined directions.
-        weak: joints with weakly determined directions.
-        directions: (n d, k) right perturbations of all poses that change no error, without the
-            gauge; zero at constant poses.
-        is_exact: False if a component has too many clusters to be analysed together. ``num_open``
-            then counts directions of single clusters, and ``directions`` does not contain them.
-        num_open: dimension of the null space without the gauge.
-    """
-
-    opened: tuple[Joint, ...]
-    weak: tuple[Joint, ...]
+    opened: tuple[Joint, ...]  # joints with undetermined directions
+    weak: tuple[Joint, ...]  # joints with weakly determined directions
+    # (n d, k) right perturbations of all poses that change no error, without the gauge; zero at
+    # constant poses
     directions: Floats
+    # False if a component has too many clusters to be analysed together. ``num_open`` then counts
+    # directions of single clusters, and ``directions`` does not contain them
     is_exact: bool
-    num_open: int
+    num_open: int  # dimension of the null space without the gauge
 
 
 @dataclass(frozen=True)

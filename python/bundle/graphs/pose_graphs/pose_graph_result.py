@@ -16,18 +16,13 @@ from bundle.model.pose_graph_arrays import PoseGraph
 
 @dataclass(frozen=True, kw_only=True)
 class LeftOutEdge:
-    """Closure outside the largest consistent set.
+    """Closure outside the largest consistent set."""
 
-    Attributes:
-        edge: index of the edge in the graph.
-        chi2: largest chi2 of a pair with a closure of the set; 3 or 6 degrees of freedom if both
-            closures are correct.
-        num_contradicted: number of closures in the set that are inconsistent with this edge.
-    """
-
-    edge: int
+    edge: int  # index of the edge in the graph
+    # largest chi2 of a pair with a closure of the set; 3 or 6 degrees of freedom if both closures
+    # are correct
     chi2: float
-    num_contradicted: int
+    num_contradicted: int  # number of closures in the set that are inconsistent with this edge
 
 
 @dataclass(frozen=True, kw_only=True, repr=False, init=False, eq=False)

@@ -63,19 +63,12 @@ Flags = NDArray[np.bool_]
 
 @dataclass(frozen=True, kw_only=True)
 class Settled:
-    """Set of edges, and the poses of a solve with them.
+    """Set of edges, and the poses of a solve with them."""
 
-    Attributes:
-        cost: sum of chi2, limited to c^2 for doubted edges (twice the truncated cost).
-        poses: poses in the format of a graph.
-        chi2: (m,) chi2 of all edges at these poses.
-        used: (m,) True where an edge is in.
-    """
-
-    cost: float
-    poses: Floats
-    chi2: Floats
-    used: Flags
+    cost: float  # sum of chi2, limited to c^2 for doubted edges (twice the truncated cost)
+    poses: Floats  # poses in the format of a graph
+    chi2: Floats  # (m,) chi2 of all edges at these poses
+    used: Flags  # (m,) True where an edge is in
 
 
 class TruncatedSearch:

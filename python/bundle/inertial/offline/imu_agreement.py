@@ -48,22 +48,15 @@ DRIFT, DRIFT_SIGMAS = 4e-3, 5.0
 
 
 class Agreement(NamedTuple):
-    """Agreement of an adjustment.
+    """Agreement of an adjustment."""
 
-    Attributes:
-        chi2: 2 (C - C_0), over the variance of the images alone if that is above 1; nan if the
-            images alone have no minimum to compare with.
-        freedom: degrees of freedom.
-        interval_chi2: (n,) of each interval.
-        variance: v.
-        images_variance: variance factor of the images alone.
-    """
-
+    # 2 (C - C_0), over the variance of the images alone if that is above 1; nan if the images alone
+    # have no minimum to compare with
     chi2: float
-    freedom: int
-    interval_chi2: Array
-    variance: float
-    images_variance: float = 1.0
+    freedom: int  # degrees of freedom
+    interval_chi2: Array  # (n,) of each interval
+    variance: float  # v
+    images_variance: float = 1.0  # variance factor of the images alone
 
     @staticmethod
     def of(
@@ -113,19 +106,12 @@ class Agreement(NamedTuple):
 
 
 class ClockErrors(NamedTuple):
-    """Errors of the times of single images.
+    """Errors of the times of single images."""
 
-    Attributes:
-        jitter: their standard deviation in seconds.
-        share: share of the squared difference between the rotations that they explain.
-        drift: difference of the rates of both clocks, seconds per second.
-        drift_sigma: its standard deviation.
-    """
-
-    jitter: float = 0.0
-    share: float = 0.0
-    drift: float = 0.0
-    drift_sigma: float = math.inf
+    jitter: float = 0.0  # their standard deviation in seconds
+    share: float = 0.0  # share of the squared difference between the rotations that they explain
+    drift: float = 0.0  # difference of the rates of both clocks, seconds per second
+    drift_sigma: float = math.inf  # its standard deviation
 
     @staticmethod
     def of(errors: Array, rates: Array, deltas: Array, times: Array) -> ClockErrors:

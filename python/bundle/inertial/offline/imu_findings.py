@@ -46,64 +46,39 @@ CAUSES = {
 
 
 class ImuFinding(NamedTuple):
-    """Finding without its command line.
+    """Finding without its command line."""
 
-    Attributes:
-        kind: "imu_contradiction", "imu_samples", "imu_interval", "camera_from_imu", "arm",
-            "accel_scale", "gyro_scale", "imu_clocks" or "imu_noise".
-        sentence: the fact with its numbers.
-        flags: flags that the next command adds; none: no command helps.
-        evidence: numbers behind the sentence.
-        is_problem: True if the result is not usable.
-    """
-
+    # "imu_contradiction", "imu_samples", "imu_interval", "camera_from_imu", "arm", "accel_scale",
+    # "gyro_scale", "imu_clocks" or "imu_noise"
     kind: str
-    sentence: str
-    flags: tuple[str, ...]
-    evidence: Mapping[str, Any]
-    is_problem: bool = False
+    sentence: str  # the fact with its numbers
+    flags: tuple[str, ...]  # flags that the next command adds; none: no command helps
+    evidence: Mapping[str, Any]  # numbers behind the sentence
+    is_problem: bool = False  # True if the result is not usable
 
 
 class Evidence(NamedTuple):
-    """Evidence on the agreement of images and IMU.
+    """Evidence on the agreement of images and IMU."""
 
-    Attributes:
-        agreement: chi2 of the adjustment.
-        is_converged: True if its solve converged.
-        is_quadratic: True without a robust loss.
-        rotations: map between the rotations.
-        axes: sentence on the axes of the accelerometer, or "".
-        arm: function that returns the error of the arm; called if nothing else is wrong.
-        forces: function that returns the scale of the forces; called if the arm is right, too.
-        clocks: errors of single times.
-        offset: offset of the clocks.
-        noise: calibrated noise densities over those of the samples.
-        quietest: noise of the samples where they are quietest over the calibrated one.
-        noise_scale: factor for vibration.
-        camera_from_imu: (7,).
-        bad: stretches of samples that are no measurements.
-        stamps: stamps of the samples.
-        place: function that converts a row of the samples to text.
-        begins: (n,) stamps at the begin of each interval.
-    """
-
-    agreement: Agreement
-    is_converged: bool
-    is_quadratic: bool
-    rotations: RotationMap
-    axes: str
+    agreement: Agreement  # chi2 of the adjustment
+    is_converged: bool  # True if its solve converged
+    is_quadratic: bool  # True without a robust loss
+    rotations: RotationMap  # map between the rotations
+    axes: str  # sentence on the axes of the accelerometer, or ""
+    # function that returns the error of the arm; called if nothing else is wrong
     arm: Callable[[], ArmError]
+    # function that returns the scale of the forces; called if the arm is right, too
     forces: Callable[[], ForceScale]
-    clocks: ClockErrors
-    offset: ClockOffset
-    noise: tuple[float, float]
-    quietest: float
-    noise_scale: float
-    camera_from_imu: Array
-    bad: Sequence[BadStretch]
-    stamps: NDArray[np.int64]
-    place: Callable[[int], str]
-    begins: NDArray[np.int64]
+    clocks: ClockErrors  # errors of single times
+    offset: ClockOffset  # offset of the clocks
+    noise: tuple[float, float]  # calibrated noise densities over those of the samples
+    quietest: float  # noise of the samples where they are quietest over the calibrated one
+    noise_scale: float  # factor for vibration
+    camera_from_imu: Array  # (7,)
+    bad: Sequence[BadStretch]  # stretches of samples that are no measurements
+    stamps: NDArray[np.int64]  # stamps of the samples
+    place: Callable[[int], str]  # function that converts a row of the samples to text
+    begins: NDArray[np.int64]  # (n,) stamps at the begin of each interval
 
 
 def imu_findings(known: Evidence) -> tuple[ImuFinding, ...]:

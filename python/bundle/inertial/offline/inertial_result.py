@@ -21,59 +21,35 @@ Array = NDArray[np.float64]
 
 
 class ImuSamples(NamedTuple):
-    """Samples of an IMU.
+    """Samples of an IMU."""
 
-    Attributes:
-        timestamps_ns: (m,) int64, ascending.
-        gyro: (m, 3) rad/s.
-        accel: (m, 3) specific force, m/s^2.
-    """
-
-    timestamps_ns: NDArray[np.int64]
-    gyro: Array
-    accel: Array
+    timestamps_ns: NDArray[np.int64]  # (m,) int64, ascending
+    gyro: Array  # (m, 3) rad/s
+    accel: Array  # (m, 3) specific force, m/s^2
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class InertialAdjustment(Displayed):
-    """Result of an adjustment with an IMU.
+    """Result of an adjustment with an IMU."""
 
-    Attributes:
-        result: result of the last solve, in metres with z up, without velocities and biases.
-        similarity: similarity from the input to the start.
-        scale: factor between the positions of the input and of the result.
-        start: scale, gravity and biases of the start.
-        timestamps_ns: (n,) times of the images, or of the frames of a rig.
-        velocities: (n, 3) of the IMU at these times in the world, m/s.
-        gyro_biases: (n, 3) rad/s.
-        accel_biases: (n, 3) m/s^2.
-        imu_cost: cost of the motions in the result.
-        noise_scale: factor on the noise densities.
-        num_solves: number of solves.
-        clock: offset of the clocks; a clear offset was added to the times of images.
-        imu_samples: kind of the samples: "instant" or "interval".
-        gauge_freedom: degrees of freedom of the world that motions and priors leave: 4 (position
-            and heading) without priors, 3 with headings, 0 with positions.
-        agreement: chi2 of images and IMU, as a whole and by interval.
-        findings: findings about samples, calibration and clocks; a problem makes the result not
-            usable.
-    """
-
-    result: Result
-    similarity: Similarity
-    scale: float
-    start: InertialStart
-    timestamps_ns: NDArray[np.int64]
-    velocities: Array
-    gyro_biases: Array
-    accel_biases: Array
-    imu_cost: float
-    noise_scale: float
-    num_solves: int
-    clock: ClockOffset
-    imu_samples: str
+    result: Result  # result of the last solve, in metres with z up, without velocities and biases
+    similarity: Similarity  # similarity from the input to the start
+    scale: float  # factor between the positions of the input and of the result
+    start: InertialStart  # scale, gravity and biases of the start
+    timestamps_ns: NDArray[np.int64]  # (n,) times of the images, or of the frames of a rig
+    velocities: Array  # (n, 3) of the IMU at these times in the world, m/s
+    gyro_biases: Array  # (n, 3) rad/s
+    accel_biases: Array  # (n, 3) m/s^2
+    imu_cost: float  # cost of the motions in the result
+    noise_scale: float  # factor on the noise densities
+    num_solves: int  # number of solves
+    clock: ClockOffset  # offset of the clocks; a clear offset was added to the times of images
+    imu_samples: str  # kind of the samples: "instant" or "interval"
+    # degrees of freedom of the world that motions and priors leave: 4 (position and heading)
+    # without priors, 3 with headings, 0 with positions
     gauge_freedom: int
-    agreement: Agreement
+    agreement: Agreement  # chi2 of images and IMU, as a whole and by interval
+    # findings about samples, calibration and clocks; a problem makes the result not usable
     findings: tuple[ImuFinding, ...]
 
     @property

@@ -46,25 +46,15 @@ STEPS, SPHERE_STEPS = 8, 6
 
 
 class InertialStart(NamedTuple):
-    """Start in the world of the model.
+    """Start in the world of the model."""
 
-    Attributes:
-        scale: metres per unit of the model.
-        scale_sigma: relative standard deviation of the scale, from the residuals.
-        gravity: (3,) m/s^2, of the given length.
-        gyro_bias: (3,) rad/s.
-        accel_bias: (3,) m/s^2.
-        velocities: (n, 3) of the IMU at the images, along the axes of the model, m/s.
-        rms: root mean square of the residuals of positions in metres.
-    """
-
-    scale: float
-    scale_sigma: float
-    gravity: Array
-    gyro_bias: Array
-    accel_bias: Array
-    velocities: Array
-    rms: float
+    scale: float  # metres per unit of the model
+    scale_sigma: float  # relative standard deviation of the scale, from the residuals
+    gravity: Array  # (3,) m/s^2, of the given length
+    gyro_bias: Array  # (3,) rad/s
+    accel_bias: Array  # (3,) m/s^2
+    velocities: Array  # (n, 3) of the IMU at the images, along the axes of the model, m/s
+    rms: float  # root mean square of the residuals of positions in metres
 
 
 class _Rows(NamedTuple):

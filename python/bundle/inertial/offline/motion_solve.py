@@ -108,19 +108,13 @@ def _factors(
 
 @dataclass(frozen=True, eq=False)
 class ImuBodies:
-    """Images or frames that carry the IMU, in the order of time.
+    """Images or frames that carry the IMU, in the order of time."""
 
-    Attributes:
-        kind: "image" or "frame".
-        rows: (n,) indices of the images or frames in the problem.
-        stamps: (n,) times in ns.
-        body_from_imu: (7,) qx qy qz qw tx ty tz, metres; the body's axes are those of the image's
-            camera, or of the rig's reference sensor.
-    """
-
-    kind: str
-    rows: NDArray[np.intp]
-    stamps: NDArray[np.int64]
+    kind: str  # "image" or "frame"
+    rows: NDArray[np.intp]  # (n,) indices of the images or frames in the problem
+    stamps: NDArray[np.int64]  # (n,) times in ns
+    # (7,) qx qy qz qw tx ty tz, metres; the body's axes are those of the image's camera, or of the
+    # rig's reference sensor
     body_from_imu: Array
 
     @staticmethod

@@ -49,15 +49,10 @@ LEAST = 0.02
 
 
 class ArmError(NamedTuple):
-    """Error of the arm.
+    """Error of the arm."""
 
-    Attributes:
-        shift: (3,) d in metres: the right arm is the given one plus d.
-        covariance: (3, 3).
-    """
-
-    shift: Array = np.zeros(3)
-    covariance: Array = np.eye(3)
+    shift: Array = np.zeros(3)  # (3,) d in metres: the right arm is the given one plus d
+    covariance: Array = np.eye(3)  # (3, 3)
 
     @property
     def chi2(self) -> float:
@@ -168,16 +163,11 @@ class LeastCost(NamedTuple):
 
 
 class ForceScale(NamedTuple):
-    """Scale of the forces.
+    """Scale of the forces."""
 
-    Attributes:
-        ratio: f.
-        sigma: its standard deviation.
-        movement: rms movement of the positions by f over their rms distance from their mean.
-    """
-
-    ratio: float = 1.0
-    sigma: float = math.inf
+    ratio: float = 1.0  # f
+    sigma: float = math.inf  # its standard deviation
+    # rms movement of the positions by f over their rms distance from their mean
     movement: float = 0.0
 
     @staticmethod

@@ -49,19 +49,12 @@ SIGMAS, ANGLE, SCALE = 5.0, 1.0, 0.02
 
 
 class RotationMap(NamedTuple):
-    """Map of rotation vectors, with the standard deviations of its columns.
+    """Map of rotation vectors, with the standard deviations of its columns."""
 
-    Attributes:
-        matrix: M.
-        sigma: (3,) standard deviation of the entries of each column.
-        rms: root mean square of the residual, rad.
-        rms_before: the same for the identity instead of M.
-    """
-
-    matrix: Array
-    sigma: Array
-    rms: float
-    rms_before: float
+    matrix: Array  # M
+    sigma: Array  # (3,) standard deviation of the entries of each column
+    rms: float  # root mean square of the residual, rad
+    rms_before: float  # the same for the identity instead of M
 
     @staticmethod
     def between(between: Array, motions: list[Preintegration]) -> RotationMap:

@@ -103,30 +103,19 @@ class ImageImuFactor(_MotionFactor):
 
     The error is that of :class:`ImuFactor` for world_from_imu = cam_from_world^-1 camera_from_imu.
 
-    Attributes:
-        image_i: key of the pose cam_from_world of i, on se3; positions in metres.
-        velocity_i: key of its IMU's velocity in the world, Euclidean (3,), m/s.
-        gyro_bias_i: key of the gyroscope's bias at i, Euclidean (3,), rad/s.
-        accel_bias_i: key of the accelerometer's bias at i, Euclidean (3,), m/s^2.
-        image_j: key of the pose of j.
-        velocity_j: key of the velocity of j.
-        motion: a :class:`bundle.Preintegration`; the factor stores a copy.
-        camera_from_imu: (7,) qx qy qz qw tx ty tz, metres; constant.
-        gravity: (3,) m/s^2 in the world.
-
     Raises:
         InputError: a key occurs twice, or gravity is not three finite numbers.
     """
 
-    image_i: Key
-    velocity_i: Key
-    gyro_bias_i: Key
-    accel_bias_i: Key
-    image_j: Key
-    velocity_j: Key
-    motion: Preintegration
-    camera_from_imu: ArrayLike
-    gravity: ArrayLike = field(default=(0.0, 0.0, -9.81), kw_only=True)
+    image_i: Key  # key of the pose cam_from_world of i, on se3; positions in metres
+    velocity_i: Key  # key of its IMU's velocity in the world, Euclidean (3,), m/s
+    gyro_bias_i: Key  # key of the gyroscope's bias at i, Euclidean (3,), rad/s
+    accel_bias_i: Key  # key of the accelerometer's bias at i, Euclidean (3,), m/s^2
+    image_j: Key  # key of the pose of j
+    velocity_j: Key  # key of the velocity of j
+    motion: Preintegration  # a :class:`bundle.Preintegration`; the factor stores a copy
+    camera_from_imu: ArrayLike  # (7,) qx qy qz qw tx ty tz, metres; constant
+    gravity: ArrayLike = field(default=(0.0, 0.0, -9.81), kw_only=True)  # (3,) m/s^2 in the world
 
     kind = "image_imu"
 

@@ -43,18 +43,13 @@ FEWEST = 12  # common tracks
 
 
 class Turn(NamedTuple):
-    """Rotation of the camera between two images, by their tracks.
+    """Rotation of the camera between two images, by their tracks."""
 
-    Attributes:
-        earlier, later: stamps of the images on the IMU's clock, ns.
-        rotation: (3, 3), later_from_earlier.
-        information: (3, 3) on a small rotation of the later image.
-    """
-
+    # earlier, later: stamps of the images on the IMU's clock, ns
     earlier: int
     later: int
-    rotation: Array
-    information: Array
+    rotation: Array  # (3, 3), later_from_earlier
+    information: Array  # (3, 3) on a small rotation of the later image
 
 
 def refined_rotation(

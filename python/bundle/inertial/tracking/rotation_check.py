@@ -54,31 +54,22 @@ AXES = 0.15  # rms rotation about the second axis, relative to the first, for a 
 
 @dataclass(frozen=True)
 class RotationCheck:
-    """Agreement of tracks and gyroscope.
+    """Agreement of tracks and gyroscope."""
 
-    Attributes:
-        num_pairs: number of image pairs with enough rotation; 0: nothing can be compared.
-        unexplained: share of the rotation that the calibration leaves unexplained.
-        cause: "" for agreement, "degrees", "inverse", "axes", "turned", or "unknown".
-        cause_unexplained: share that this cause leaves unexplained; nan without one.
-        axes: the IMU's axes for cause "axes", such as "+y -x +z".
-        ratio: median rotation by the gyroscope / by the tracks.
-        angle: angle between the rotation of camera_from_imu and that which tracks imply [degrees].
-        angle_sigma: its standard deviation; nan if the camera turned about one axis only.
-        time_shift: seconds to add to the time offset, by the tracks.
-        time_sigma: its standard deviation; nan if it is not determined.
-    """
-
-    num_pairs: int = 0
+    num_pairs: int = 0  # number of image pairs with enough rotation; 0: nothing can be compared
+    # share of the rotation that the calibration leaves unexplained
     unexplained: float = float("nan")
-    cause: str = ""
+    cause: str = ""  # "" for agreement, "degrees", "inverse", "axes", "turned", or "unknown"
+    # share that this cause leaves unexplained; nan without one
     cause_unexplained: float = float("nan")
-    axes: str = ""
-    ratio: float = float("nan")
+    axes: str = ""  # the IMU's axes for cause "axes", such as "+y -x +z"
+    ratio: float = float("nan")  # median rotation by the gyroscope / by the tracks
+    # angle between the rotation of camera_from_imu and that which tracks imply [degrees]
     angle: float = float("nan")
+    # its standard deviation; nan if the camera turned about one axis only
     angle_sigma: float = float("nan")
-    time_shift: float = float("nan")
-    time_sigma: float = float("nan")
+    time_shift: float = float("nan")  # seconds to add to the time offset, by the tracks
+    time_sigma: float = float("nan")  # its standard deviation; nan if it is not determined
 
 
 def check_rotations(recording: Recording, turns: list[Turn]) -> RotationCheck:

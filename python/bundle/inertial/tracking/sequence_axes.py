@@ -170,21 +170,13 @@ Signs = tuple[int, ...]
 
 
 class _Start(NamedTuple):
-    """Linear start of a span.
+    """Linear start of a span."""
 
-    Attributes:
-        objection: the test that it fails.
-        behind: share of points behind the camera.
-        misfit: C.
-        prior: |a|^2 / s^2.
-        freedom: 2 n - 3 m - 11.
-    """
-
-    objection: str
-    behind: float
-    misfit: float = 0.0
-    prior: float = 0.0
-    freedom: int = 1
+    objection: str  # the test that it fails
+    behind: float  # share of points behind the camera
+    misfit: float = 0.0  # C
+    prior: float = 0.0  # |a|^2 / s^2
+    freedom: int = 1  # 2 n - 3 m - 11
 
 
 def right_signs(images: SequenceImages, is_gross: bool = False) -> Signs | None:

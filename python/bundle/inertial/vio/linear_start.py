@@ -52,32 +52,24 @@ class Observations(NamedTuple):
 
 
 class LinearStart(NamedTuple):
-    """Result in the IMU frame of the first image.
+    """Result in the IMU frame of the first image."""
 
-    Attributes:
-        gyro_bias, accel_bias: (3,) rad/s, m/s^2.
-        velocity, gravity: (3,) m/s, m/s^2.
-        rotations, positions, velocities: motion of the images, (k, 3, 3), (k, 3), (k, 3).
-        points: (m, 3).
-        depths: (n,) depth of each observation [m].
-        predicted: (n, 2) normalised coordinates.
-        residuals: (n, 2) in sigmas, of the last linearisation, weighted.
-        gravity_sigma: standard deviation of the direction of gravity [rad].
-        scale_sigma: relative standard deviation of the distance from the first image to the last.
-    """
-
+    # gyro_bias, accel_bias: (3,) rad/s, m/s^2
     gyro_bias: Array
     accel_bias: Array
+    # velocity, gravity: (3,) m/s, m/s^2
     velocity: Array
     gravity: Array
+    # rotations, positions, velocities: motion of the images, (k, 3, 3), (k, 3), (k, 3)
     rotations: Array
     positions: Array
     velocities: Array
-    points: Array
-    depths: Array
-    predicted: Array
-    residuals: Array
-    gravity_sigma: float
+    points: Array  # (m, 3)
+    depths: Array  # (n,) depth of each observation [m]
+    predicted: Array  # (n, 2) normalised coordinates
+    residuals: Array  # (n, 2) in sigmas, of the last linearisation, weighted
+    gravity_sigma: float  # standard deviation of the direction of gravity [rad]
+    # relative standard deviation of the distance from the first image to the last
     scale_sigma: float
 
 

@@ -47,22 +47,18 @@ class MarginalPrior:
     """Quadratic form of d = (state - points).
 
     Its cost is 1/2 |M d + v|^2, or c - v^T d + 1/2 d^T M d.
-
-    Attributes:
-        keys: (stamp of a frame in ns, POSE or MOTION), or (CAMERA, 0), (TIME, 0).
-        points: (len(keys), 16), the linearization points, where d is 0.
-        square_root: True for the first form.
-        matrix, vector, constant: M, v, c.
-        asymmetry: relative asymmetry of the information matrix from marginalisation; None for the
-            prior of a start.
     """
 
+    # (stamp of a frame in ns, POSE or MOTION), or (CAMERA, 0), (TIME, 0)
     keys: tuple[tuple[int | str, int], ...]
-    points: Array
-    square_root: bool
+    points: Array  # (len(keys), 16), the linearization points, where d is 0
+    square_root: bool  # True for the first form
+    # matrix, vector, constant: M, v, c
     matrix: Array
     vector: Array
     constant: float = 0.0
+    # relative asymmetry of the information matrix from marginalisation; None for the prior of a
+    # start
     asymmetry: float | None = None
 
     def frames(self) -> set[int]:

@@ -131,31 +131,23 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class SequenceStatistics:
-    """Statistics of a sequence.
+    """Statistics of a sequence."""
 
-    Attributes:
-        imu_rate, camera_rate: rates from the median step [Hz].
-        num_imu_gaps, num_image_gaps: steps of more than 2.5 periods.
-        overlap: seconds covered by both sensors.
-        static_start: seconds of rest at the start; 0 if it starts in motion.
-        gyro_noise_density, accel_noise_density: measured over the rest at the start; nan without
-            rest.
-        excitation: standard deviation of the magnitude of the specific force while there are
-            images [m/s^2].
-        verdict: observability of the scale: "healthy", "marginal" or "unobservable".
-        tracks_per_image, track_length: min, median, mean, max.
-    """
-
+    # imu_rate, camera_rate: rates from the median step [Hz]
     imu_rate: float
     camera_rate: float
+    # num_imu_gaps, num_image_gaps: steps of more than 2.5 periods
     num_imu_gaps: int
     num_image_gaps: int
-    overlap: float
-    static_start: float
+    overlap: float  # seconds covered by both sensors
+    static_start: float  # seconds of rest at the start; 0 if it starts in motion
+    # gyro_noise_density, accel_noise_density: measured over the rest at the start; nan without rest
     gyro_noise_density: float
     accel_noise_density: float
+    # standard deviation of the magnitude of the specific force while there are images [m/s^2]
     excitation: float
-    verdict: str
+    verdict: str  # observability of the scale: "healthy", "marginal" or "unobservable"
+    # tracks_per_image, track_length: min, median, mean, max
     tracks_per_image: dict[str, float]
     track_length: dict[str, float]
 

@@ -63,25 +63,16 @@ class ImuInterval:
 
 @dataclass(eq=False)
 class WindowFrame:
-    """Frame of a window.
+    """Frame of a window."""
 
-    Attributes:
-        stamp: stamp in ns.
-        state: state (16,).
-        tracks: tracks of its image, without those marginalised into a prior.
-        interval: samples since the previous frame; None for the first.
-        inertia: the same samples, preintegrated.
-        anchor: first estimate, once the frame is in a prior (first-estimate Jacobians, FEJ).
-        is_keyframe: False for the newest frame until it becomes one.
-    """
-
-    stamp: int
-    state: Array
-    tracks: FrameTracks
-    interval: ImuInterval | None = None
-    inertia: Preintegration | None = None
+    stamp: int  # stamp in ns
+    state: Array  # state (16,)
+    tracks: FrameTracks  # tracks of its image, without those marginalised into a prior
+    interval: ImuInterval | None = None  # samples since the previous frame; None for the first
+    inertia: Preintegration | None = None  # the same samples, preintegrated
+    # first estimate, once the frame is in a prior (first-estimate Jacobians, FEJ)
     anchor: Array | None = None
-    is_keyframe: bool = False
+    is_keyframe: bool = False  # False for the newest frame until it becomes one
 
 
 def repropagate(frames: Sequence[WindowFrame]) -> int:

@@ -45,25 +45,16 @@ Indices = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class Association:
-    """Pairs of poses of the same image or time.
+    """Pairs of poses of the same image or time."""
 
-    Attributes:
-        rows_a: (n,) indices of the poses of A.
-        rows_b: (n,) indices of the poses of B.
-        names: n names of the pairs: those of A if it has names, otherwise of B, times or numbers.
-        only_a: names of the poses of A without a partner.
-        only_b: names of the poses of B without a partner.
-        by: "name", "base name", "stem", "time", "frame number" or "order".
-        sentence: the rule in words.
-    """
-
-    rows_a: Indices
-    rows_b: Indices
+    rows_a: Indices  # (n,) indices of the poses of A
+    rows_b: Indices  # (n,) indices of the poses of B
+    # n names of the pairs: those of A if it has names, otherwise of B, times or numbers
     names: tuple[str, ...]
-    only_a: tuple[str, ...]
-    only_b: tuple[str, ...]
-    by: str
-    sentence: str
+    only_a: tuple[str, ...]  # names of the poses of A without a partner
+    only_b: tuple[str, ...]  # names of the poses of B without a partner
+    by: str  # "name", "base name", "stem", "time", "frame number" or "order"
+    sentence: str  # the rule in words
 
     def __len__(self) -> int:
         return len(self.names)

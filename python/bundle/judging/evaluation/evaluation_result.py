@@ -28,34 +28,21 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class RelativeErrors:
-    """Relative pose errors (RPE) over ``delta`` poses.
+    """Relative pose errors (RPE) over ``delta`` poses."""
 
-    Attributes:
-        delta: number of poses.
-        position: statistics of translations in length units of B.
-        rotation: statistics of rotations in degrees.
-    """
-
-    delta: int
-    position: ErrorStatistics
-    rotation: ErrorStatistics
+    delta: int  # number of poses
+    position: ErrorStatistics  # statistics of translations in length units of B
+    rotation: ErrorStatistics  # statistics of rotations in degrees
 
 
 @dataclass(frozen=True)
 class SharedImage:
-    """Errors of one shared image or time.
+    """Errors of one shared image or time."""
 
-    Attributes:
-        name: name of the image, time in seconds, or number of the pose.
-        position: distance of the centres after the alignment in length units of B.
-        rotation: angle between the rotations in degrees.
-        sigmas: movement in sigmas of A's covariance; None if it was not computed.
-    """
-
-    name: str
-    position: float
-    rotation: float
-    sigmas: float | None = None
+    name: str  # name of the image, time in seconds, or number of the pose
+    position: float  # distance of the centres after the alignment in length units of B
+    rotation: float  # angle between the rotations in degrees
+    sigmas: float | None = None  # movement in sigmas of A's covariance; None if it was not computed
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)

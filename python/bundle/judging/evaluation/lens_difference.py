@@ -48,25 +48,17 @@ Indices = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class LensDifference:
-    """Difference of the lens of a camera of A and of a camera of B.
+    """Difference of the lens of a camera of A and of a camera of B."""
 
-    Attributes:
-        camera_a: id in A.
-        camera_b: id in B.
-        num_images: number of shared images with these cameras.
-        box: (4,) left, top, right, bottom of the grid in pixels of A.
-        field: (rows, columns, 2) projection by B minus by A in pixels of A; NaN at pixels that a
-            lens cannot see or no observation of A has determined.
-        angle: angle of the removed rotation in degrees.
-        pixels: statistics of the lengths of the differences; NaN if the lenses share no rays.
-    """
-
-    camera_a: int
-    camera_b: int
-    num_images: int
-    box: Array
+    camera_a: int  # id in A
+    camera_b: int  # id in B
+    num_images: int  # number of shared images with these cameras
+    box: Array  # (4,) left, top, right, bottom of the grid in pixels of A
+    # (rows, columns, 2) projection by B minus by A in pixels of A; NaN at pixels that a lens cannot
+    # see or no observation of A has determined
     field: Array
-    angle: float
+    angle: float  # angle of the removed rotation in degrees
+    # statistics of the lengths of the differences; NaN if the lenses share no rays
     pixels: ErrorStatistics
 
 

@@ -78,25 +78,17 @@ Indices = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class SigmaMovement:
-    """Movement of each shared image in sigmas of the covariance of A.
+    """Movement of each shared image in sigmas of the covariance of A."""
 
-    Attributes:
-        sigmas: (n,) m_i; NaN for an image without a covariance.
-        sigma0: scale of the covariance in pixels.
-        is_minimum: False if a step would lower the cost of A under the loss; the sigmas are then
-            rough.
-        notes: remarks on the covariance.
-        assumed: parameters that were assumed to be constant, such as "the principal point"; "":
-            nothing depends on it.
-        loss: loss of the solve of A.
-    """
-
-    sigmas: Array
-    sigma0: float
+    sigmas: Array  # (n,) m_i; NaN for an image without a covariance
+    sigma0: float  # scale of the covariance in pixels
+    # False if a step would lower the cost of A under the loss; the sigmas are then rough
     is_minimum: bool
-    notes: tuple[str, ...]
+    notes: tuple[str, ...]  # remarks on the covariance
+    # parameters that were assumed to be constant, such as "the principal point"; "": nothing
+    # depends on it
     assumed: str = ""
-    loss: str = "trivial"
+    loss: str = "trivial"  # loss of the solve of A
 
     @property
     def median(self) -> float:

@@ -63,21 +63,13 @@ Table = dict[str, float]
 
 @dataclass(frozen=True)
 class PairErrors:
-    """Accuracy of relative poses; tables have the thresholds in degrees as text, such as "5".
+    """Accuracy of relative poses; tables have the thresholds in degrees as text, such as "5"."""
 
-    Attributes:
-        num_pairs: number of pairs i < j.
-        num_pairs_at_one_place: pairs whose cameras have the same centre in the reference.
-        rotation_accuracy: RRA, share of pairs with a smaller RRE.
-        translation_accuracy: RTA, share of pairs with a smaller RTE.
-        auc: AUC by definition, then by threshold.
-    """
-
-    num_pairs: int
-    num_pairs_at_one_place: int
-    rotation_accuracy: Table
-    translation_accuracy: Table
-    auc: dict[str, Table]
+    num_pairs: int  # number of pairs i < j
+    num_pairs_at_one_place: int  # pairs whose cameras have the same centre in the reference
+    rotation_accuracy: Table  # RRA, share of pairs with a smaller RRE
+    translation_accuracy: Table  # RTA, share of pairs with a smaller RTE
+    auc: dict[str, Table]  # AUC by definition, then by threshold
 
 
 class _Sums:

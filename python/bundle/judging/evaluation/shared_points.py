@@ -26,21 +26,13 @@ Indices = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class PointDifference:
-    """Distances of shared points after the alignment.
+    """Distances of shared points after the alignment."""
 
-    Attributes:
-        num_shared: number of pairs.
-        num_a: number of points of A.
-        num_b: number of points of B.
-        distance: statistics of the distances in length units of B.
-        percentile_90: distance that 90 % of the pairs do not exceed.
-    """
-
-    num_shared: int
-    num_a: int
-    num_b: int
-    distance: ErrorStatistics
-    percentile_90: float
+    num_shared: int  # number of pairs
+    num_a: int  # number of points of A
+    num_b: int  # number of points of B
+    distance: ErrorStatistics  # statistics of the distances in length units of B
+    percentile_90: float  # distance that 90 % of the pairs do not exceed
 
 
 def point_difference(

@@ -69,28 +69,17 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Compared:
-    """Poses of the pairs, and their errors.
+    """Poses of the pairs, and their errors."""
 
-    Attributes:
-        given: (n, 7) poses world_from_camera of A in A's frame.
-        moved: (n, 7) aligned poses of A.
-        reference: (n, 7) poses of B.
-        alignment: alignment of A to B.
-        similarity: the map from A to B.
-        position: (n,) position errors.
-        rotation: (n,) rotation errors in degrees.
-        association: names of the pairs.
-        directions: command that reads A or B as inverse poses, by "A" and "B", for tables of poses.
-    """
-
-    given: Array
-    moved: Array
-    reference: Array
-    alignment: str
-    similarity: Similarity
-    position: Array
-    rotation: Array
-    association: Association
+    given: Array  # (n, 7) poses world_from_camera of A in A's frame
+    moved: Array  # (n, 7) aligned poses of A
+    reference: Array  # (n, 7) poses of B
+    alignment: str  # alignment of A to B
+    similarity: Similarity  # the map from A to B
+    position: Array  # (n,) position errors
+    rotation: Array  # (n,) rotation errors in degrees
+    association: Association  # names of the pairs
+    # command that reads A or B as inverse poses, by "A" and "B", for tables of poses
     directions: Mapping[str, str]
 
     @property

@@ -58,25 +58,16 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class FocalLengths:
-    """Focal lengths of the cameras of one model and size, in the order of their images.
+    """Focal lengths of the cameras of one model and size, in the order of their images."""
 
-    Attributes:
-        cameras: (m,) indices of the cameras.
-        focal: (m,) focal lengths [px], means over x and y.
-        sigma: (m,) their standard deviations.
-        distortion: largest Q / d over the distortion parameters; 0 without any.
-        inlier_factor: scale of the errors over sigma0, at most 1: without outliers and heavy tails.
-        order: (m,) order of the images of the cameras, from -1 to 1.
-        is_covered: True if the group has all observed cameras of the model.
-    """
-
-    cameras: NDArray[np.int64]
-    focal: Floats
-    sigma: Floats
-    distortion: float
+    cameras: NDArray[np.int64]  # (m,) indices of the cameras
+    focal: Floats  # (m,) focal lengths [px], means over x and y
+    sigma: Floats  # (m,) their standard deviations
+    distortion: float  # largest Q / d over the distortion parameters; 0 without any
+    # scale of the errors over sigma0, at most 1: without outliers and heavy tails
     inlier_factor: float
-    order: Floats
-    is_covered: bool
+    order: Floats  # (m,) order of the images of the cameras, from -1 to 1
+    is_covered: bool  # True if the group has all observed cameras of the model
 
     @property
     def is_determined(self) -> NDArray[np.bool_]:

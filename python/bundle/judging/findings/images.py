@@ -93,21 +93,13 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class ImageFits:
-    """Linear fields of the images that take part; arrays have one entry per image.
+    """Linear fields of the images that take part; arrays have one entry per image."""
 
-    Attributes:
-        coefficients: (m, 3) of scale, anisotropy and shear [px at the border].
-        variances: (m, 3) their variances; infinite where the field is not left.
-        chi2: (m,) statistic of all three.
-        sizes: (m,) rms of the field, in scales.
-        medians: (m,) median error without the field [px].
-    """
-
-    coefficients: Floats
-    variances: Floats
-    chi2: Floats
-    sizes: Floats
-    medians: Floats
+    coefficients: Floats  # (m, 3) of scale, anisotropy and shear [px at the border]
+    variances: Floats  # (m, 3) their variances; infinite where the field is not left
+    chi2: Floats  # (m,) statistic of all three
+    sizes: Floats  # (m,) rms of the field, in scales
+    medians: Floats  # (m,) median error without the field [px]
 
 
 def motion(

@@ -79,29 +79,17 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class LensField:
-    """Field of residuals that is common to the images of one camera model and size.
+    """Field of residuals that is common to the images of one camera model and size."""
 
-    Attributes:
-        model: camera model.
-        camera_ids: cameras of these images.
-        terms: names of the candidate fields that are left.
-        columns: (n, 2, m) these fields, without poses and intrinsics.
-        residual: (n, 2) residuals, without poses and intrinsics [px].
-        field: (n, 2) what the candidates explain [px].
-        statistic: Wald statistic by observations.
-        significant: True if both statistics are above their limits.
-        size: rms of the field per coordinate, in scales.
-    """
-
-    model: str
-    camera_ids: tuple[int, ...]
-    terms: tuple[str, ...]
-    columns: Floats
-    residual: Floats
-    field: Floats
-    statistic: float
-    significant: bool
-    size: float
+    model: str  # camera model
+    camera_ids: tuple[int, ...]  # cameras of these images
+    terms: tuple[str, ...]  # names of the candidate fields that are left
+    columns: Floats  # (n, 2, m) these fields, without poses and intrinsics
+    residual: Floats  # (n, 2) residuals, without poses and intrinsics [px]
+    field: Floats  # (n, 2) what the candidates explain [px]
+    statistic: float  # Wald statistic by observations
+    significant: bool  # True if both statistics are above their limits
+    size: float  # rms of the field per coordinate, in scales
 
     def explained(self, terms: tuple[str, ...]) -> float:
         """Return the mean square of the field that these terms alone explain."""

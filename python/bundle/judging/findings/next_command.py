@@ -23,16 +23,11 @@ REPEATED = {
 
 @dataclass(frozen=True)
 class NextCommand:
-    """Paths and flags of a run, from which the next command line is made.
+    """Paths and flags of a run, from which the next command line is made."""
 
-    Attributes:
-        source: path of the input.
-        target: path of the output.
-        given: flags of this run that the next run repeats, each before its values, as words.
-    """
-
-    source: str = "INPUT"
-    target: str = "OUTPUT"
+    source: str = "INPUT"  # path of the input
+    target: str = "OUTPUT"  # path of the output
+    # flags of this run that the next run repeats, each before its values, as words
     given: Sequence[str] = ()
 
     def refine(self, *flags: str) -> str:

@@ -59,17 +59,11 @@ Indices = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class ImageRows:
-    """Clean observations of one image.
+    """Clean observations of one image."""
 
-    Attributes:
-        image: index of the image.
-        camera: index of its camera.
-        rows: slice of the arrays of :class:`SystematicResiduals`.
-    """
-
-    image: int
-    camera: int
-    rows: slice
+    image: int  # index of the image
+    camera: int  # index of its camera
+    rows: slice  # slice of the arrays of :class:`SystematicResiduals`
 
 
 class SystematicResiduals:

@@ -33,62 +33,35 @@ SECONDS_PER_PREEMPTION = 0.005
 
 @dataclass(frozen=True, kw_only=True)
 class SolveFacts:
-    """Facts of a solve. None: unknown or not applicable.
+    """Facts of a solve. None: unknown or not applicable."""
 
-    Attributes:
-        method: name of the method in a comparison; "" elsewhere.
-        options: options by name, enumerations in upper case.
-        columns: number of free coordinates.
-        measurements: number of residuals.
-        information_nonzeros: nnz(Lambda), both triangles.
-        reduced_nonzeros: nonzeros of the factorised matrix.
-        factor_nonzeros: nnz(L).
-        factor_flops: flops of a factorisation.
-        ordering: elimination order of the factor.
-        solver: backend and linear solver that were used.
-        least_flops: flops in the best order that was tried.
-        prior_columns: coordinates that a window's prior couples.
-        densest: largest d for which d variables have d - 1 neighbours or more.
-        initial_cost, final_cost: costs; of odometry the second only, per residual.
-        start_gradient: largest entry of the gradient at the start.
-        steps: attempted steps.
-        rejected: rejected steps.
-        least_radius: smallest trust region radius of an attempted step.
-        is_converged: True if a tolerance ended the solve.
-        is_usable: True with a usable solution.
-        seconds: time in the solver.
-        waiting: seconds in which other processes held the cores, at most.
-        num_threads: threads of the solver.
-        warnings: number of warnings or alarms by kind.
-        error: position error against a ground truth.
-    """
-
-    method: str = ""
-    options: Entry = field(default_factory=dict)
-    columns: float | None = None
-    measurements: float | None = None
-    information_nonzeros: float | None = None
-    reduced_nonzeros: float | None = None
-    factor_nonzeros: float | None = None
-    factor_flops: float | None = None
-    ordering: str = ""
-    solver: str = ""
-    least_flops: float | None = None
-    prior_columns: float | None = None
-    densest: float | None = None
+    method: str = ""  # name of the method in a comparison; "" elsewhere
+    options: Entry = field(default_factory=dict)  # options by name, enumerations in upper case
+    columns: float | None = None  # number of free coordinates
+    measurements: float | None = None  # number of residuals
+    information_nonzeros: float | None = None  # nnz(Lambda), both triangles
+    reduced_nonzeros: float | None = None  # nonzeros of the factorised matrix
+    factor_nonzeros: float | None = None  # nnz(L)
+    factor_flops: float | None = None  # flops of a factorisation
+    ordering: str = ""  # elimination order of the factor
+    solver: str = ""  # backend and linear solver that were used
+    least_flops: float | None = None  # flops in the best order that was tried
+    prior_columns: float | None = None  # coordinates that a window's prior couples
+    densest: float | None = None  # largest d for which d variables have d - 1 neighbours or more
+    # initial_cost, final_cost: costs; of odometry the second only, per residual
     initial_cost: float | None = None
     final_cost: float | None = None
-    start_gradient: float | None = None
-    steps: float | None = None
-    rejected: float | None = None
-    least_radius: float | None = None
-    is_converged: bool = True
-    is_usable: bool = True
-    seconds: float | None = None
-    waiting: float = 0.0
-    num_threads: int | None = None
-    warnings: Entry = field(default_factory=dict)
-    error: float | None = None
+    start_gradient: float | None = None  # largest entry of the gradient at the start
+    steps: float | None = None  # attempted steps
+    rejected: float | None = None  # rejected steps
+    least_radius: float | None = None  # smallest trust region radius of an attempted step
+    is_converged: bool = True  # True if a tolerance ended the solve
+    is_usable: bool = True  # True with a usable solution
+    seconds: float | None = None  # time in the solver
+    waiting: float = 0.0  # seconds in which other processes held the cores, at most
+    num_threads: int | None = None  # threads of the solver
+    warnings: Entry = field(default_factory=dict)  # number of warnings or alarms by kind
+    error: float | None = None  # position error against a ground truth
 
 
 def solve_facts(
@@ -219,20 +192,14 @@ LESS_RADIUS, MORE_REJECTED = 0.2, 0.15
 
 @dataclass(frozen=True)
 class Difference:
-    """Two solves of one input by one method.
+    """Two solves of one input by one method."""
 
-    Attributes:
-        old, new: facts of both solves.
-        inputs: path, format, counts and digests of both inputs.
-        environments: machine, load and versions of both; empty if unknown.
-        limits: largest differences that are noise.
-    """
-
+    # old, new: facts of both solves
     old: SolveFacts
     new: SolveFacts
-    inputs: tuple[Entry, Entry]
-    environments: tuple[Entry, Entry]
-    limits: TriageOptions
+    inputs: tuple[Entry, Entry]  # path, format, counts and digests of both inputs
+    environments: tuple[Entry, Entry]  # machine, load and versions of both; empty if unknown
+    limits: TriageOptions  # largest differences that are noise
 
     def pair(self, name: str) -> tuple[Any, Any]:
         """Return a fact of both solves."""

@@ -26,21 +26,13 @@ Entry = Mapping[str, Any]
 
 @dataclass(frozen=True, kw_only=True)
 class SolveReport:
-    """A report of one command.
+    """A report of one command."""
 
-    Attributes:
-        path: path of the report.
-        command: "refine", "vio" or "compare".
-        inputs: path, format, counts and digests of each input.
-        environment: machine, load and versions; empty in a report without them.
-        solves: facts of the solves by (input, method).
-    """
-
-    path: str
-    command: str
-    inputs: tuple[Entry, ...]
-    environment: Entry
-    solves: Mapping[tuple[int, str], SolveFacts]
+    path: str  # path of the report
+    command: str  # "refine", "vio" or "compare"
+    inputs: tuple[Entry, ...]  # path, format, counts and digests of each input
+    environment: Entry  # machine, load and versions; empty in a report without them
+    solves: Mapping[tuple[int, str], SolveFacts]  # facts of the solves by (input, method)
 
 
 def read_report(path: str | os.PathLike[str]) -> SolveReport:

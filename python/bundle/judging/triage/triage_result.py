@@ -15,14 +15,10 @@ from bundle.judging.triage.difference import Difference, quotient
 
 @dataclass(frozen=True, kw_only=True)
 class Quantity:
-    """A fact of both solves.
+    """A fact of both solves."""
 
-    Attributes:
-        name: name of the fact.
-        old, new: values; None if unknown.
-    """
-
-    name: str
+    name: str  # name of the fact
+    # old, new: values; None if unknown
     old: float | str | None
     new: float | str | None
 

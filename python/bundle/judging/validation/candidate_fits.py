@@ -49,48 +49,30 @@ Progress = Callable[[int, int, str], None]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Fitting:
-    """Settings that all candidates share.
+    """Settings that all candidates share."""
 
-    Attributes:
-        problem: the input.
-        folds: fold of each observation; -1: it is never held out.
-        options: options of the solves; loss and refined variables are the candidate's.
-        priors: measured positions of images, and control points.
-        rules: rules in addition to those of the sharing.
-        progress: function called after each solve; None: no function.
-    """
-
-    problem: Problem
-    folds: NDArray[np.int16]
-    options: SolveOptions
-    priors: tuple[Prior, ...] = ()
-    rules: tuple[Any, ...] = ()
-    progress: Progress | None = None
+    problem: Problem  # the input
+    folds: NDArray[np.int16]  # fold of each observation; -1: it is never held out
+    options: SolveOptions  # options of the solves; loss and refined variables are the candidate's
+    priors: tuple[Prior, ...] = ()  # measured positions of images, and control points
+    rules: tuple[Any, ...] = ()  # rules in addition to those of the sharing
+    progress: Progress | None = None  # function called after each solve; None: no function
 
 
 @dataclass(eq=False, kw_only=True)
 class CandidateFit:
-    """Fits of one candidate; residuals are NaN without a projection.
+    """Fits of one candidate; residuals are NaN without a projection."""
 
-    Attributes:
-        candidate: the candidate.
-        prepared: its prepared solve.
-        full: fit to all observations, with the observations of control points.
-        residuals: (num_observations, 2) residuals of this fit [pixels].
-        held_out: (num_observations, 2) residuals of the fits that did not see the observation.
-        is_converged: True if all fits converged.
-        num_iterations: number of iterations of all fits.
-        error: reason why the candidate has no fit; "" if it has.
-    """
-
-    candidate: Candidate
-    prepared: Prepared | None = None
-    full: Result | None = None
+    candidate: Candidate  # the candidate
+    prepared: Prepared | None = None  # its prepared solve
+    full: Result | None = None  # fit to all observations, with the observations of control points
+    # (num_observations, 2) residuals of this fit [pixels]
     residuals: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2)))
+    # (num_observations, 2) residuals of the fits that did not see the observation
     held_out: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2)))
-    is_converged: bool = True
-    num_iterations: int = 0
-    error: str = ""
+    is_converged: bool = True  # True if all fits converged
+    num_iterations: int = 0  # number of iterations of all fits
+    error: str = ""  # reason why the candidate has no fit; "" if it has
 
     @property
     def refined(self) -> Problem:

@@ -46,18 +46,12 @@ _Groups = NDArray[np.int64]
 
 @dataclass(frozen=True, kw_only=True)
 class Candidate:
-    """A way to refine the input.
+    """A way to refine the input."""
 
-    Attributes:
-        camera_model: COLMAP's name of the model of all cameras; "" keeps the models of the input.
-        share: one of :data:`SHARES`.
-        loss: robust loss of the fit.
-        refine: groups of variables to refine, as in :class:`bundle.SolveOptions`.
-    """
-
-    camera_model: str
-    share: str
-    loss: str = "cauchy"
+    camera_model: str  # COLMAP's name of the model of all cameras; "" keeps the models of the input
+    share: str  # one of :data:`SHARES`
+    loss: str = "cauchy"  # robust loss of the fit
+    # groups of variables to refine, as in :class:`bundle.SolveOptions`
     refine: tuple[str, ...] = SolveOptions().refine
 
     @property

@@ -47,60 +47,37 @@ _Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class DecisionRule:
-    """Numbers of the rule.
+    """Numbers of the rule."""
 
-    Attributes:
-        clip: largest normalised error that counts, in sigmas.
-        num_standard_errors: significance z of a difference, in standard errors.
-        threshold: relevant difference t, relative to the best score.
-        movement: relevant distance m of the cameras, in their standard deviations.
-        expensive: ratio of the standard deviations of positions that has its price.
-        price: relevant difference, in thresholds, of an expensive candidate.
-    """
-
-    clip: float = 3.0
-    num_standard_errors: float = 2.0
-    threshold: float = 0.01
-    movement: float = 1.0
-    expensive: float = 3.0
-    price: float = 3.0
+    clip: float = 3.0  # largest normalised error that counts, in sigmas
+    num_standard_errors: float = 2.0  # significance z of a difference, in standard errors
+    threshold: float = 0.01  # relevant difference t, relative to the best score
+    movement: float = 1.0  # relevant distance m of the cameras, in their standard deviations
+    expensive: float = 3.0  # ratio of the standard deviations of positions that has its price
+    price: float = 3.0  # relevant difference, in thresholds, of an expensive candidate
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Cameras:
-    """Cameras of the candidates; NaN if not known.
+    """Cameras of the candidates; NaN if not known."""
 
-    Attributes:
-        distances: (n, n) rms distances of the centres of two fits after a similarity.
-        sigmas: (n,) rms standard deviation of the centres in each fit, without a free similarity.
-        certainties: (n,) median standard deviation of a position beside cameras and points.
-    """
-
-    distances: _Floats
+    distances: _Floats  # (n, n) rms distances of the centres of two fits after a similarity
+    # (n,) rms standard deviation of the centres in each fit, without a free similarity
     sigmas: _Floats
-    certainties: _Floats
+    certainties: _Floats  # (n,) median standard deviation of a position beside cameras and points
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Decision:
-    """Decision between candidates; arrays have one entry per candidate.
+    """Decision between candidates; arrays have one entry per candidate."""
 
-    Attributes:
-        recommended: index of the recommended candidate.
-        best: index of the candidate with the lowest score that is not vetoed.
-        scores: RMS of normalised errors, clipped; NaN for a candidate without errors.
-        differences: score minus the score of the best candidate.
-        standard_errors: standard error of each difference over the images; 0 for the best.
-        is_equal: True for a candidate as good as the best; False if vetoed.
-        by_price: True for one that predicts worse, but costs less certainty than the best.
-    """
-
-    recommended: int
-    best: int
-    scores: _Floats
-    differences: _Floats
-    standard_errors: _Floats
-    is_equal: NDArray[np.bool_]
+    recommended: int  # index of the recommended candidate
+    best: int  # index of the candidate with the lowest score that is not vetoed
+    scores: _Floats  # RMS of normalised errors, clipped; NaN for a candidate without errors
+    differences: _Floats  # score minus the score of the best candidate
+    standard_errors: _Floats  # standard error of each difference over the images; 0 for the best
+    is_equal: NDArray[np.bool_]  # True for a candidate as good as the best; False if vetoed
+    # True for one that predicts worse, but costs less certainty than the best
     by_price: NDArray[np.bool_]
 
 

@@ -28,15 +28,10 @@ if TYPE_CHECKING:
 
 
 class KnownErrors(NamedTuple):
-    """Root mean squares of distances in space, in the unit of the survey; NaN without any.
+    """Root mean squares of distances in space, in the unit of the survey; NaN without any."""
 
-    Attributes:
-        check_points: at check points.
-        positions: at measured positions of images.
-    """
-
-    check_points: float
-    positions: float
+    check_points: float  # at check points
+    positions: float  # at measured positions of images
 
 
 def known_errors(prepared: Prepared, full: Result, priors: Sequence[Prior]) -> KnownErrors:

@@ -53,17 +53,11 @@ _Floats = NDArray[np.float64]
 
 
 class MotionTest(NamedTuple):
-    """Result of a test by prediction.
+    """Result of a test by prediction."""
 
-    Attributes:
-        gain: relative decrease of the lowest score with shared lenses by a shutter.
-        explains: True if this gain is relevant.
-        is_motion: True if, besides, no lens per image predicts better.
-    """
-
-    gain: float
-    explains: bool
-    is_motion: bool
+    gain: float  # relative decrease of the lowest score with shared lenses by a shutter
+    explains: bool  # True if this gain is relevant
+    is_motion: bool  # True if, besides, no lens per image predicts better
 
 
 def measured(fit: CandidateFit) -> Measured:

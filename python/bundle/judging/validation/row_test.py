@@ -78,40 +78,28 @@ _Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RowTest:
-    """Variation over the images of residual patterns that a shared lens cannot have.
+    """Variation over the images of residual patterns that a shared lens cannot have."""
 
-    Attributes:
-        fires: True if motion is found: the shear is significant and the pattern large, or a rolling
-            shutter predicts what lenses per image do.
-        is_suspected: True if anisotropy and shear together are significant.
-        isotropy: chi2 per degree of freedom of the slope along (x, y); NaN with too few images.
-        anisotropy: the same along (x, -y).
-        shear: the same along (y, x).
-        size: relative increase of the RMS by anisotropy and shear.
-        deviations: (3,) standard deviation over the images of the three slopes beyond their noise
-            [pixels at half the longer side of the image].
-        sigma: noise of a coordinate [pixels].
-        confirmation: ratio of the exact test for shear (:mod:`.shear_score`), 1 in the mean without
-            motion; NaN if the test above decided.
-        gain: relative decrease of the score of shared lenses by a rolling shutter, if it explains
-            their residuals: they are then compared beside it; else NaN.
-        images: (num_images,) index of each image with enough observations.
-        slopes: (num_images, 3) its slopes [pixels at half the longer side].
-        errors: (num_images, 3) their standard errors.
-    """
-
+    # True if motion is found: the shear is significant and the pattern large, or a rolling shutter
+    # predicts what lenses per image do
     fires: bool
-    is_suspected: bool
-    isotropy: float
-    anisotropy: float
-    shear: float
-    size: float
+    is_suspected: bool  # True if anisotropy and shear together are significant
+    isotropy: float  # chi2 per degree of freedom of the slope along (x, y); NaN with too few images
+    anisotropy: float  # the same along (x, -y)
+    shear: float  # the same along (y, x)
+    size: float  # relative increase of the RMS by anisotropy and shear
+    # (3,) standard deviation over the images of the three slopes beyond their noise [pixels at half
+    # the longer side of the image]
     deviations: _Floats
-    sigma: float
+    sigma: float  # noise of a coordinate [pixels]
+    # ratio of the exact test for shear (:mod:`.shear_score`), 1 in the mean without motion; NaN if
+    # the test above decided
     confirmation: float
-    images: NDArray[np.int64]
-    slopes: _Floats
-    errors: _Floats
+    images: NDArray[np.int64]  # (num_images,) index of each image with enough observations
+    slopes: _Floats  # (num_images, 3) its slopes [pixels at half the longer side]
+    errors: _Floats  # (num_images, 3) their standard errors
+    # relative decrease of the score of shared lenses by a rolling shutter, if it explains their
+    # residuals: they are then compared beside it; else NaN
     gain: float = math.nan
 
     @property
@@ -287,15 +275,10 @@ _Rows = NDArray[np.int64]
 
 
 class ShearScore(NamedTuple):
-    """Result of the test.
+    """Result of the test."""
 
-    Attributes:
-        ratio: R, 1 in the mean without shear; NaN if nothing can be tested.
-        freedom: degrees of freedom d; 0 if nothing can be tested.
-    """
-
-    ratio: float
-    freedom: float
+    ratio: float  # R, 1 in the mean without shear; NaN if nothing can be tested
+    freedom: float  # degrees of freedom d; 0 if nothing can be tested
 
 
 def shear_score(

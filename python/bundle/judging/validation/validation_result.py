@@ -165,19 +165,12 @@ RELEVANT_RATIO = 1.5
 
 
 class Verdict(NamedTuple):
-    """Verdict of a validation.
+    """Verdict of a validation."""
 
-    Attributes:
-        verdict: one of the words that :class:`Validation` lists.
-        present: index of the candidate with the input's lenses; -1: none.
-        headline: the verdict in sentences.
-        notes: sentences about the comparison.
-    """
-
-    verdict: str
-    present: int
-    headline: tuple[str, ...]
-    notes: tuple[str, ...]
+    verdict: str  # one of the words that :class:`Validation` lists
+    present: int  # index of the candidate with the input's lenses; -1: none
+    headline: tuple[str, ...]  # the verdict in sentences
+    notes: tuple[str, ...]  # sentences about the comparison
 
 
 def verdict_of(

@@ -25,19 +25,12 @@ MANY = 50
 
 @dataclass(frozen=True, eq=False)
 class Shades:
-    """Value per point, drawn from blue (the best) to orange.
+    """Value per point, drawn from blue (the best) to orange."""
 
-    Attributes:
-        name: name of the value.
-        values: (n,) values; NaN: unknown, drawn grey.
-        ends: values of pure blue and of pure orange.
-        unit: unit, for the legend.
-    """
-
-    name: str
-    values: NDArray[np.float64]
-    ends: tuple[float, float]
-    unit: str
+    name: str  # name of the value
+    values: NDArray[np.float64]  # (n,) values; NaN: unknown, drawn grey
+    ends: tuple[float, float]  # values of pure blue and of pure orange
+    unit: str  # unit, for the legend
 
     def data(self) -> dict[str, Any]:
         """Return shades from 0 (blue) to 254 (orange) as base64 of bytes; 255 is grey."""
