@@ -9,6 +9,7 @@
 #include <utility>
 #include <vector>
 
+#include "bindings/arrays.h"
 #include "bindings/file_access.h"
 #include "bindings/gil.h"
 #include "bindings/immutable_array.h"
@@ -22,9 +23,6 @@ namespace py = pybind11;
 
 namespace bundle {
 namespace {
-
-template <typename T>
-using Array = py::array_t<T, py::array::c_style>;
 
 py::tuple ToTuple(BalProblem problem) {
   const auto num_images = static_cast<py::ssize_t>(problem.cam_from_world.size() / 7);

@@ -3,6 +3,7 @@
 
 #include <string>
 
+#include "bindings/arrays.h"
 #include "bindings/gil.h"
 #include "core/cameras/registry.h"
 #include "core/error.h"
@@ -10,8 +11,6 @@
 namespace py = pybind11;
 
 namespace {
-
-using Array = py::array_t<double, py::array::c_style | py::array::forcecast>;
 
 const char* KindName(bundle::CameraParam::Kind kind) {
   switch (kind) {
@@ -54,14 +53,15 @@ py::list CameraModelList() {
 }
 
 /// Python checks the shapes. Returns (xy, status, d_point | None, d_params | None).
-py::tuple ProjectPoints(const std::string& name, const Array& params, const Array& points,
-                        bool jacobians) {
+py::tuple ProjectPoints(const std::string& name, const CastArray<double>& params,
+                        const CastArray<double>& points, bool jacobians) {
   const bundle::CameraModel& model = *bundle::FindCameraModel(name);
   const py::ssize_t n = points.shape(0);
-  Array xy({n, py::ssize_t{2}});
+  CastArray<double> xy({n, py::ssize_t{2}});
   py::array_t<int8_t> status(n);
-  Array d_point({jacobians ? n : 0, py::ssize_t{2}, py::ssize_t{3}});
-  Array d_params({jacobians ? n : 0, py::ssize_t{2}, static_cast<py::ssize_t>(model.num_params)});
+  CastArray<double> d_point({jacobians ? n : 0, py::ssize_t{2}, py::ssize_t{3}});
+  CastArray<double> d_params(
+      {jacobians ? n : 0, py::ssize_t{2}, static_cast<py::ssize_t>(model.num_params)});
   const double* point_data = points.data();
   const double* param_data = params.data();
   double* xy_data = xy.mutable_data();

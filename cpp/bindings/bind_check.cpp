@@ -9,6 +9,7 @@
 #include <utility>
 #include <vector>
 
+#include "bindings/arrays.h"
 #include "bindings/gil.h"
 #include "bindings/options_from_python.h"
 #include "bindings/problem_from_python.h"
@@ -24,8 +25,6 @@ namespace py = pybind11;
 
 namespace {
 
-using Array = py::array_t<double, py::array::c_style | py::array::forcecast>;
-
 /// (name, constant entries), as made by python/bundle/checking/residual_blocks.py.
 using PythonManifold = std::pair<std::string, std::vector<int>>;
 
@@ -33,7 +32,7 @@ bundle::ManifoldSpec ToSpec(const PythonManifold& manifold) {
   return {manifold.first, manifold.second};
 }
 
-std::vector<double> ToVector(const Array& array) {
+std::vector<double> ToVector(const CastArray<double>& array) {
   return std::vector<double>(array.data(), array.data() + array.size());
 }
 
@@ -41,9 +40,9 @@ std::vector<double> ToVector(const Array& array) {
 /// None), or None if it has no value. A Python exception is stored, and ends all further calls.
 class PythonFunction {
  public:
-  PythonFunction(py::function function, const std::vector<Array>& blocks)
+  PythonFunction(py::function function, const std::vector<CastArray<double>>& blocks)
       : function_(std::move(function)) {
-    for (const Array& block : blocks) sizes_.push_back(block.size());
+    for (const CastArray<double>& block : blocks) sizes_.push_back(block.size());
   }
 
   bool operator()(double const* const* parameters, double* residuals, double** jacobians) {
@@ -51,14 +50,15 @@ class PythonFunction {
     try {
       if (PyErr_CheckSignals() != 0) throw py::error_already_set();
       py::list blocks;
-      for (size_t b = 0; b < sizes_.size(); ++b) blocks.append(Array(sizes_[b], parameters[b]));
+      for (size_t b = 0; b < sizes_.size(); ++b)
+        blocks.append(CastArray<double>(sizes_[b], parameters[b]));
       const py::object answer = function_(blocks, jacobians != nullptr);
       if (answer.is_none()) return false;
       const auto pair = py::cast<py::tuple>(answer);
-      Copy(py::cast<Array>(pair[0]), residuals);
+      Copy(py::cast<CastArray<double>>(pair[0]), residuals);
       for (size_t b = 0; jacobians != nullptr && b < sizes_.size(); ++b) {
         if (jacobians[b] == nullptr) continue;
-        Copy(py::cast<Array>(py::cast<py::sequence>(pair[1])[b]), jacobians[b]);
+        Copy(py::cast<CastArray<double>>(py::cast<py::sequence>(pair[1])[b]), jacobians[b]);
       }
       return true;
     } catch (py::error_already_set& error) {
@@ -72,7 +72,9 @@ class PythonFunction {
   }
 
  private:
-  static void Copy(const Array& from, double* to) { std::copy_n(from.data(), from.size(), to); }
+  static void Copy(const CastArray<double>& from, double* to) {
+    std::copy_n(from.data(), from.size(), to);
+  }
 
   py::function function_;
   std::vector<py::ssize_t> sizes_;
@@ -80,12 +82,12 @@ class PythonFunction {
 };
 
 bundle::FunctionAtPoint AtPoint(PythonFunction& function, int num_residuals,
-                                const std::vector<Array>& blocks,
+                                const std::vector<CastArray<double>>& blocks,
                                 const std::vector<PythonManifold>& manifolds) {
   bundle::FunctionAtPoint at;
   at.function = std::ref(function);
   at.num_residuals = num_residuals;
-  for (const Array& block : blocks) at.blocks.push_back(ToVector(block));
+  for (const CastArray<double>& block : blocks) at.blocks.push_back(ToVector(block));
   for (const PythonManifold& manifold : manifolds) at.manifolds.push_back(ToSpec(manifold));
   return at;
 }
@@ -96,8 +98,8 @@ py::array_t<double> ToMatrix(std::vector<double> values, py::ssize_t rows) {
 }
 
 py::tuple Richardson(const py::function& function, int num_residuals,
-                     const std::vector<Array>& blocks, const std::vector<PythonManifold>& manifolds,
-                     std::vector<double> minuends) {
+                     const std::vector<CastArray<double>>& blocks,
+                     const std::vector<PythonManifold>& manifolds, std::vector<double> minuends) {
   PythonFunction python(function, blocks);
   const bundle::KnownScales known{{}, std::move(minuends)};
   bundle::ReferenceJacobians found =
@@ -111,7 +113,7 @@ py::tuple Richardson(const py::function& function, int num_residuals,
 
 /// (agrees, local Jacobian, local numeric Jacobian, message); Jacobians are None if it failed.
 py::tuple GradientChecker(const py::function& function, int num_residuals,
-                          const std::vector<Array>& blocks,
+                          const std::vector<CastArray<double>>& blocks,
                           const std::vector<PythonManifold>& manifolds, double relative_precision) {
   PythonFunction python(function, blocks);
   bundle::GradientCheckerProbe probe = bundle::RunGradientChecker(
@@ -129,18 +131,16 @@ int ManifoldTangentSize(const PythonManifold& manifold, int size) {
   return bundle::ManifoldTangentSize(ToSpec(manifold), size);
 }
 
-py::array_t<double> ManifoldPlus(const PythonManifold& manifold, const Array& x,
-                                 const Array& delta) {
+py::array_t<double> ManifoldPlus(const PythonManifold& manifold, const CastArray<double>& x,
+                                 const CastArray<double>& delta) {
   return ToNumpy(bundle::ManifoldPlus(ToSpec(manifold), ToVector(x), ToVector(delta)), {x.size()});
 }
 
 /// (analytic, reference, uncertainty, ceres: (n, 2, columns) each; rounding, counts, agrees,
 /// stable: (n,))
-py::tuple CheckReprojections(const py::object& problem,
-                             const py::array_t<int64_t, py::array::c_style>& observations,
-                             const py::array_t<double, py::array::c_style>& offsets,
-                             const std::string& cheirality, double relative_precision,
-                             int num_threads) {
+py::tuple CheckReprojections(const py::object& problem, const Array<int64_t>& observations,
+                             const Array<double>& offsets, const std::string& cheirality,
+                             double relative_precision, int num_threads) {
   const bundle::AdjustmentProblem view(ViewProblem(problem));
   const py::ssize_t n = observations.size(), two = 2, columns = bundle::NumCheckedColumns(view);
   const std::vector<py::ssize_t> shape = {n, two, columns};
@@ -173,8 +173,7 @@ py::tuple CheckReprojections(const py::object& problem,
 /// `rotation_offsets` (num_images, 3). `lie`, unless None, gets an observation and its Jacobian (2,
 /// 6 + parameters + 3, and 6 of a rolling shutter's twist), and returns the Jacobian to be claimed.
 std::string SpotCheckSolution(const py::object& problem, const py::dict& options,
-                              const py::array_t<double, py::array::c_style>& rotation_offsets,
-                              const py::object& lie) {
+                              const Array<double>& rotation_offsets, const py::object& lie) {
   const bundle::AdjustmentProblem view(ViewProblem(problem));
   const bundle::SolveOptions solve_options = OptionsFromPython(options);
   bundle::FreeParameters free = bundle::SelectFreeParameters(view, solve_options);
@@ -203,7 +202,8 @@ std::string SpotCheckSolution(const py::object& problem, const py::dict& options
         const auto size = static_cast<py::ssize_t>(
             bundle::kPoseSize + view.camera_models[view.image_camera[image]]->num_params + 3 +
             (view.HasRollingShutter(image) ? bundle::kTwistSize : 0));
-        const auto claimed = py::cast<Array>(lie(observation, Array({two, size}, jacobian)));
+        const auto claimed =
+            py::cast<CastArray<double>>(lie(observation, CastArray<double>({two, size}, jacobian)));
         if (claimed.size() != two * size) {
           throw bundle::InputError("lie: expected " + std::to_string(2 * size) + " values, found " +
                                    std::to_string(claimed.size()));

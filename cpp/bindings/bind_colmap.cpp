@@ -10,6 +10,7 @@
 #include <utility>
 #include <vector>
 
+#include "bindings/arrays.h"
 #include "bindings/file_access.h"
 #include "bindings/gil.h"
 #include "bindings/immutable_array.h"
@@ -25,11 +26,9 @@ namespace py = pybind11;
 namespace bundle {
 namespace {
 
-using Numbers = py::array_t<double, py::array::c_style>;
-
 /// One number per record, in the order of the ids.
 template <typename T, typename Record, typename Get>
-py::array Column(const std::vector<Record>& records, const std::vector<size_t>& by_id, Get get) {
+py::array ColumnOf(const std::vector<Record>& records, const std::vector<size_t>& by_id, Get get) {
   std::vector<T> column(records.size());
   std::transform(by_id.begin(), by_id.end(), column.begin(),
                  [&](size_t position) { return static_cast<T>(get(records[position])); });
@@ -39,7 +38,7 @@ py::array Column(const std::vector<Record>& records, const std::vector<size_t>& 
 
 template <typename Record>
 py::array Ids(const std::vector<Record>& records, const std::vector<size_t>& by_id) {
-  return Column<int64_t>(records, by_id, [](const Record& record) { return record.id; });
+  return ColumnOf<int64_t>(records, by_id, [](const Record& record) { return record.id; });
 }
 
 void PutCameras(const ColmapModel& model, py::dict* fields) {
@@ -83,7 +82,7 @@ void PutImages(const ColmapModel& model, py::dict* fields) {
   (*fields)["cam_from_world"] = ToImmutableNumpy(model.CamFromWorld(), {rows, 7});
   (*fields)["image_ids"] = Ids(images, order);
   (*fields)["image_names"] = names;
-  (*fields)["image_camera"] = Column<int32_t>(images, order, camera_row);
+  (*fields)["image_camera"] = ColumnOf<int32_t>(images, order, camera_row);
 }
 
 void PutRigs(const ColmapModel& model, py::dict* fields) {
@@ -141,7 +140,7 @@ py::tuple ReadModel(const std::string& folder, bool may_be_empty) {
   return py::make_tuple(std::move(model), fields);
 }
 
-void ExpectShape(const Numbers& array, const char* name, size_t rows, py::ssize_t width) {
+void ExpectShape(const Array<double>& array, const char* name, size_t rows, py::ssize_t width) {
   const bool fits = array.ndim() == 2 && array.shape(0) == static_cast<py::ssize_t>(rows) &&
                     (width < 0 || array.shape(1) == width);
   if (!fits) {
@@ -151,11 +150,11 @@ void ExpectShape(const Numbers& array, const char* name, size_t rows, py::ssize_
 }
 
 /// The values from these arrays, which must have the shapes of the model.
-ColmapValues CheckedValues(const ColmapModel& model,
-                           const py::array_t<int64_t, py::array::c_style>& point_ids,
-                           const Numbers& cam_from_world, const Numbers& camera_params,
-                           const Numbers& points, const Numbers& point_errors,
-                           const Numbers& rig_from_world, const Numbers& sensor_from_rig) {
+ColmapValues CheckedValues(const ColmapModel& model, const Array<int64_t>& point_ids,
+                           const Array<double>& cam_from_world, const Array<double>& camera_params,
+                           const Array<double>& points, const Array<double>& point_errors,
+                           const Array<double>& rig_from_world,
+                           const Array<double>& sensor_from_rig) {
   const auto num_points = static_cast<size_t>(point_ids.size());
   ExpectShape(cam_from_world, "cam_from_world", model.images_by_id.size(), 7);
   ExpectShape(rig_from_world, "rig_from_world", model.rigs.frames.size(), 7);
@@ -182,10 +181,10 @@ ColmapValues CheckedValues(const ColmapModel& model,
 }
 
 void WriteModel(const ColmapModel& model, const py::object& given_folder,
-                const Numbers& cam_from_world, const Numbers& camera_params, const Numbers& points,
-                const Numbers& point_errors, const Numbers& rig_from_world,
-                const Numbers& sensor_from_rig,
-                const py::array_t<int64_t, py::array::c_style>& point_ids) {
+                const Array<double>& cam_from_world, const Array<double>& camera_params,
+                const Array<double>& points, const Array<double>& point_errors,
+                const Array<double>& rig_from_world, const Array<double>& sensor_from_rig,
+                const Array<int64_t>& point_ids) {
   const std::filesystem::path folder = PathFromPython(given_folder);
   const ColmapValues values = CheckedValues(model, point_ids, cam_from_world, camera_params, points,
                                             point_errors, rig_from_world, sensor_from_rig);
@@ -213,9 +212,8 @@ py::tuple SurveyModel(const std::string& folder) {
 
 /// The model, the fields of a bundle.Problem by name except the ids of the points, and
 /// contradictions: file (0: points), position in it, message.
-py::tuple ReadPartOfModel(const std::string& folder,
-                          const py::array_t<int64_t, py::array::c_style>& point_ids,
-                          const py::array_t<int32_t, py::array::c_style>& place) {
+py::tuple ReadPartOfModel(const std::string& folder, const Array<int64_t>& point_ids,
+                          const Array<int32_t>& place) {
   if (point_ids.size() != place.size()) {
     throw InputError("place: expected " + std::to_string(point_ids.size()) + " numbers");
   }

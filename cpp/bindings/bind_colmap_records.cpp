@@ -13,6 +13,7 @@
 #include <utility>
 #include <vector>
 
+#include "bindings/arrays.h"
 #include "bindings/file_access.h"
 #include "bindings/gil.h"
 #include "bindings/immutable_array.h"
@@ -111,13 +112,10 @@ py::dict Contents(const ColmapModel& model) {
   return contents;
 }
 
-template <typename T>
-using Array = py::array_t<T, py::array::c_style | py::array::forcecast>;
-
 /// An attribute of a Python object, as an array of `rows` rows.
 template <typename T>
-Array<T> ArrayOf(const py::object& owner, const char* name, size_t rows, size_t width = 1) {
-  auto array = owner.attr(name).cast<Array<T>>();
+CastArray<T> ArrayOf(const py::object& owner, const char* name, size_t rows, size_t width = 1) {
+  auto array = owner.attr(name).cast<CastArray<T>>();
   if (static_cast<size_t>(array.size()) != rows * width) {
     throw InputError(std::string(name) + ": expected " + std::to_string(rows) + " rows of " +
                      std::to_string(width) + ", found " + std::to_string(array.size()) +
@@ -132,7 +130,7 @@ void TakeCameras(const py::object& given, ColmapRecords* records) {
   const size_t count = Length(given, "camera_ids");
   const auto ids = ArrayOf<uint32_t>(given, "camera_ids", count);
   const auto sizes = ArrayOf<uint64_t>(given, "camera_sizes", count, 2);
-  const auto params = given.attr("camera_params").cast<Array<double>>();
+  const auto params = given.attr("camera_params").cast<CastArray<double>>();
   const py::sequence models = given.attr("camera_models");
   for (size_t c = 0; c < count; ++c) {
     const CameraModel* model = FindCameraModel(models[c].cast<std::string>());

@@ -6,11 +6,9 @@
 #include <utility>
 #include <vector>
 
-#include "bindings/given_factors.h"
+#include "bindings/arrays.h"
+#include "bindings/given_problem.h"
 #include "bindings/immutable_array.h"
-#include "bindings/options_from_python.h"
-#include "bindings/problem_from_python.h"
-#include "bindings/python_progress.h"
 #include "core/covariance/covariance.h"
 #include "core/covariance/influence.h"
 #include "core/covariance/reliability.h"
@@ -19,16 +17,28 @@ namespace py = pybind11;
 
 namespace {
 
-py::dict Covariance(
-    const py::object& problem, const py::dict& options, const py::object& restrictions,
-    const py::object& given_factors, bool inner, bool sandwich, bool of_points,
-    const std::vector<std::pair<int, int>>& relative, bool long_sums, bool of_images,
-    const std::optional<py::array_t<double, py::array::c_style | py::array::forcecast>>&
-        functions) {
-  bundle::AdjustmentProblem view(ViewProblem(problem));
-  view.restrictions = ViewRestrictions(restrictions, view);
-  GivenFactors factors(given_factors);
-  const bundle::SolveOptions solve_options = OptionsFromPython(options);
+/// Adds what all outputs have.
+void PutSums(bundle::CovarianceOutput* from, py::dict* to) {
+  py::dict& d = *to;
+  d["weighted_squares"] = from->weighted_squares;
+  d["num_residuals"] = from->num_residuals;
+  d["num_parameters"] = from->num_parameters;
+  d["predicted_decrease"] = from->predicted_decrease;
+  d["gauge_degrees"] = from->gauge_degrees;
+  const auto num_null = static_cast<py::ssize_t>(from->null_points.size());
+  d["null_points"] = ToImmutableNumpy(std::move(from->null_points), {num_null});
+  py::list warnings;
+  for (const bundle::Warning& warning : from->warnings) warnings.append(warning.text);
+  d["warnings"] = warnings;
+}
+
+py::dict Covariance(const py::object& problem, const py::dict& options,
+                    const py::object& restrictions, const py::object& factors, bool inner,
+                    bool sandwich, bool of_points, const std::vector<std::pair<int, int>>& relative,
+                    bool long_sums, bool of_images,
+                    const std::optional<CastArray<double>>& functions) {
+  GivenProblem given(problem, options, restrictions, factors);
+  const bundle::AdjustmentProblem& view = given.view();
   bundle::CovarianceOptions wanted;
   wanted.inner = inner;
   wanted.sandwich = sandwich;
@@ -37,13 +47,8 @@ py::dict Covariance(
   if (functions) wanted.functions.assign(functions->data(), functions->data() + functions->size());
   wanted.long_sums = long_sums;
   wanted.relative = relative;
-  PythonProgress watch{py::none()};
-  bundle::CovarianceOutput output = RunWatched(&watch, [&] {
-    bundle::ValidateProblem(view);
-    view.factors = factors.Check();
-    return bundle::ComputeCovariance(view, solve_options, wanted);
-  });
-  watch.Rethrow();
+  bundle::CovarianceOutput output = given.Run(
+      [&](const auto& p, const auto& o) { return bundle::ComputeCovariance(p, o, wanted); });
   const py::ssize_t images = view.num_images, frames = view.num_frames, sensors = view.num_sensors,
                     cameras = view.num_cameras, points = view.num_points,
                     stride = view.camera_params_stride;
@@ -52,11 +57,7 @@ py::dict Covariance(
   d["steps"] = ToImmutableNumpy(std::move(output.steps), {images, 6});
   const py::ssize_t num_functions = functions ? functions->shape(0) : 0;
   d["functions"] = ToImmutableNumpy(std::move(output.functions), {num_functions, num_functions});
-  d["weighted_squares"] = output.weighted_squares;
-  d["num_residuals"] = output.num_residuals;
-  d["num_parameters"] = output.num_parameters;
-  d["predicted_decrease"] = output.predicted_decrease;
-  d["gauge_degrees"] = output.gauge_degrees;
+  PutSums(&output, &d);
   if (!of_images) return d;
   d["poses"] = ToImmutableNumpy(std::move(output.poses), {images, 6, 6});
   d["frames"] = ToImmutableNumpy(std::move(output.frames), {frames, 6, 6});
@@ -68,11 +69,6 @@ py::dict Covariance(
   }
   if (of_points) d["points"] = ToImmutableNumpy(std::move(output.points), {points, 3, 3});
   d["relative"] = ToImmutableNumpy(std::move(output.relative), {count(relative), 6, 6});
-  const py::ssize_t num_null = count(output.null_points);
-  d["null_points"] = ToImmutableNumpy(std::move(output.null_points), {num_null});
-  py::list warnings;
-  for (const bundle::Warning& warning : output.warnings) warnings.append(warning.text);
-  d["warnings"] = warnings;
   return d;
 }
 
@@ -95,50 +91,30 @@ void PutReliability(bundle::ReliabilityOutput output, py::ssize_t n, py::dict* t
         py::make_tuple(one.observation, one.point, one.point_sigmas, one.image, one.image_sigmas));
   }
   d["worst"] = worst;
-  bundle::CovarianceOutput& sums = output.sums;
-  d["weighted_squares"] = sums.weighted_squares;
-  d["num_residuals"] = sums.num_residuals;
-  d["num_parameters"] = sums.num_parameters;
-  d["predicted_decrease"] = sums.predicted_decrease;
-  d["gauge_degrees"] = sums.gauge_degrees;
-  const py::ssize_t num_null = count(sums.null_points);
-  d["null_points"] = ToImmutableNumpy(std::move(sums.null_points), {num_null});
-  py::list warnings;
-  for (const bundle::Warning& warning : sums.warnings) warnings.append(warning.text);
-  d["warnings"] = warnings;
+  PutSums(&output.sums, to);
 }
 
 py::dict Reliability(const py::object& problem, const py::dict& options,
-                     const py::object& restrictions, const py::object& given_factors, double least,
+                     const py::object& restrictions, const py::object& factors, double least,
                      int num_worst, bool long_sums) {
-  bundle::AdjustmentProblem view(ViewProblem(problem));
-  view.restrictions = ViewRestrictions(restrictions, view);
-  GivenFactors factors(given_factors);
-  const bundle::SolveOptions solve_options = OptionsFromPython(options);
+  GivenProblem given(problem, options, restrictions, factors);
+  const bundle::AdjustmentProblem& view = given.view();
   const bundle::ReliabilityOptions wanted{least, num_worst, long_sums};
-  PythonProgress watch{py::none()};
-  bundle::ReliabilityOutput output = RunWatched(&watch, [&] {
-    bundle::ValidateProblem(view);
-    view.factors = factors.Check();
-    return bundle::ComputeReliability(view, solve_options, wanted);
-  });
-  watch.Rethrow();
+  bundle::ReliabilityOutput output = given.Run(
+      [&](const auto& p, const auto& o) { return bundle::ComputeReliability(p, o, wanted); });
   py::dict d;
   PutReliability(std::move(output), view.num_observations, &d);
   return d;
 }
 
-using Doubles = py::array_t<double, py::array::c_style | py::array::forcecast>;
-
 /// The arrays have one row per image, camera and point of the problem, which is checked here.
 py::dict Influence(const py::object& problem, const py::dict& options,
-                   const py::object& restrictions, const py::object& given_factors, double least,
-                   const Doubles& images, const Doubles& cameras, const Doubles& points) {
-  bundle::AdjustmentProblem view(ViewProblem(problem));
-  view.restrictions = ViewRestrictions(restrictions, view);
-  GivenFactors factors(given_factors);
-  const bundle::SolveOptions solve_options = OptionsFromPython(options);
-  const auto values = [](const Doubles& array) {
+                   const py::object& restrictions, const py::object& factors, double least,
+                   const CastArray<double>& images, const CastArray<double>& cameras,
+                   const CastArray<double>& points) {
+  GivenProblem given(problem, options, restrictions, factors);
+  const bundle::AdjustmentProblem& view = given.view();
+  const auto values = [](const CastArray<double>& array) {
     return std::vector<double>(array.data(), array.data() + array.size());
   };
   const bundle::InfluenceOptions gradient{values(images), values(cameras), values(points)};
@@ -149,13 +125,9 @@ py::dict Influence(const py::object& problem, const py::dict& options,
   }
   bundle::ReliabilityOptions wanted;
   wanted.least = least;
-  PythonProgress watch{py::none()};
-  bundle::InfluenceOutput output = RunWatched(&watch, [&] {
-    bundle::ValidateProblem(view);
-    view.factors = factors.Check();
-    return bundle::ComputeInfluence(view, solve_options, gradient, wanted);
+  bundle::InfluenceOutput output = given.Run([&](const auto& p, const auto& o) {
+    return bundle::ComputeInfluence(p, o, gradient, wanted);
   });
-  watch.Rethrow();
   const py::ssize_t n = view.num_observations, num_points = view.num_points;
   const auto m = static_cast<py::ssize_t>(output.factor_share.size());
   py::dict d;

@@ -5,33 +5,22 @@
 #include <utility>
 #include <vector>
 
-#include "bindings/given_factors.h"
+#include "bindings/arrays.h"
+#include "bindings/given_problem.h"
 #include "bindings/immutable_array.h"
-#include "bindings/options_from_python.h"
-#include "bindings/problem_from_python.h"
-#include "bindings/python_progress.h"
 #include "core/diagnosis/reduced_spectrum.h"
 
 namespace py = pybind11;
 
 namespace {
 
-using Int32s = py::array_t<int32_t, py::array::c_style>;
-
 py::dict ReducedSpectrum(const py::object& problem, const py::dict& options,
-                         const Int32s& image_piece, const py::object& restrictions,
-                         const py::object& given_factors, int num_modes) {
-  bundle::AdjustmentProblem view(ViewProblem(problem));
-  view.restrictions = ViewRestrictions(restrictions, view);
-  GivenFactors factors(given_factors);
-  const bundle::SolveOptions solve_options = OptionsFromPython(options);
-  PythonProgress watch{py::none()};
-  bundle::ReducedSpectrum found = RunWatched(&watch, [&] {
-    bundle::ValidateProblem(view);
-    view.factors = factors.Check();
-    return bundle::FindReducedSpectrum(view, solve_options, image_piece.data(), num_modes);
+                         const Array<int32_t>& image_piece, const py::object& restrictions,
+                         const py::object& factors, int num_modes) {
+  GivenProblem given(problem, options, restrictions, factors);
+  bundle::ReducedSpectrum found = given.Run([&](const auto& p, const auto& o) {
+    return bundle::FindReducedSpectrum(p, o, image_piece.data(), num_modes);
   });
-  watch.Rethrow();
 
   std::vector<int32_t> unknowns, null_points;
   for (const bundle::UnknownName& name : found.unknowns) {

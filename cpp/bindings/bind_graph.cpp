@@ -8,6 +8,7 @@
 #include <utility>
 #include <vector>
 
+#include "bindings/arrays.h"
 #include "bindings/gil.h"
 #include "bindings/graph_from_python.h"
 #include "bindings/immutable_array.h"
@@ -29,8 +30,6 @@
 namespace py = pybind11;
 
 namespace {
-
-using Array = py::array_t<double, py::array::c_style | py::array::forcecast>;
 
 py::dict SolveGraph(const py::list& variables, const py::list& factors, const py::dict& options,
                     const py::object& progress, bool square_root) {
@@ -143,10 +142,10 @@ py::cpp_function FactorFunction(const py::list& variables, const py::tuple& fact
   auto graph = std::make_shared<bundle::FactorGraph>(
       GraphFromPython(variables, py::list(py::make_tuple(factor))));
   bundle::CheckVariables(*graph->factors[0], graph->blocks);
-  return py::cpp_function([graph](const std::vector<Array>& values) -> py::object {
+  return py::cpp_function([graph](const std::vector<CastArray<double>>& values) -> py::object {
     const bundle::Factor& made = *graph->factors[0];
     const py::ssize_t rows = made.num_residuals();
-    Array residual(rows);
+    CastArray<double> residual(rows);
     py::list matrices;
     std::vector<const double*> pointers;
     std::vector<double*> jacobians;
@@ -155,7 +154,8 @@ py::cpp_function FactorFunction(const py::list& variables, const py::tuple& fact
           values[b].size() != made.retractions()[b].ambient_size()) {
         throw bundle::InputError(made.name() + ": expected the values of its variables");
       }
-      Array jacobian({rows, static_cast<py::ssize_t>(made.retractions()[b].tangent_size())});
+      CastArray<double> jacobian(
+          {rows, static_cast<py::ssize_t>(made.retractions()[b].tangent_size())});
       pointers.push_back(values[b].data());
       jacobians.push_back(jacobian.mutable_data());
       matrices.append(jacobian);
@@ -172,45 +172,49 @@ py::cpp_function FactorFunction(const py::list& variables, const py::tuple& fact
   });
 }
 
-bundle::Retraction RetractionOf(const std::string& manifold, const Array& x) {
+bundle::Retraction RetractionOf(const std::string& manifold, const CastArray<double>& x) {
   return bundle::RetractionFromName(manifold, static_cast<int>(x.size()));
 }
 
-void CheckTangent(const bundle::Retraction& retraction, const Array& delta) {
+void CheckTangent(const bundle::Retraction& retraction, const CastArray<double>& delta) {
   if (delta.size() == retraction.tangent_size()) return;
   throw bundle::InputError("expected " + std::to_string(retraction.tangent_size()) +
                            " tangent coordinates, found " + std::to_string(delta.size()));
 }
 
-Array Retract(const std::string& manifold, const Array& x, const Array& delta) {
+CastArray<double> Retract(const std::string& manifold, const CastArray<double>& x,
+                          const CastArray<double>& delta) {
   const bundle::Retraction retraction = RetractionOf(manifold, x);
   CheckTangent(retraction, delta);
-  Array moved(x.size());
+  CastArray<double> moved(x.size());
   retraction.Plus(x.data(), delta.data(), moved.mutable_data());
   return moved;
 }
 
-Array Local(const std::string& manifold, const Array& x, const Array& y) {
+CastArray<double> Local(const std::string& manifold, const CastArray<double>& x,
+                        const CastArray<double>& y) {
   const bundle::Retraction retraction = RetractionOf(manifold, x);
   if (retraction != RetractionOf(manifold, y)) {
     throw bundle::InputError("expected two values of one manifold");
   }
-  Array delta(static_cast<py::ssize_t>(retraction.tangent_size()));
+  CastArray<double> delta(static_cast<py::ssize_t>(retraction.tangent_size()));
   retraction.Local(x.data(), y.data(), delta.mutable_data());
   return delta;
 }
 
-Array RightJacobian(const std::string& manifold, const Array& x, const Array& delta) {
+CastArray<double> RightJacobian(const std::string& manifold, const CastArray<double>& x,
+                                const CastArray<double>& delta) {
   const bundle::Retraction retraction = RetractionOf(manifold, x);
   CheckTangent(retraction, delta);
   const py::ssize_t n = retraction.tangent_size();
-  Array jacobian({n, n});
+  CastArray<double> jacobian({n, n});
   retraction.RightJacobian(delta.data(), jacobian.mutable_data());
   return jacobian;
 }
 
 /// The value in its stored form, and the names of the tangent coordinates.
-py::tuple CheckValue(const std::string& name, const std::string& manifold, const Array& value) {
+py::tuple CheckValue(const std::string& name, const std::string& manifold,
+                     const CastArray<double>& value) {
   const bundle::Retraction retraction = [&] {
     try {
       return RetractionOf(manifold, value);

@@ -6,6 +6,7 @@
 #include <string>
 #include <vector>
 
+#include "bindings/arrays.h"
 #include "bindings/immutable_array.h"
 #include "core/error.h"
 #include "core/inertial/preintegration.h"
@@ -15,10 +16,8 @@ namespace py = pybind11;
 
 namespace {
 
-using Array = py::array_t<double, py::array::c_style | py::array::forcecast>;
-
 /// A row of numbers whose length the Python side has checked.
-const double* RowOf(const Array& array, py::ssize_t size, const char* what) {
+const double* RowOf(const CastArray<double>& array, py::ssize_t size, const char* what) {
   if (array.ndim() != 1 || array.shape(0) != size) {
     throw bundle::InputError(std::string(what) + ": expected " + std::to_string(size) +
                              " numbers, found " + std::to_string(array.size()));
@@ -32,7 +31,7 @@ bundle::IntegrationRule RuleFromName(const std::string& name) {
   throw bundle::InputError("rule: expected zero_order_hold or midpoint, found " + name);
 }
 
-std::string ShapeOf(const Array& array) {
+std::string ShapeOf(const CastArray<double>& array) {
   std::string out = "(";
   for (py::ssize_t i = 0; i < array.ndim(); ++i) {
     out += (i > 0 ? ", " : "") + std::to_string(array.shape(i));
@@ -41,15 +40,15 @@ std::string ShapeOf(const Array& array) {
 }
 
 /// The number of intervals of samples whose shapes match.
-int CountSamples(const Array& gyro, const Array& accel, const Array& dt,
-                 bundle::IntegrationRule rule) {
+int CountSamples(const CastArray<double>& gyro, const CastArray<double>& accel,
+                 const CastArray<double>& dt, bundle::IntegrationRule rule) {
   if (dt.ndim() != 1 || dt.size() > 1 << 28) {
     throw bundle::InputError("dt: expected shape (n,), found " + ShapeOf(dt));
   }
   const bool midpoint = rule == bundle::IntegrationRule::kMidpoint;
   const py::ssize_t rows = dt.size() + (midpoint ? 1 : 0);
   const char* const names[] = {"gyro", "accel"};
-  const Array* const arrays[] = {&gyro, &accel};
+  const CastArray<double>* const arrays[] = {&gyro, &accel};
   for (int k = 0; k < 2; ++k) {
     if (arrays[k]->ndim() == 2 && arrays[k]->shape(0) == rows && arrays[k]->shape(1) == 3) continue;
     throw bundle::InputError(std::string(names[k]) + ": expected shape (" + std::to_string(rows) +
@@ -65,9 +64,9 @@ py::array Immutable(const double* numbers, std::vector<py::ssize_t> shape) {
   return ToImmutableNumpy(std::vector<double>(numbers, numbers + size), std::move(shape));
 }
 
-std::shared_ptr<bundle::Preintegration> MakePreintegration(const Array& noise,
-                                                           const Array& gyro_bias,
-                                                           const Array& accel_bias,
+std::shared_ptr<bundle::Preintegration> MakePreintegration(const CastArray<double>& noise,
+                                                           const CastArray<double>& gyro_bias,
+                                                           const CastArray<double>& accel_bias,
                                                            const std::string& rule) {
   const double* n = RowOf(noise, 5, "noise");
   return std::make_shared<bundle::Preintegration>(
@@ -90,7 +89,7 @@ py::array SamplesOf(const bundle::Preintegration& motion) {
   return ToImmutableNumpy(std::move(out), {count, kNumbersOfSample});
 }
 
-void AppendSamples(bundle::Preintegration* motion, const Array& rows) {
+void AppendSamples(bundle::Preintegration* motion, const CastArray<double>& rows) {
   if (rows.ndim() != 2 || rows.shape(1) != kNumbersOfSample) {
     throw bundle::InputError("samples: expected shape (n, 10), found " + ShapeOf(rows));
   }
@@ -108,8 +107,9 @@ void AppendSamples(bundle::Preintegration* motion, const Array& rows) {
   motion->Append(samples);
 }
 
-py::array Propagate(const Array& state, const Array& gravity, const std::string& rule_name,
-                    const Array& gyro, const Array& accel, const Array& dt) {
+py::array Propagate(const CastArray<double>& state, const CastArray<double>& gravity,
+                    const std::string& rule_name, const CastArray<double>& gyro,
+                    const CastArray<double>& accel, const CastArray<double>& dt) {
   const bundle::IntegrationRule rule = RuleFromName(rule_name);
   const int count = CountSamples(gyro, accel, dt, rule);
   py::array_t<double> out({static_cast<py::ssize_t>(count), py::ssize_t{16}});
@@ -132,22 +132,25 @@ void BindInertial(py::module_& m) {
       .def(py::init(&MakePreintegration), py::arg("noise"), py::arg("gyro_bias"),
            py::arg("accel_bias"), py::arg("rule"))
       .def("integrate",
-           [](Preintegration& motion, const Array& gyro, const Array& accel, const Array& dt) {
+           [](Preintegration& motion, const CastArray<double>& gyro, const CastArray<double>& accel,
+              const CastArray<double>& dt) {
              const int count = CountSamples(gyro, accel, dt, motion.rule());
              motion.Integrate(gyro.data(), accel.data(), dt.data(), count);
            })
       .def("append",
            [](Preintegration& motion, const Preintegration& next) { motion.Append(next); })
-      .def("append_samples",
-           [](Preintegration& motion, const Array& rows) { AppendSamples(&motion, rows); })
+      .def("append_samples", [](Preintegration& motion,
+                                const CastArray<double>& rows) { AppendSamples(&motion, rows); })
       .def("copy", [](const Preintegration& motion) { return Preintegration(motion); })
       .def("repropagated",
-           [](const Preintegration& motion, const Array& gyro_bias, const Array& accel_bias) {
+           [](const Preintegration& motion, const CastArray<double>& gyro_bias,
+              const CastArray<double>& accel_bias) {
              return motion.Repropagated(RowOf(gyro_bias, 3, "gyro_bias"),
                                         RowOf(accel_bias, 3, "accel_bias"));
            })
       .def("corrected",
-           [](const Preintegration& motion, const Array& gyro_bias, const Array& accel_bias) {
+           [](const Preintegration& motion, const CastArray<double>& gyro_bias,
+              const CastArray<double>& accel_bias) {
              double rotation[9], position[3], velocity[3];
              motion.Corrected(RowOf(gyro_bias, 3, "gyro_bias"), RowOf(accel_bias, 3, "accel_bias"),
                               rotation, position, velocity);
@@ -155,7 +158,8 @@ void BindInertial(py::module_& m) {
                                    Immutable(position, {3}));
            })
       .def("predict",
-           [](const Preintegration& motion, const Array& state, const Array& gravity) {
+           [](const Preintegration& motion, const CastArray<double>& state,
+              const CastArray<double>& gravity) {
              py::array_t<double> out(16);
              bundle::PredictState(motion, RowOf(state, 16, "state"), RowOf(gravity, 3, "gravity"),
                                   out.mutable_data());

@@ -6,6 +6,7 @@
 #include <utility>
 #include <vector>
 
+#include "bindings/arrays.h"
 #include "bindings/gil.h"
 #include "bindings/options_from_python.h"
 #include "bindings/problem_from_python.h"
@@ -75,24 +76,23 @@ py::dict EliminationPlan(const py::object& problem, const py::dict& options) {
   return d;
 }
 
-using Ints = py::array_t<int, py::array::c_style>;
-using Int64s = py::array_t<int64_t, py::array::c_style>;
-
 /// Takes the output of `_core.reduced_pattern`.
-bundle::BlockPatternView View(const Ints& sizes, const Int64s& column_begin, const Ints& rows) {
+bundle::BlockPatternView View(const Array<int>& sizes, const Array<int64_t>& column_begin,
+                              const Array<int>& rows) {
   return {static_cast<int>(sizes.size()), sizes.data(), column_begin.data(), rows.data()};
 }
 
-double PanelValues(const Ints& sizes, const Int64s& column_begin, const Ints& rows,
-                   const Ints& order) {
+double PanelValues(const Array<int>& sizes, const Array<int64_t>& column_begin,
+                   const Array<int>& rows, const Array<int>& order) {
   const bundle::BlockPatternView pattern = View(sizes, column_begin, rows);
   const std::vector<int> blocks(order.data(), order.data() + order.size());
   const ReleaseGil release;
   return bundle::CountPanelValues(pattern, blocks);
 }
 
-py::dict CountPanelWork(const Ints& sizes, const Int64s& column_begin, const Ints& rows,
-                        const Ints& order, double near_cache, double far_cache, int num_threads) {
+py::dict CountPanelWork(const Array<int>& sizes, const Array<int64_t>& column_begin,
+                        const Array<int>& rows, const Array<int>& order, double near_cache,
+                        double far_cache, int num_threads) {
   const bundle::BlockPatternView pattern = View(sizes, column_begin, rows);
   const std::vector<int> blocks(order.data(), order.data() + order.size());
   bundle::PanelWork work;
@@ -119,9 +119,9 @@ py::dict CountPanelWork(const Ints& sizes, const Int64s& column_begin, const Int
 
 /// The linear solver that the fused backend's `auto` chooses, in upper case, and true if conjugate
 /// gradients would not form S.
-std::pair<std::string, bool> AutoChoice(const Ints& sizes, const Int64s& column_begin,
-                                        const Ints& rows, int num_threads, int64_t num_observations,
-                                        int64_t num_pairs) {
+std::pair<std::string, bool> AutoChoice(const Array<int>& sizes, const Array<int64_t>& column_begin,
+                                        const Array<int>& rows, int num_threads,
+                                        int64_t num_observations, int64_t num_pairs) {
   const bundle::BlockPatternView pattern = View(sizes, column_begin, rows);
   const ReleaseGil release;
   const bundle::SolverChoice choice =

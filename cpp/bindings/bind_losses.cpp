@@ -3,6 +3,7 @@
 
 #include <string>
 
+#include "bindings/arrays.h"
 #include "bindings/options_from_python.h"
 #include "core/ceres/losses.h"
 #include "core/factors/loss.h"
@@ -11,22 +12,21 @@ namespace py = pybind11;
 
 namespace {
 
-using Array = py::array_t<double, py::array::c_style>;
-
-Array EvaluateLoss(const std::string& loss, double scale, const Array& squared_norms) {
+Array<double> EvaluateLoss(const std::string& loss, double scale,
+                           const Array<double>& squared_norms) {
   const py::ssize_t n = squared_norms.size();
-  Array values({n, py::ssize_t{3}});
+  Array<double> values({n, py::ssize_t{3}});
   bundle::EvaluateLoss(LossFromName(loss), scale, n, squared_norms.data(), values.mutable_data());
   return values;
 }
 
 /// Returns the corrected (residual, jacobian), or None if no correction exists.
-py::object Correct(const Array& rho, const Array& residual, const Array& jacobian,
-                   const std::string& second_order_term) {
+py::object Correct(const Array<double>& rho, const Array<double>& residual,
+                   const Array<double>& jacobian, const std::string& second_order_term) {
   const int rows = static_cast<int>(jacobian.shape(0));
   const int columns = static_cast<int>(jacobian.shape(1));
-  Array r(residual.request());
-  Array j(jacobian.request());
+  Array<double> r(residual.request());
+  Array<double> j(jacobian.request());
   if (second_order_term == "ceres") {
     bundle::CorrectWithCeres(rho.data(), rows, columns, r.mutable_data(), j.mutable_data());
     return py::make_tuple(r, j);
@@ -40,9 +40,10 @@ py::object Correct(const Array& rho, const Array& residual, const Array& jacobia
   return py::make_tuple(r, j);
 }
 
-Array SecondOrderBlock(const Array& rho, const Array& residual, const Array& jacobian) {
+Array<double> SecondOrderBlock(const Array<double>& rho, const Array<double>& residual,
+                               const Array<double>& jacobian) {
   const int columns = static_cast<int>(jacobian.shape(1));
-  Array block({columns, columns});
+  Array<double> block({columns, columns});
   bundle::SecondOrderBlock(rho.data(), static_cast<int>(jacobian.shape(0)), columns,
                            residual.data(), jacobian.data(), block.mutable_data());
   return block;

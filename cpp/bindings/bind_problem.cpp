@@ -4,6 +4,7 @@
 #include <string>
 #include <string_view>
 
+#include "bindings/arrays.h"
 #include "bindings/gil.h"
 #include "bindings/immutable_array.h"
 #include "bindings/options_from_python.h"
@@ -78,8 +79,8 @@ py::tuple ReprojectionResiduals(const py::object& problem, int num_threads,
 }
 
 /// Returns (residual, d_pose, d_params, d_point, d_twist); `rotation_offsets` is (num_images, 3).
-py::tuple Linearize(const py::object& problem, const std::string& cheirality,
-                    const py::array_t<double, py::array::c_style>& rotation_offsets) {
+py::tuple LinearizeObservations(const py::object& problem, const std::string& cheirality,
+                                const Array<double>& rotation_offsets) {
   const bundle::ProblemView view = ViewProblem(problem);
   const py::ssize_t n = view.num_observations, two = 2;
   py::array_t<double> residual({n, two});
@@ -109,6 +110,6 @@ void BindProblem(py::module_& m) {
         py::arg("cheirality"));
   m.def("reprojection_residuals", &ReprojectionResiduals, py::arg("problem"),
         py::arg("num_threads"), py::arg("cheirality"));
-  m.def("linearize", &Linearize, py::arg("problem"), py::arg("cheirality"),
+  m.def("linearize", &LinearizeObservations, py::arg("problem"), py::arg("cheirality"),
         py::arg("rotation_offsets"));
 }

@@ -5,11 +5,8 @@
 #include <utility>
 #include <vector>
 
-#include "bindings/given_factors.h"
+#include "bindings/given_problem.h"
 #include "bindings/immutable_array.h"
-#include "bindings/options_from_python.h"
-#include "bindings/problem_from_python.h"
-#include "bindings/python_progress.h"
 #include "core/covariance/rest_information.h"
 
 namespace py = pybind11;
@@ -19,22 +16,14 @@ namespace {
 /// Calls compute(view, options, kept) for a valid problem.
 template <typename Compute>
 auto OnProblem(const py::object& problem, const py::dict& options, const py::object& restrictions,
-               const py::object& given_factors, const std::vector<int>& images,
+               const py::object& factors, const std::vector<int>& images,
                const std::vector<int>& frames, const std::vector<int>& cameras,
                const Compute& compute) {
-  bundle::AdjustmentProblem view(ViewProblem(problem));
-  view.restrictions = ViewRestrictions(restrictions, view);
-  GivenFactors factors(given_factors);
-  const bundle::SolveOptions solve_options = OptionsFromPython(options);
   const bundle::KeptVariables kept{images, frames, cameras};
-  PythonProgress watch{py::none()};
-  auto output = RunWatched(&watch, [&] {
-    bundle::ValidateProblem(view);
-    view.factors = factors.Check();
-    return std::make_pair(compute(view, solve_options, kept), bundle::TangentSize(kept, view));
-  });
-  watch.Rethrow();
-  return output;
+  return GivenProblem(problem, options, restrictions, factors)
+      .Run([&](const auto& p, const auto& o) {
+        return std::make_pair(compute(p, o, kept), bundle::TangentSize(kept, p));
+      });
 }
 
 py::dict MarginalizeRest(const py::object& problem, const py::dict& options,

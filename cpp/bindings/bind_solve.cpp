@@ -8,6 +8,7 @@
 #include <utility>
 #include <vector>
 
+#include "bindings/arrays.h"
 #include "bindings/gil.h"
 #include "bindings/given_factors.h"
 #include "bindings/immutable_array.h"
@@ -90,8 +91,7 @@ py::dict SolvePart(const py::object& problem, const py::dict& options, const py:
   PythonCommunicator communicator(ranks);
   view.division.communicator = &communicator;
   view.division.image_is_observed = image_is_observed.data();
-  const auto section = py::cast<py::array_t<uint16_t, py::array::c_style | py::array::forcecast>>(
-      problem.attr("point_section"));
+  const auto section = py::cast<CastArray<uint16_t>>(problem.attr("point_section"));
   if (section.size() != view.num_points) {
     throw bundle::InputError("point_section: expected one entry per point");
   }
@@ -107,10 +107,8 @@ py::dict SolvePart(const py::object& problem, const py::dict& options, const py:
 }
 
 /// Adds double-doubles to other double-doubles, in place.
-void AddDoubleDouble(const py::array_t<double, py::array::c_style>& sums,
-                     const py::array_t<double, py::array::c_style>& errors,
-                     py::array_t<double, py::array::c_style> to_sums,
-                     py::array_t<double, py::array::c_style> to_errors) {
+void AddDoubleDouble(const Array<double>& sums, const Array<double>& errors, Array<double> to_sums,
+                     Array<double> to_errors) {
   const py::ssize_t count = sums.size();
   if (errors.size() != count || to_sums.size() != count || to_errors.size() != count) {
     throw bundle::InputError("add_double_doubles: expected four arrays of one size");

@@ -7,6 +7,7 @@
 #include <utility>
 #include <vector>
 
+#include "bindings/arrays.h"
 #include "bindings/gil.h"
 #include "bindings/options_from_python.h"
 #include "bindings/problem_from_python.h"
@@ -22,9 +23,6 @@ namespace py = pybind11;
 
 namespace {
 
-using Ints = py::array_t<int, py::array::c_style>;
-using Int64s = py::array_t<int64_t, py::array::c_style>;
-
 template <typename Array>
 void ExpectLength(const char* name, const Array& array, int64_t length) {
   if (array.ndim() == 1 && array.shape(0) == length) return;
@@ -37,8 +35,8 @@ void ExpectLength(const char* name, const Array& array, int64_t length) {
 }
 
 /// The arrays must outlive the view. Throws InputError unless they are a valid pattern.
-bundle::BlockPatternView ViewPattern(const Ints& sizes, const Int64s& column_begin,
-                                     const Ints& rows) {
+bundle::BlockPatternView ViewPattern(const Array<int>& sizes, const Array<int64_t>& column_begin,
+                                     const Array<int>& rows) {
   if (sizes.ndim() != 1 || sizes.size() >= std::numeric_limits<int>::max()) {
     throw bundle::InputError("sizes: expected one entry per block and less than 2^31, found " +
                              std::to_string(sizes.ndim()) + " dimensions and " +
@@ -65,8 +63,8 @@ py::tuple ToTuple(bundle::BlockPattern pattern) {
                         ToVector(std::move(pattern.row)));
 }
 
-py::array_t<int> OrderBlocks(const Ints& sizes, const Int64s& column_begin, const Ints& rows,
-                             const std::string& method) {
+py::array_t<int> OrderBlocks(const Array<int>& sizes, const Array<int64_t>& column_begin,
+                             const Array<int>& rows, const std::string& method) {
   const bundle::OrderingMethod ordering = bundle::OrderingFromName(method);
   const bundle::BlockPatternView pattern = ViewPattern(sizes, column_begin, rows);
   std::vector<int> order;
@@ -78,8 +76,8 @@ py::array_t<int> OrderBlocks(const Ints& sizes, const Int64s& column_begin, cons
   return ToVector(std::move(order));
 }
 
-py::dict CountFactor(const Ints& sizes, const Int64s& column_begin, const Ints& rows,
-                     const Ints& order) {
+py::dict CountFactor(const Array<int>& sizes, const Array<int64_t>& column_begin,
+                     const Array<int>& rows, const Array<int>& order) {
   const bundle::BlockPatternView pattern = ViewPattern(sizes, column_begin, rows);
   ExpectLength("order", order, pattern.num_blocks);
   const std::vector<int> blocks(order.data(), order.data() + order.size());

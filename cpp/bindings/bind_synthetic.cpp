@@ -6,6 +6,7 @@
 #include <utility>
 #include <vector>
 
+#include "bindings/arrays.h"
 #include "bindings/gil.h"
 #include "bindings/immutable_array.h"
 #include "core/cameras/registry.h"
@@ -15,9 +16,6 @@ namespace py = pybind11;
 
 namespace bundle {
 namespace {
-
-template <typename T>
-using Array = py::array_t<T, py::array::c_style>;
 
 /// Layout of the capsules of NumPy's bit generators (numpy/random/bitgen.h).
 struct BitGenerator {
@@ -110,7 +108,6 @@ Array<double> ExactPixels(const Images& images, const Array<double>& positions,
 }  // namespace bundle
 
 void BindSynthetic(py::module_& m) {
-  using bundle::Array;
   py::class_<bundle::Images>(m, "SyntheticImages")
       .def(py::init<Array<double>, Array<double>, Array<double>, Array<double>, Array<double>,
                     Array<double>, Array<double>, Array<int32_t>, Array<double>, const std::string&,

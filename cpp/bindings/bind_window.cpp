@@ -10,6 +10,7 @@
 #include <utility>
 #include <vector>
 
+#include "bindings/arrays.h"
 #include "bindings/gil.h"
 #include "bindings/immutable_array.h"
 #include "bindings/options_from_python.h"
@@ -23,9 +24,6 @@ namespace py = pybind11;
 namespace bundle {
 namespace {
 
-template <typename T>
-using Array = py::array_t<T, py::array::c_style | py::array::forcecast>;
-
 /// The arrays of a window, and a view of them.
 class WindowArrays {
  public:
@@ -34,7 +32,7 @@ class WindowArrays {
     CheckSize(Numbers(window, "anchors", kStateNumbers), view_.num_states, "anchors");
     view_.anchors = doubles_.back().data();
     view_.anchored = Flags(window, "anchored", view_.num_states);
-    const auto camera = py::cast<Array<double>>(window["camera_from_imu"]);
+    const auto camera = py::cast<CastArray<double>>(window["camera_from_imu"]);
     if (camera.size() != 7) throw InputError("camera_from_imu: expected 7 numbers");
     std::copy_n(camera.data(), 7, view_.camera_from_imu.begin());
     view_.time_offset = py::cast<double>(window["time_offset"]);
@@ -53,8 +51,8 @@ class WindowArrays {
  private:
   const double* Numbers(const py::dict& window, const char* name, int columns,
                         int* rows = nullptr) {
-    doubles_.push_back(py::cast<Array<double>>(window[name]));
-    const Array<double>& array = doubles_.back();
+    doubles_.push_back(py::cast<CastArray<double>>(window[name]));
+    const CastArray<double>& array = doubles_.back();
     if (array.size() % columns != 0) {
       throw InputError(std::string(name) + ": expected rows of " + std::to_string(columns));
     }
@@ -83,7 +81,7 @@ class WindowArrays {
   }
 
   const uint8_t* Flags(const py::dict& window, const char* name, int count) {
-    flags_.push_back(py::cast<Array<uint8_t>>(window[name]));
+    flags_.push_back(py::cast<CastArray<uint8_t>>(window[name]));
     if (flags_.back().size() != count) {
       throw InputError(std::string(name) + ": expected " + std::to_string(count) + " flags");
     }
@@ -91,8 +89,8 @@ class WindowArrays {
   }
 
   const int32_t* Indices(const py::dict& window, const char* name, int count, int limit) {
-    indices_.push_back(py::cast<Array<int32_t>>(window[name]));
-    const Array<int32_t>& array = indices_.back();
+    indices_.push_back(py::cast<CastArray<int32_t>>(window[name]));
+    const CastArray<int32_t>& array = indices_.back();
     if (array.size() != count) {
       throw InputError(std::string(name) + ": expected " + std::to_string(count) +
                        " indices, found " + std::to_string(array.size()));
@@ -137,7 +135,7 @@ class WindowArrays {
   }
 
   void ReadInertia(const py::dict& window) {
-    const auto gravity = py::cast<Array<double>>(window["gravity"]);
+    const auto gravity = py::cast<CastArray<double>>(window["gravity"]);
     if (gravity.size() != 3) throw InputError("gravity: expected 3 numbers");
     std::copy_n(gravity.data(), 3, view_.gravity.begin());
     const auto imu = py::cast<py::sequence>(window["imu"]);
@@ -153,9 +151,9 @@ class WindowArrays {
   WindowPrior PriorFrom(const py::dict& given) const {
     WindowPrior prior;
     prior.blocks = py::cast<std::vector<int>>(given["blocks"]);
-    const auto points = py::cast<Array<double>>(given["points"]);
-    const auto matrix = py::cast<Array<double>>(given["matrix"]);
-    const auto vector = py::cast<Array<double>>(given["vector"]);
+    const auto points = py::cast<CastArray<double>>(given["points"]);
+    const auto matrix = py::cast<CastArray<double>>(given["matrix"]);
+    const auto vector = py::cast<CastArray<double>>(given["vector"]);
     prior.points.assign(points.data(), points.data() + points.size());
     prior.matrix.assign(matrix.data(), matrix.data() + matrix.size());
     prior.vector.assign(vector.data(), vector.data() + vector.size());
@@ -181,9 +179,9 @@ class WindowArrays {
 
   WindowView view_;
   int last_rows_ = 0;
-  std::vector<Array<double>> doubles_;
-  std::vector<Array<int32_t>> indices_;
-  std::vector<Array<uint8_t>> flags_;
+  std::vector<CastArray<double>> doubles_;
+  std::vector<CastArray<int32_t>> indices_;
+  std::vector<CastArray<uint8_t>> flags_;
   std::vector<py::object> kept_;
 };
 
@@ -274,7 +272,7 @@ py::dict MarginalizeWindowFromPython(const py::dict& window, const py::dict& req
   const WindowView& view = arrays.view();
   Marginalization marginalization;
   const auto flags = [&request](const char* name, size_t count) {
-    const auto array = py::cast<Array<uint8_t>>(request[name]);
+    const auto array = py::cast<CastArray<uint8_t>>(request[name]);
     if (static_cast<size_t>(array.size()) != count) {
       throw InputError(std::string(name) + ": expected " + std::to_string(count) + " flags");
     }
@@ -301,7 +299,8 @@ py::dict MarginalizeWindowFromPython(const py::dict& window, const py::dict& req
 }
 
 /// The 15 coordinates of a state about a point.
-std::vector<double> StateCoordinates(const Array<double>& point, const Array<double>& state) {
+std::vector<double> StateCoordinates(const CastArray<double>& point,
+                                     const CastArray<double>& state) {
   if (point.size() != kStateNumbers || state.size() != kStateNumbers) {
     throw InputError("expected two states of 16 numbers");
   }
@@ -310,7 +309,7 @@ std::vector<double> StateCoordinates(const Array<double>& point, const Array<dou
   return d;
 }
 
-py::array SpectrumOfMatrix(const Array<double>& matrix, bool square_root, bool scaled) {
+py::array SpectrumOfMatrix(const CastArray<double>& matrix, bool square_root, bool scaled) {
   if (matrix.ndim() != 2 || (!square_root && matrix.shape(0) != matrix.shape(1))) {
     throw InputError("matrix: expected two dimensions, square unless it is a square root");
   }

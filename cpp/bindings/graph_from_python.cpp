@@ -8,6 +8,7 @@
 #include <utility>
 #include <vector>
 
+#include "bindings/arrays.h"
 #include "bindings/options_from_python.h"
 #include "bindings/python_factor.h"
 #include "core/cameras/registry.h"
@@ -25,10 +26,8 @@ namespace py = pybind11;
 
 namespace {
 
-using Array = py::array_t<double, py::array::c_style | py::array::forcecast>;
-
 std::vector<double> Numbers(const py::handle& object) {
-  const auto array = py::cast<Array>(object);
+  const auto array = py::cast<CastArray<double>>(object);
   return std::vector<double>(array.data(), array.data() + array.size());
 }
 

@@ -10,13 +10,11 @@
 #include <optional>
 #include <string>
 
+#include "bindings/arrays.h"
 #include "core/error.h"
 #include "core/pose_graph/pose_graph.h"
 
 namespace bundle {
-
-template <typename T>
-using Array = pybind11::array_t<T, pybind11::array::c_style>;
 
 /// Arrays of a bundle.PoseGraph, which has checked shapes and values; `given` replaces its poses.
 struct GraphArrays {

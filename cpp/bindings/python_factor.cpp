@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <utility>
 
+#include "bindings/arrays.h"
 #include "bindings/gil.h"
 #include "core/error.h"
 #include "core/parallel/thread_pool.h"
@@ -12,14 +13,13 @@ namespace py = pybind11;
 
 namespace {
 
-using Array = py::array_t<double, py::array::c_style | py::array::forcecast>;
-
 /// None, or (residual, Jacobians or None).
 py::object Call(const py::object& function, const std::vector<bundle::Retraction>& retractions,
                 const double* const* values, bool jacobians) {
   py::list blocks;
   for (size_t b = 0; b < retractions.size(); ++b) {
-    blocks.append(Array(static_cast<py::ssize_t>(retractions[b].ambient_size()), values[b]));
+    blocks.append(
+        CastArray<double>(static_cast<py::ssize_t>(retractions[b].ambient_size()), values[b]));
   }
   return CallPython(function, py::make_tuple(blocks, jacobians));
 }
@@ -31,10 +31,11 @@ int CountResiduals(const std::string& name, const py::object& function,
   if (answer.is_none()) {
     throw bundle::InputError(name + ": expected a finite residual at the start, found no value");
   }
-  return static_cast<int>(py::cast<Array>(py::cast<py::tuple>(answer)[0]).size());
+  return static_cast<int>(py::cast<CastArray<double>>(py::cast<py::tuple>(answer)[0]).size());
 }
 
-void Copy(const std::string& name, const Array& from, py::ssize_t expected, double* to) {
+void Copy(const std::string& name, const CastArray<double>& from, py::ssize_t expected,
+          double* to) {
   if (from.size() != expected) {
     throw bundle::InputError(name + ": expected " + bundle::Counted(expected, "number") +
                              ", found " + std::to_string(from.size()));
@@ -62,12 +63,12 @@ bool PythonFactor::Evaluate(const double* const* values, double* residual,
     const py::object answer = Call(function_, retractions(), values, jacobians != nullptr);
     if (answer.is_none()) return false;
     const auto pair = py::cast<py::tuple>(answer);
-    Copy(name(), py::cast<Array>(pair[0]), num_residuals(), residual);
+    Copy(name(), py::cast<CastArray<double>>(pair[0]), num_residuals(), residual);
     if (jacobians == nullptr) return true;
     const auto matrices = py::cast<py::sequence>(pair[1]);
     for (size_t b = 0; b < retractions().size(); ++b) {
       if (jacobians[b] == nullptr) continue;
-      Copy(name(), py::cast<Array>(matrices[b]),
+      Copy(name(), py::cast<CastArray<double>>(matrices[b]),
            py::ssize_t{1} * num_residuals() * retractions()[b].tangent_size(), jacobians[b]);
     }
     return true;
