@@ -142,7 +142,7 @@ __all__ = sorted({*_MODULES, *_MODULE_OF})  # noqa: PLE0605 (the stub has a list
 class _PublicModules:
     """Finder of public modules and of those below them (``import bundle.losses``).
 
-    It comes first: Python would load modules below a second time.
+    It precedes Python's own finders, which would load the modules below a second time.
     """
 
     @staticmethod

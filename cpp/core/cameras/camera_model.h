@@ -14,9 +14,8 @@
 ///
 /// where d_point (2x3) and d_params (2 x number of parameters), both row-major, are filled with the
 /// derivatives of xy unless they are nullptr. xy is the same to the last bit with and without
-/// derivatives. Where a value has no derivative (a fold, a pole) the part without a limit counts as
-/// zero. If the image of a model is not a plane, two distant pixels can have the same direction.
-/// Such a model also offers
+/// derivatives. At a fold or a pole, derivatives that do not exist are zero. If the image of a
+/// model is not a plane, two distant pixels can have the same direction. Such a model also offers
 ///
 ///   static void Difference(const double* params, const double* xy, const double* measurement,
 ///                          double* residual, double* d_params);

@@ -20,8 +20,8 @@
 namespace bundle {
 
 /// Takes the step that meets the function tolerance, as minimize/trust_region.cpp does: Ceres ends
-/// after a step that was accepted, by this callback. Its own function tolerance, before a step is
-/// taken, must be kLostChange then.
+/// after a step that was accepted, by this callback. The function tolerance of Ceres itself must
+/// then be kLostChange.
 class EndInSigmas final : public ceres::IterationCallback {
  public:
   /// `dof`: those of SigmaRule. `ends`: false if something else ends the solve, by MayEnd.
@@ -60,7 +60,7 @@ class EndInSigmas final : public ceres::IterationCallback {
     return rule_.Ends(Measure(cost), cost);
   }
 
-  /// Measures the distance from the end of the solve, unless it is known.
+  /// Measures the distance to the minimum at the end of the solve, unless it is known.
   void MeasureEnd(double cost) {
     if (!is_measured_) Measure(cost);
   }
@@ -94,8 +94,8 @@ class EndInSigmas final : public ceres::IterationCallback {
   std::string message_;
 };
 
-/// Keeps the accepted state of the least cost of all observations (LeastSquares::CostOfAll). It can
-/// only be another one than the last if observations hold residuals.
+/// Keeps the accepted state of the least cost of all observations (LeastSquares::CostOfAll). It
+/// differs from the last state only if observations hold residuals.
 class RememberBest final : public ceres::IterationCallback {
  public:
   RememberBest(const std::vector<double>& numbers, const CameraStates& states,

@@ -20,8 +20,8 @@ struct HoldingWatch {
   LossType loss = LossType::kTrivial;
   double loss_scale = 1;
   std::atomic<int64_t> num_held{0};  ///< at the last state
-  /// True if, since this was last set to false, other observations counted at a candidate than at
-  /// the state before.
+  /// Set to true when the observations that count at a candidate differ from those at the state
+  /// before it; the user resets it.
   std::atomic<bool> has_changed{false};
   /// True while derivatives are evaluated at a candidate.
   std::atomic<bool> is_at_candidate{false};

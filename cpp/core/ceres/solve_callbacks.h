@@ -93,7 +93,7 @@ class RecordHolding final : public ceres::IterationCallback {
     return ceres::SOLVER_CONTINUE;
   }
 
-  /// True if other observations count since the last iteration.
+  /// True if the set of observations that count has changed since the last iteration.
   bool HasChanged() const { return records_.back().changed; }
 
   /// Completes the record of an iteration of the current solve, and numbers it among the iterations

@@ -8,9 +8,9 @@
 ///   C_p = V^-1 + V^-1 W^T C W V^-1,
 ///
 /// which needs the blocks of C for pairs of blocks that share the point. These are blocks of S, and
-/// therefore included in the selected inverse (linear/selected_inverse.cpp). All of them together
-/// take two or three factorisations. With constant cameras, the covariance would be only V^-1, the
-/// conditional one.
+/// therefore included in the selected inverse (linear/selected_inverse.cpp). All covariances
+/// together take two or three factorisations. With constant cameras, the covariance would be only
+/// V^-1, the conditional one.
 ///
 /// The map M (observation_rows.h) transforms unknowns u of an image's blocks to its (w, t) and
 /// parameters. Their joint covariance is M C_uu M^T, also for rigs and ties. At the problem's own

@@ -30,9 +30,10 @@
 ///
 ///   (H^+)_pp = V_p^-1 + Y_p^T C' Y_p - N_p N_p^T V_p^-1 - V_p^-1 N_p N_p^T.
 ///
-/// A point without parallax may be anywhere on its ray, perhaps 1e7 scenes away. A rotation of the
-/// world moves it by as much. With such points in the trace, their directions alone would determine
-/// the gauge. They are left out: with E the identity without their rows,
+/// A point without parallax may be anywhere on its ray, perhaps 1e7 times the size of the scene
+/// away. A rotation of the world moves it by as much. With such points in the trace, their
+/// directions alone would determine the gauge. They are left out: with E the identity without their
+/// rows,
 ///
 ///   P = I - N (E N)^T,    (E N)^T N = I,
 ///

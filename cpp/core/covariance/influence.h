@@ -25,8 +25,8 @@
 ///
 ///   dq = (T a_c)^T (I - T C T^T)^-1 r~        if g_p = 0; B^T r~ = 0 at a minimum,
 ///
-/// which has full rank unless the other points leave camera parameters undetermined. Of a robust
-/// loss, the weights stay.
+/// which has full rank unless the other points leave camera parameters undetermined. The weights of
+/// a robust loss are constant.
 
 #include <vector>
 

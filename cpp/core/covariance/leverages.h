@@ -35,9 +35,9 @@
 /// with D = I at kappa = 1. For observations that determine little each, kappa is mean D / mean
 /// rho' without P. J. Huber's correction for few observations (1973), and with it to first order.
 /// With m the eigenvalues of K^(1/2) D K^(1/2), the terms are m / (kappa + m). The largest root is
-/// taken. Without a root at which all kappa + m are positive, the negative m count as 0, flat: the
-/// others have to hold such observations. If even then there is none above kLeastCurvature, the
-/// loss rejects too much for a covariance, and InputError is thrown.
+/// taken. If no root makes all kappa + m positive, negative m count as 0. If even then there is
+/// none above kLeastCurvature, the loss rejects too much for a covariance, and InputError is
+/// thrown.
 
 #include <Eigen/Core>
 #include <functional>

@@ -31,7 +31,7 @@ inline constexpr double kNullPoint = 1e-12;
 void ShareOf(const ObservationRows& rows, int b, double* share);
 void PointShare(const ObservationRows& rows, double share[3]);
 
-/// Rows equal columns, because matrices are 3 x 3 and symmetric.
+/// Row-major and column-major are the same here, because the matrices are symmetric.
 struct PointBlocks {
   double v[9];
   double inverse[9];         ///< V^-1 without null directions

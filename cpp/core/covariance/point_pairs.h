@@ -8,8 +8,9 @@
 #include "core/covariance/point_blocks.h"
 #include "core/covariance/reduced_system.h"
 
-/// A function so marked is compiled for two generations of processors, and the loader chooses one.
-/// Sanitizers cannot be used with this choice, because they start before the loader resolves it.
+/// A function with this attribute is compiled for two generations of processors; the loader chooses
+/// one. Sanitizers cannot be used with this choice, because they start before the loader resolves
+/// it.
 #if defined(__x86_64__) && defined(__GNUC__) && !defined(__clang__) && \
     !defined(__SANITIZE_ADDRESS__) && !defined(__SANITIZE_THREAD__)
 #define BUNDLE_FOR_TWO_PROCESSORS __attribute__((target_clones("avx2", "default")))
@@ -19,7 +20,7 @@
 
 namespace bundle {
 
-/// Four numbers that the processor adds at once; without alignment.
+/// Four numbers in one register, loaded without alignment.
 using Four = double __attribute__((vector_size(32), aligned(8)));
 
 /// Y of a point, four numbers per row, the last one zero.

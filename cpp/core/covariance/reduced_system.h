@@ -106,7 +106,7 @@ class ReducedSystem {
   /// Entry (j, j) of S before the factorisation, for each unknown.
   const std::vector<double>& diagonal() const { return diagonal_; }
 
-  /// ObservationEvaluator::SetScores; V and W follow, S has to be set.
+  /// Same as ObservationEvaluator::SetScores. V and W use the new scores; the caller has to set S.
   void SetScores(std::vector<double> scores, double kappa) {
     evaluator_->SetScores(std::move(scores), kappa);
     has_scores_ = true;

@@ -13,7 +13,7 @@
 /// couple these in S. Let l be the least eigenvalue of R_ii = I - h, along u. An error along u of
 /// length d0 / sqrt(l), in sigmas, shifts the test along u by d0: the largest error that the test
 /// may miss. All observations of a point with two rays have l = 0 along the epipolar line, as the
-/// point follows the error, whatever their two components say.
+/// point absorbs the error.
 ///
 /// This error moves any function f of the unknowns by at most
 ///

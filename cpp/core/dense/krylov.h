@@ -17,9 +17,9 @@ struct EigenPairs {
 using BlockOperator = std::function<Eigen::MatrixXd(const Eigen::MatrixXd&)>;
 
 /// Computes the `wanted` largest eigenvalues of an operator on vectors of `size` numbers, and their
-/// eigenvectors; fewer if its range has fewer dimensions. A residual ||A x - a x|| is at most
-/// `tolerance` a, if a search space of at most `max_dimension` dimensions allows it, which begins
-/// anew at its best vectors up to `max_restarts` times.
+/// eigenvectors; fewer if its range has fewer dimensions. Residuals ||A x - a x|| are at most
+/// `tolerance` a, unless `max_restarts` restarts of a search space of at most `max_dimension`
+/// dimensions from its best vectors do not suffice.
 ///
 /// For an eigenvalue with more than `block` dimensions, finds at least `block` eigenvectors. The
 /// start is the same in each call.

@@ -41,7 +41,7 @@ class DirectionFactor final : public Factor {
 
   bool Evaluate(const double* const* values, double* residual,
                 double* const* jacobians) const override;
-  /// Two: the residual has no part along the direction.
+  /// Two, as the residual has no component along the direction.
   int num_measurements() const override { return 2; }
 
  private:

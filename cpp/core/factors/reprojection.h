@@ -107,29 +107,29 @@ bool EvaluateReprojection(const CameraModel& model, const PoseState& pose, const
                           const ImageShutter* shutter = nullptr);
 
 /// ||h|| / ||r|| of an observation that stops counting (Counts()): it is behind its camera, or has
-/// no projection. What such an observation costs:
+/// no projection.
 ///
-/// Were it nothing, as in COLMAP, a solve could lower its cost by turning a camera away from its
-/// points, or by moving a camera past points at its centre. Yet a step must not be rejected just
-/// because an observation crosses the plane of its camera: with points at camera centres every step
-/// makes some cross. So an observation is in one of two sets, which change at accepted steps only:
+/// If such an observation cost nothing, as in COLMAP, a solve could lower its cost by turning a
+/// camera away from its points, or by moving a camera past points at its centre. Yet a step must
+/// not be rejected just because an observation crosses the plane of its camera: with points at
+/// camera centres every step makes some cross. So an observation is in one of two sets, which
+/// change at accepted steps only:
 ///
 /// - It *counts*: its residual is r(x), of cost 1/2 rho(||r(x)||^2).
 /// - It *holds* a constant residual h without derivatives, of cost 1/2 rho(||h||^2).
 ///
 /// The cost f of a state is that of all observations that count; the cost of the residuals held by
-/// the others is its *held cost* g. A step is judged by f + g. Everything else is without g, which
-/// hardly changes: the gradient, the normal equations, the decrease predicted by the model,
+/// the others is its *held cost* g. A step is judged by f + g. All other quantities exclude g,
+/// which hardly changes: the gradient, the normal equations, the decrease predicted by the model,
 /// reported costs, and the cost to which the function tolerance is relative.
 ///
-/// At the start h = 0 for those that do not count, as COLMAP has it. From a state x to a candidate
-/// y, an observation that
+/// At the start h = 0 for observations that do not count, as in COLMAP. From a state x to a
+/// candidate y, an observation that
 ///
 /// - counts at x and is behind at y holds h = 4 r(x) from y on: at least what it cost, so that
 ///   it never gains by going behind, and more, so that a step which sends many behind has to pay;
 /// - holds h at x keeps it at y, unless it is in front of its camera there with ||r(y)|| <= ||h||:
-///   then it counts again. f + g therefore never rises by it, and it never holds up a step. One
-///   that is behind at the start has nothing to return for.
+///   then it counts again. f + g therefore never rises by it, and it never holds up a step.
 ///
 /// f + g of a candidate is that of the state that it becomes: each state has one sum, which falls
 /// from one accepted step to the next. As long as every observation is in front of its

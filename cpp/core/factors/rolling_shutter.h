@@ -70,8 +70,8 @@ struct ImageShutter {
 inline constexpr double kMaxRowTurnSquared = 1;
 inline constexpr int kMaxRowSteps = 12;
 /// A Newton step of s below this ends the iteration. The residual and the factor s of derivatives
-/// by the twist are then corrected to first order. Other derivatives have a relative error of the
-/// twist times this. From the measured row, two evaluations are usually enough.
+/// by the twist are then corrected to first order. Other derivatives keep a relative error of this
+/// size times the twist. From the measured row, two evaluations are usually enough.
 inline constexpr double kLastRowStep = 1e-9;
 
 template <typename T>

@@ -61,8 +61,8 @@ class Preintegration {
   void Corrected(const double gyro_bias[3], const double accel_bias[3], double rotation[9],
                  double position[3], double velocity[3]) const;
   /// 15 x 15, by rotation, position, velocity, gyroscope bias, accelerometer bias: covariance of
-  /// the residual followed by b_j - b_i, for biases with a random walk from b_i at the start. Walks
-  /// the samples.
+  /// the residual followed by b_j - b_i, for biases with a random walk from b_i at the start.
+  /// Integrates the samples.
   void CombinedCovariance(double out[225]) const;
 
   const ImuNoise& noise() const { return noise_; }

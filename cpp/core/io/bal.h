@@ -120,7 +120,7 @@ void WriteBal(const BalView& problem, const std::filesystem::path& path, Compres
               const std::function<void()>& on_block);
 
 /// Writes a BAL file with the observations of the BAL file `source`, as a stream; ignores those of
-/// `problem`. Throws InputError if the file has other counts, or as ReadBal.
+/// `problem`. Throws InputError as ReadBal does, and if the counts of the file differ.
 void WriteBalLike(const std::filesystem::path& source, const BalView& problem,
                   const std::filesystem::path& path, Compression compression,
                   const std::function<void()>& on_block);

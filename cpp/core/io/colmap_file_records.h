@@ -2,7 +2,7 @@
 
 /// The records of the images and the points file, in both formats, passed on one by one. The index
 /// of a complete model stores all of them; a rank stores only its own. The two scanners
-/// (`colmap_text_scanner.cpp`, `colmap_binary_scanner.cpp`) have the formats.
+/// (`colmap_text_scanner.cpp`, `colmap_binary_scanner.cpp`) define the formats.
 
 #include <array>
 #include <cmath>

@@ -15,8 +15,8 @@
 
 namespace bundle {
 
-/// One file of a model: values one after the other, in either format. In text, blanks separate the
-/// values, and only comments have counts.
+/// One file of a model: values one after the other, in either format. In a text file, blanks
+/// separate the values, and counts are in comments only.
 class RecordFile {
  public:
   /// `comments`: the first lines of a text file, without "#" and without the last line end.
@@ -76,7 +76,7 @@ class RecordFile {
     for (const double value : pose) Number(value);
   }
 
-  /// A number in binary, a word in text.
+  /// A value that is a number in binary files and a word in text files.
   template <typename T>
   void Named(T value, std::string_view name) {
     if (is_binary_) {

@@ -7,8 +7,8 @@
 namespace bundle {
 
 /// One of COLMAP's two formats: syntax, counts, single values. Each function scans one file of the
-/// index into its records and throws InputError, naming file and line or byte. Images and points
-/// have `colmap_file_records.h`.
+/// index into its records and throws InputError, naming file and line or byte.
+/// `colmap_file_records.h` scans images and points.
 struct ColmapScanner {
   ModelFile::Kind kind;
   const char* extension;

@@ -10,7 +10,7 @@
 
 namespace bundle {
 
-/// At the begin of UTF-8 files of editors on Windows.
+/// Byte order mark, with which editors on Windows begin UTF-8 files.
 inline constexpr std::string_view kByteOrderMark = "\xef\xbb\xbf";
 
 /// A file as a stream of bytes. It is decompressed if it begins like a gzip or bzip2 file, whatever

@@ -24,8 +24,9 @@ struct ClusterDirections {
 /// True if a similarity changes an unknown of a block. `moves`: one entry per column of S.
 bool MovesBlock(const BlockStructure& structure, const std::vector<char>& moves, int block);
 
-/// Returns the gauge directions, if they move blocks of the cluster, and for each k the k-th
-/// intrinsics of all of its blocks: `num_columns` in all. `blocks`: the cluster's blocks.
+/// Returns `num_columns` directions: the gauge directions, if they move blocks of the cluster, and
+/// one direction per k, which changes the k-th intrinsic of every block. `blocks`: the cluster's
+/// blocks.
 ClusterDirections FindClusterDirections(const BlockStructure& structure, const BlockSystem& system,
                                         const std::vector<char>& moves,
                                         const std::vector<int>& blocks, int num_columns);

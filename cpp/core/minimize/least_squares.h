@@ -57,7 +57,8 @@ struct Candidate {
   double step_norm = 0;          ///< ||d||; with bounds ||P(x + d) - x||
   double cost = 0;               ///< at the candidate; not finite if a residual is not finite
   double held_cost = 0;          ///< at the candidate
-  /// True if other residuals count than at x, so that the model belongs to another function.
+  /// True if the set of residuals that count differs from that at x, so that the model does not
+  /// apply.
   bool changes_what_counts = false;
   /// Bound on the effect of the summation order on the difference of costs, with a margin. 0: the
   /// difference is the same for all orders that occur.
@@ -106,7 +107,8 @@ class LeastSquares {
 
   /// Damping that asks Linearize for the normal equations of Decrement. Directions with less
   /// information relative to that of their columns do not count. Undetermined directions have none,
-  /// and no gradient. A problem may damp parts of x more that can move far at no cost.
+  /// and no gradient. A problem may damp more those parts of x that can move far without changing
+  /// the cost.
   static constexpr double kDecrementDamping = 1e-12;
   virtual bool HasDecrement() const { return false; }
   /// The Newton decrements at x; call after Linearize(kDecrementDamping).

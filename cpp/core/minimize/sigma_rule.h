@@ -19,20 +19,20 @@
 /// Both must be below kNear at an accepted step (A). q is at most kSlowest, also if there is no
 /// step before.
 ///
-/// (A) is blind to what damped steps cannot see. So the end is checked once (B), with the Newton
-/// decrement of the camera parameters, points eliminated, nearly without damping:
+/// (A) cannot detect directions in which damping shortens all steps. So the end is checked once by
+/// the Newton decrement (B) of the camera parameters, with points eliminated and nearly no damping:
 ///
 ///   sqrt(g_c^T S^-1 g_c) / s0,
 ///
 /// the distance to the minimum of any function of the camera parameters. Above kFar the solve goes
 /// on with its own radius until its steps are shorter by the same factor as this distance has to
-/// be. It ends anyway if the distance did not fall by half since the last check: then it is no
-/// distance to anything.
+/// be. It also ends if the distance has not halved since the last check, because it then does not
+/// measure the distance to a minimum.
 ///
 /// Single points can slide for hundreds of steps along rays without parallax. Cameras do not depend
-/// on them. Such a solve meets the function tolerance and not (A); it may end after kPatience such
-/// steps, or twice, four times as many, if (B) finds the cameras nearer than kNear, or not half as
-/// far as the last time.
+/// on them. Such a solve meets the function tolerance but not (A). It may end after kPatience such
+/// steps, then after 2 kPatience, 4 kPatience and so on, if (B) is below kNear or has not halved
+/// since the last check.
 ///
 /// Thresholds are measured on 13 models: at the end, at most 0.095 sigmas are left.
 

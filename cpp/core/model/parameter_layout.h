@@ -11,8 +11,8 @@
 /// columns. Blocks have equal sizes if the problem allows it, which fixed-size Schur kernels such
 /// as Ceres' (2,3,6) and (2,3,9) require.
 ///
-/// Column j of a camera Jacobian row counts (w, t) of the pose as 0..5 and intrinsics from 6, and
-/// the twist from kFirstTwist.
+/// Columns of a camera Jacobian row: (w, t) of the pose from 0, intrinsics from 6, the twist from
+/// kFirstTwist.
 
 #include <algorithm>
 #include <array>
@@ -172,9 +172,8 @@ class ParameterLayout {
   uint32_t RefinedColumns(const AdjustmentProblem& problem, int image) const;
   /// True if an observation depends on a free parameter.
   bool IsRefined(const AdjustmentProblem& problem, int64_t observation) const;
-  /// Blocks that occur together with another block in some residual, except the first block of each
-  /// image. No residual contains two of the other blocks. If there are such blocks, they include
-  /// shared cameras.
+  /// Blocks that share a residual with the first block of an image. No residual contains two of the
+  /// other blocks. If there are such blocks, they include shared cameras.
   std::set<int> BlocksBesideFirst() const;
 
   /// The state at the problem's own values: w = 0.

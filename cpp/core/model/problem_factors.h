@@ -75,8 +75,8 @@ inline bool LeavesPointsApart(const FactorUnknowns& unknowns) {
 
 /// True if a factor depends on variables other than cameras.
 bool DependsOnPoses(const AdjustmentProblem& problem);
-/// True if such a factor may fix the world: one that is not a tie of a twist, which no motion of
-/// the world changes, but for its scale, which it cannot hold (factors/twist_tie.h).
+/// True if such a factor may fix the world. Ties of twists may not: of all motions of the world,
+/// only a change of scale affects them, and they cannot determine it (factors/twist_tie.h).
 bool MayFixGauge(const AdjustmentProblem& problem);
 
 /// A factor as a function of a solver's unknowns. Several threads may evaluate it at the same time

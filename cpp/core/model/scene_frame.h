@@ -92,11 +92,10 @@ FarPoints FindFarPoints(const AdjustmentProblem& problem, const ParameterLayout&
 /// A solution that is distorted by far points is not usable. The criteria: at the end, far points
 /// cost more than all others, or the others cost more than kMaxNearRise times their cost at the
 /// start. Observations behind their cameras at the start or the end are left out. Both criteria
-/// apply only if far points pull. They pull if the square root of the mean of rho' s over their
-/// observations, with s the squared residual, exceeds kFarPull pixels or loss scales (rho' s is the
-/// gradient of an observation along its residual). Without this condition, far points could have
-/// most of a cost that consists of rounding errors or is bounded by a loss. A solve without
-/// iterations is not judged.
+/// apply only if far points pull. Their pull is the square root of the mean of rho' s over their
+/// observations, with s the squared residual; it must exceed kFarPull pixels or loss scales.
+/// Without this condition, far points could have most of a cost that consists of rounding errors or
+/// is bounded by a loss. A solve without iterations is not judged.
 void JudgeFarPoints(const AdjustmentProblem& problem, const FarPoints& far,
                     const SolveOptions& options, SolveOutput* output);
 

@@ -1,6 +1,6 @@
 #pragma once
 
-/// Certificate of the poses of a graph, and lower poses where it fails.
+/// Certificate of the poses of a graph, and poses of lower cost if it fails.
 
 #include <cstdint>
 #include <vector>

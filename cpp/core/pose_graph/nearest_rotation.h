@@ -14,7 +14,8 @@
 namespace bundle {
 
 /// Sets the rotation of a pose (x y angle or qx qy qz qw tx ty tz) to the one nearest to a matrix
-/// of `dimension` squared numbers, row-major. It stays where no rotation is nearer than others.
+/// of `dimension` squared numbers, row-major. The pose does not change if the nearest rotation is
+/// not unique.
 void SetNearestRotation(int dimension, const double* m, double* pose);
 
 }  // namespace bundle

@@ -1,6 +1,6 @@
 #pragma once
 
-/// Riemannian staircase: from a point without a certificate to a lower one (derived in
+/// Riemannian staircase: from a point without a certificate to a point of lower cost (derived in
 /// rank_staircase.cpp).
 
 #include <Eigen/Core>

@@ -50,8 +50,8 @@ namespace bundle {
 enum class PoseError { kLog, kG2o, kCeres };
 
 /// A record is a pose in the form that errors read: in the plane x y angle, then the cosine and the
-/// sine of the angle. They are computed once per pose, not once per edge. Its size is that of the
-/// rows that several edges at a time are read by.
+/// sine of the angle. They are computed once per pose, not once per edge. Its size allows reading
+/// the records of several edges at a time.
 struct Se2 {
   static constexpr Manifold kManifold = Manifold::kSe2;
   static constexpr int kAmbient = 3;

@@ -33,9 +33,9 @@ inline constexpr int kMaxParts = 3;
 /// a block stays in registers while all pairs of the tile are added to it
 /// (kernels/tile_products.h). A tile lists its pairs by blocks, and its observations by images.
 ///
-/// A chunk is a pure function of the state. It maps its points to its contribution to S, to the
-/// right-hand side and to the cost. Chunks are added in their order, independent of the thread that
-/// computed them. So results do not depend on the number of threads.
+/// The result of a chunk depends only on the state: its contribution to S, to the right-hand side
+/// and to the cost. Chunks are added in their order, independent of the thread that computed them.
+/// So results do not depend on the number of threads.
 ///
 /// Memory per observation: 20 bytes for image and measurement, copied into this order so that every
 /// pass reads forwards; 8 more with sigmas; 4 bytes for its image in the chunk and its place in the

@@ -5,7 +5,7 @@
 /// The parameters that an image depends on are divided into parts: its *own* (its pose, and the
 /// parameters of its camera if no other image uses them), its *camera's* and its *sensor's*. Images
 /// of a frame have one own part, the pose of the frame. A part has the columns that any of its
-/// images refines. Which unknowns these columns belong to is the matter of Assembler.
+/// images refines. Assembler assigns these columns to unknowns.
 
 #include <cstdint>
 #include <vector>
@@ -44,7 +44,7 @@ class ImageParts {
   const CameraPart& part(int part) const { return parts_[part]; }
   /// The part of an image, -1: none.
   int part_of(int image, int kind) const { return of_image_[kMaxParts * image + kind]; }
-  /// One more than the last kind in use.
+  /// Number of kinds up to the last kind in use.
   int num_kinds() const { return num_kinds_; }
 
   /// Columns and quads per part, as EliminationInput needs them.

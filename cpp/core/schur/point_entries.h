@@ -57,8 +57,8 @@ class PointEntries {
     return entry;
   }
 
-  /// Sets to 1 where the product of an entry with itself is among the pairs. It is not for an own
-  /// part that occurs once, which the diagonal includes (kernels/eliminate_point.h).
+  /// Sets to 1 where the product of an entry with itself is among the pairs. The product of an own
+  /// part that occurs once is not, because the diagonal includes it (kernels/eliminate_point.h).
   void FindSquares(std::vector<uint8_t>* has_square) const {
     has_square->assign(list_.size(), is_plain_ ? 0 : 1);
     for (int i = 0; i < num_refined_ && !is_plain_; ++i) {

@@ -54,7 +54,7 @@ class SchurProblem final : public LeastSquares {
   void Accept() override;
   double StateNorm() const override { return state_norm_; }
   std::optional<double> DegreesOfFreedom() const override { return degrees_of_freedom_; }
-  /// Conjugate gradients would have to be exact for it.
+  /// False for conjugate gradients, which are not exact enough for a decrement.
   bool HasDecrement() const override { return !solver_->IsIterative(); }
   NewtonDecrement Decrement() override;
   double CostOfAll() override;

@@ -4,9 +4,9 @@
 ///
 /// Points are sorted into the cells of a grid over their keys. The candidates of an image are the
 /// points in the cells that its ball may touch. If points have far more candidates than their
-/// tracks need, candidates are thinned at random: candidate j stays if u < share_j * richness, u
-/// uniform in [0, 1) and share_j = wanted_j / views of its cell, unless that would leave fewer than
-/// `fewest`. visible_points.h selects the visible ones.
+/// tracks need, candidates are dropped at random. With u uniform in [0, 1) and share_j = wanted_j /
+/// views of its cell, candidate j is kept if u < share_j * richness; at least `fewest` are kept.
+/// visible_points.h then selects the visible ones.
 
 #include <cstdint>
 #include <functional>

@@ -4,8 +4,8 @@ The gauge and the undetermined directions are those of ``graphs/factors/null_spa
 
 A weak mode has an eigenvalue below ``WEAK``, and the next one is ``GAP`` times as large. The
 eigenvalues of a long chain grow by the squares of the whole numbers and have no such gap. A gauge
-that only a prior with a large sigma holds has one. Condition numbers are those with the gauge held.
-Factors are tested against all others as edges of a pose graph are.
+that only a prior with a large sigma holds has such a gap. Condition numbers are those with the
+gauge held. Factors are tested against all others as edges of a pose graph are.
 """
 
 from __future__ import annotations

@@ -40,7 +40,7 @@ class Words(NamedTuple):
 class TermTests(NamedTuple):
     """Redundancy and test (m,) of the terms, NaN where unknown, with the test's degrees.
 
-    ``decrease`` is that of the cost by one more step.
+    ``decrease``: decrease of the cost by one more step.
     """
 
     redundancy: Floats
@@ -57,7 +57,7 @@ class SelectedInverse(NamedTuple):
     """Blocks (t, t) of the inverse: of each block, of X_a^-1 X_b of a pair, and across the pair.
 
     ``undetermined``: position of a block that is not determined; -1 without one. ``inflation``:
-    largest ratio of a variance to that with all other blocks known.
+    largest ratio of a variance to the variance with all other blocks known.
     """
 
     blocks: Any

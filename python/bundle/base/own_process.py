@@ -238,7 +238,7 @@ def _logger() -> Any:
 
 @dataclass(frozen=True)
 class Waiting:
-    """Waiting of a process so far, or in an interval.
+    """Time that this process waited for a core, so far or in an interval.
 
     Attributes:
         waiting: seconds of the calling thread; 0 if the system does not report it.
@@ -250,7 +250,7 @@ class Waiting:
 
     @staticmethod
     def now() -> Waiting:
-        """Return the waiting since the start of the process."""
+        """Return the time waited since the start of the process."""
         try:
             text = Path("/proc/self/schedstat").read_text(encoding="ascii")
             seconds = 1e-9 * float(text.split()[1])
@@ -262,7 +262,7 @@ class Waiting:
 
 
 def waiting_since(before: Waiting) -> Waiting:
-    """Return the waiting since an earlier value."""
+    """Return the time waited since an earlier value."""
     now = Waiting.now()
     return Waiting(
         max(now.waiting - before.waiting, 0.0), max(now.preemptions - before.preemptions, 0)

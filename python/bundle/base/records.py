@@ -108,7 +108,7 @@ def _check_free(record: Any, name: str, action: str) -> None:
 
 
 class _Made:
-    """Default of a parameter in place of what a default factory will make."""
+    """Placeholder for the default of a field with a default factory."""
 
     def __repr__(self) -> str:
         return "<factory>"
@@ -126,7 +126,7 @@ class _Constructor:
 
 
 def _constructor(kind: Any) -> Any:
-    """Return __init__, which sets the fields past __setattr__."""
+    """Return an __init__ that sets the fields without calling __setattr__."""
     places, keywords, body = ["self"], ["*"], ["pass"]
     scope = {"_set": object.__setattr__, "_made": _Made()}
     fields = dataclasses.fields(kind)

@@ -207,8 +207,8 @@ def _not_finite(evidence: Evidence) -> None:
 def _by_size(evidence: Evidence) -> None:
     """Add findings for the remaining columns by the size of their typical error.
 
-    Rounding and differences spread over the entries of a column. Where most entries are exact, the
-    others have an error of their own.
+    Rounding and differences spread over the entries of a column. If most entries of a column are
+    exact, errors of the others have another cause.
     """
     sizes = {j: float(np.median(_largest(evidence, j))) for j in evidence.wrong}
     fine = [j for j in evidence.wrong if evidence.deviations.error[..., j].max() <= FINE]
@@ -245,7 +245,7 @@ def _by_size(evidence: Evidence) -> None:
 
 
 def _is_spread(evidence: Evidence, column: int) -> bool:
-    """Return True if most entries of a column, or of all columns if it has one, are off."""
+    """Return True if most entries of a column (of all columns, if it has one entry) are wrong."""
     points = evidence.points_wrong_in(column)
     reference = evidence.reference[points]
     counts = (reference != 0) & (evidence.doubt[points] <= KNOWN)

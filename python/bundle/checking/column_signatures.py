@@ -168,7 +168,7 @@ def _ratios(analytic: Array, reference: Array, axis: int | None) -> Array:
 
 
 def _rounded(ratio: float) -> float:
-    """Return a ratio with six digits, near 1 with three of its difference from 1."""
+    """Return a ratio with six digits; near 1, with three digits of its difference from 1."""
     return float(f"{ratio:.6g}") if abs(ratio - 1) > 1e-2 else 1 + float(f"{ratio - 1:.3g}")
 
 

@@ -199,7 +199,7 @@ class SampleLines:
         *,
         along_manifold: bool,
     ) -> JacobianDeviation:
-        """Return the deviations with entries undecided that are a derivative at another scale."""
+        """Return the deviations; a derivative at another scale makes an entry undecided."""
         wrong = deviations.error > tolerance
         if not wrong.any():
             return deviations

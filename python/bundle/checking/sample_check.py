@@ -139,7 +139,7 @@ class _Check:
         return (details,)
 
     def _minuends(self, k: int) -> Sequence[float]:
-        """Return sizes of numbers that round as residuals and parameters in single precision."""
+        """Return sizes of doubles that round as the residuals do in single precision."""
         if not self.is_single:
             return ()
         moved = np.abs(self.jacobians[k] * np.concatenate(self.samples[k].blocks))

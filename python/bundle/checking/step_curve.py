@@ -99,7 +99,7 @@ def walk(values: Values, center: Array, size: float) -> Line:
 
     Args:
         values: residual at a step; None without a value.
-        size: size of the parameter. Below 1/8 more steps reach its own resolution.
+        size: size of the parameter. A small parameter gets additional smaller steps.
     """
     first = max(abs(size) * LARGEST_STEP, LEAST_FIRST_STEP)
     further = math.ceil(math.log2(LEAST_FIRST_STEP / (LARGEST_STEP * abs(size)))) if size else 0

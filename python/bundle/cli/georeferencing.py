@@ -122,7 +122,7 @@ def georeference_at(source: str) -> dict[str, Any] | None:
 
 
 def check_georeference(path: str, format: str) -> None:
-    """Refuse an output where a georeference cannot be written, or that of another model stands."""
+    """Refuse an output where no georeference can be written, or where another model has one."""
     model = Path(path)
     beside = path_beside(model, is_folder=is_folder_format(format))
     if not beside.parent.is_dir():

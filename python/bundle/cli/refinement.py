@@ -200,7 +200,7 @@ class Refinement:
 
 
 def _rounds_given(arguments: argparse.Namespace) -> RoundOptions:
-    """Return the rounds; a database has rounds without --rounds."""
+    """Return the rounds; with a database, --rounds has a default."""
     if arguments.database is None:
         return options_given(arguments, RoundOptions)
     limits = ("max_error", "min_angle", "min_track_length")
@@ -210,7 +210,7 @@ def _rounds_given(arguments: argparse.Namespace) -> RoundOptions:
 
 
 def _share_given(arguments: argparse.Namespace) -> HoldOutOptions:
-    """Return the held-out share; with a database there is one without --hold-out."""
+    """Return the held-out share; with a database, --hold-out has a default."""
     given = options_given(arguments, HoldOutOptions, beside=("hold_out_seed",))
     if arguments.database is None:
         return options_given(arguments, HoldOutOptions)

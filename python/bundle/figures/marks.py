@@ -151,7 +151,8 @@ class Dots:
     """Dots at (n, 2) points, with their names as tooltips.
 
     Names are written beside the dots where there is room if ``is_labelled``. The directions of (n,
-    2) vectors select the colours in place of ``colours``. The radius counts a chart as 480 wide.
+    2) vectors select the colours in place of ``colours``. The radius is relative to a chart that is
+    480 wide.
     """
 
     xy: Array

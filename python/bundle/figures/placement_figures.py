@@ -146,9 +146,9 @@ class PlacedImage:
 class PlacedTarget:
     """Control or check point, or an unused one.
 
-    Residual (model minus survey), the same if only the other points georeference the model, and the
-    sigma of the survey are east, north, up [m], NaN if unknown. ``pixels`` is the root mean square
-    of its reprojection errors.
+    All are east, north, up [m], NaN if unknown: the residual (model minus survey), the residual of
+    a model that only the other points georeference, and the sigma of the survey. ``pixels`` is the
+    root mean square of its reprojection errors.
     """
 
     name: str

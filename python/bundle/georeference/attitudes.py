@@ -184,7 +184,7 @@ class AttitudeErrors:
 
 
 def _rounded_up(value: float) -> str:
-    """Return a bound with two digits, never smaller than it is."""
+    """Round a bound up to two digits."""
     if not 0 < value < math.inf:
         return f"{value:.2g}"
     unit = 10.0 ** (math.floor(math.log10(value)) - 1)
@@ -201,9 +201,10 @@ def _agreeing(group: AttitudesOfKind, problem: Problem, found: Agreement) -> NDA
 
 
 def _turned_to(problem: Problem, free: Problem, group: AttitudesOfKind) -> Problem:
-    """Return the free model in the world of the other, by the mean rotation of its good images.
+    """Rotate the free model to the world of the other by the mean rotation of its good images.
 
-    The turn is that of the sum of R_i^T R'_i over the images that do not contradict the others.
+    The rotation is the one nearest to the sum of R_i^T R'_i over the images that do not contradict
+    the others.
     """
     chosen = np.ones(problem.num_images, bool)
     chosen[group.rows[~_agreeing(group, free, group.agreement(free))]] = False
@@ -289,7 +290,7 @@ class ErrorsOfAttitudes(MeasurementErrors):
 
     @property
     def displays(self) -> tuple[Display, ...]:
-        """Residuals by kind, and the images whose measurement contradicts the others."""
+        """Table of residuals by kind, and images whose measurement contradicts the others."""
         rows = tuple(
             (
                 errors.noun,

@@ -20,7 +20,7 @@ FARTHEST = 1e12
 
 
 class Sigma(NamedTuple):
-    """Standard deviations of a surveyed position in metres."""
+    """Standard deviations of a surveyed position, in metres."""
 
     horizontal: float
     vertical: float

@@ -8,10 +8,10 @@ A measurement passes through three steps, and the row of its kind names the code
 3. The result has errors at the measurements (:class:`MeasurementErrors`), which the JSON report,
    the terminal and the page show.
 
-Kinds with the same code for a step take it together: positions and control points have one local
-frame, and orientations, gravity and headings turn the world in this order. Factors are in the order
-of the rows. Commands, solves and reports loop over ``ROWS``, so that a kind is added by a row and
-the file of its mathematics. Rows name code by text, because most runs have no measurements.
+Kinds with the same code for a step are processed together: positions and control points have one
+local frame, and orientations, gravity and headings turn the world in this order. Factors are in the
+order of the rows. Commands, solves and reports loop over ``ROWS``, so that a kind is added by a row
+and the file of its mathematics. Rows name code by text, because most runs have no measurements.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class Solved(Protocol):
 
     @property
     def without_attitudes(self) -> Problem | None:
-        """Model as all but measured attitudes determine it."""
+        """Model that a solve without measured attitudes determines."""
 
     @property
     def survey_checks(self) -> SurveyChecks | None:

@@ -116,7 +116,7 @@ def uprightness(problem: Problem, similarity: Similarity) -> float:
 
 
 def _most(lengths: Array) -> float:
-    """Return the length that most of the lengths do not exceed."""
+    """Return the h-th smallest length; the top of this file defines h."""
     rank = min(len(lengths) // 2 + 2, len(lengths)) - 1
     return float(np.sort(lengths)[rank])
 

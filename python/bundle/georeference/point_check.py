@@ -1,8 +1,8 @@
 """Test of surveyed points after an adjustment, and the estimated offset of positions.
 
 v is the whitened residual L^-1 (X - X0) of the prior of a control point, w the weight of its loss,
-and P = L^-1 Cov(X) L^-T the whitened covariance of the adjusted point. All else predicts the point
-with the residual and its covariance
+and P = L^-1 Cov(X) L^-T the whitened covariance of the adjusted point. All other measurements
+predict the point with the residual and its covariance
 
     d = (I - w P)^-1 v,    C = I + P (I - w P)^-1,    T = d^T C^-1 d = v^T Q^+ v for w = 1,
 
@@ -68,7 +68,7 @@ class OffsetCheck:
         return self.p < self.LEVEL
 
     def may_explain(self, statistic: float) -> bool:
-        """Return True if T is large by the stated sigmas, and larger than that of a point."""
+        """Return True if T is significant by the stated sigmas, and exceeds that of a point."""
         by_sigmas = chi2_tail(self.statistic, 3 if self.axes == "all" else 1)
         return by_sigmas < self.LEVEL and self.statistic > statistic
 

@@ -280,7 +280,7 @@ STEP = 1e-13
 
 @dataclass(frozen=True)
 class Agreement:
-    """Turn that the measurements agree on.
+    """Rotation of the world on which the measurements agree.
 
     Attributes:
         rotation: (3, 3) rotation Q of the world.

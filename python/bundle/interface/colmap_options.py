@@ -154,7 +154,9 @@ def _refuse_others(
         if name in _DEFAULTS or name in free:
             continue
         if name not in defaults:
-            raise InputError(f"{place(name)}: unknown to bundle, found {brief(value)}")
+            raise InputError(
+                f"{place(name)}: expected an option that bundle knows, found {brief(value)}"
+            )
         if value != defaults[name]:
             raise InputError(
                 f"{place(name)}: expected COLMAP's default {defaults[name]}, the only value that "

@@ -1,6 +1,6 @@
 """Alarm of a solve whose elimination order costs much more than another one.
 
-Three signs, each with the explanation that it must exclude:
+Three signs, each with the innocent explanation that it must exclude:
 
 - flops in the order used, relative to those of the best order that a cheap look finds. The look
   orders the same matrix: neither its size nor its density explains the ratio. In chains and ladders

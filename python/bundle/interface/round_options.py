@@ -72,10 +72,10 @@ class RoundOptions(Options):
     database: str | None = option(
         None,
         "--database",
-        "complete, merge and triangulate tracks before each round but the first, with the verified "
-        "matches of this COLMAP database, which has the images and keypoints of INPUT; at most "
-        f"{NUM_TRACK_ROUNDS} rounds without --rounds, and {DEFAULT_SHARE:g} % held out without "
-        "--hold-out. It is only read",
+        "complete, merge and triangulate tracks before each round after the first, with the "
+        "verified matches of this COLMAP database, which has the images and keypoints of INPUT and "
+        f"is only read; by default at most {NUM_TRACK_ROUNDS} rounds (--rounds), and "
+        f"{DEFAULT_SHARE:g} % held out (--hold-out)",
         metavar="FILE",
         value="path",
         use=22,

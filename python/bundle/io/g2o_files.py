@@ -82,10 +82,10 @@ def _notes(read: dict[str, Any]) -> tuple[str, ...]:
         notes.append(f"{plural(plain, 'edge')} without information: the identity is taken.")
     if equal:
         notes.append(
-            f"{plural(equal, 'line')} EQUIV passed over: the edges that they name stay as measured."
+            f"{plural(equal, 'line')} EQUIV ignored: the edges that they name stay as measured."
         )
     if packets:
-        notes.append(f"{plural(packets, 'packet')} of sensors (ROBOTLASER1) passed over.")
+        notes.append(f"{plural(packets, 'packet')} of sensors (ROBOTLASER1) ignored.")
     return tuple(notes)
 
 

@@ -7,10 +7,10 @@ metric of the projective plane, so the triangle inequality holds. The following 
 every point with n rays in O(n). Each step handles the points that the previous steps left
 undecided:
 
-1. The first and the last ray enclose at least the limit: keep the point.
-2. Some ray encloses at least the limit with the first ray: keep.
+1. The angle of the first and the last ray reaches the limit: keep the point.
+2. The angle of some ray and the first ray reaches the limit: keep.
 3. All rays are closer than half the limit to the first ray: remove.
-4. Let f be the ray farthest from the first. Some ray encloses at least the limit with f: keep.
+4. Let f be the ray farthest from the first. The angle of some ray and f reaches the limit: keep.
 5. All rays are closer than half the limit to the line midway between f and the ray farthest from
    f: remove.
 6. Test all pairs, a million at a time.
@@ -33,7 +33,7 @@ _Vectors = tuple[_Array, _Array, _Array]
 
 
 def enclose_angle(problem: Problem, observations: _Indices, min_angle: float) -> _Mask:
-    """Return a mask of the points that have two rays that enclose at least ``min_angle``.
+    """Return a mask of the points with two rays at an angle of at least ``min_angle``.
 
     Args:
         observations: indices of the observations to use; a point with fewer than two fails.
@@ -123,7 +123,7 @@ def _squared_sines(a: _Vectors, b: _Vectors) -> _Array:
 
 
 def _enclose(rays: _Rays, angle: float) -> _Mask:
-    """Return a mask of the points with a pair of rays that encloses the angle [rad]."""
+    """Return a mask of the points with two rays at an angle of at least the limit [rad]."""
     limit, half = np.sin(angle) ** 2, np.sin(angle / 2) ** 2
     # Steps 2 and 3: the first ray.
     sines = rays.squared_sines(rays.at(rays.begin))

@@ -134,7 +134,8 @@ def choose_start(
 ) -> Start:
     """Return the start from which the solve ends at the lowest cost.
 
-    Of equal ends the start counts that few steps took there, otherwise the earliest.
+    If several starts end at this cost, a start that reached it in few steps is preferred, then the
+    earliest.
 
     Costs at the start or after some steps are poor criteria: a start with a high cost may be in the
     basin of the right minimum, and a slow one may end below a fast one. All starts take a few steps

@@ -47,7 +47,7 @@ class PointOptions(Protocol):
 def are_images_unrelated(problem: ProblemArrays, options: PointOptions) -> bool:
     """Return True if all points are refined and no point is constant or observed twice.
 
-    Priors, factors and rules, which relate images too, are not looked at.
+    Priors, factors and rules, which also relate images, are not considered.
     """
     if "points" not in options.refine or options.fixed_point_ids:
         return False

@@ -55,7 +55,7 @@ def save_report(result: SolveRecord, path: str | os.PathLike[str], *, name: str 
 
 
 def _about(result: SolveRecord, name: str) -> tuple[Mapping[str, Any], Mapping[str, Any]]:
-    """Return the input for programs, and facts on the structure of its matrix."""
+    """Return the JSON entries of the input, and facts on the structure of its matrix."""
     if isinstance(result, PoseGraphResult):
         graph = result.initial_problem
         about = about_input(name or graph.path, graph) | {"digests": content_digests(graph)}

@@ -149,7 +149,7 @@ class Report:
     title: str = ""
 
     def json(self) -> dict[str, Any]:
-        """Return the report for programs, in JSON types."""
+        """Return the JSON report, in JSON types."""
         given = {} if self.input is None else {"input": self.input}
         verdict = {"headline": self.headline, "findings": self.findings}
         report: dict[str, Any] = plain({**heading(self.command), **given, **verdict, **self.data})

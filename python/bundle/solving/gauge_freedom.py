@@ -28,8 +28,6 @@ problem has pieces that nothing connects.
 
 Special geometry has more freedom that this count misses: critical configurations, and pieces that
 only few points connect.
-
-This file has more than 350 lines: the rows above and the code that builds them belong together.
 """
 
 from __future__ import annotations

@@ -218,7 +218,7 @@ def _starts(result: Result) -> list[str]:
 
 
 def _pulls(result: Result) -> list[str]:
-    """Return the reason for a larger RMSE if factors, such as measured positions, have it."""
+    """Return a sentence if factors, such as measured positions, explain a larger RMSE."""
     kept = result.kept
     if not _rises(kept) or (kept.inliers is not None and kept.inliers.num_outliers):
         return []

@@ -172,7 +172,7 @@ class PixelErrors(NamedTuple):
 
 
 def outlier_limit(problem: Problem, options: SolveOptions) -> float | None:
-    """Return the error of an outlier in pixels; None for least squares, and with sigmas."""
+    """Return the error of an outlier in pixels; None without a loss, or with observation sigmas."""
     if options.loss == "trivial" or problem.observation_sigma is not None:
         return None
     return OUTLIER * options.loss_scale

@@ -82,7 +82,7 @@ def _with_twists(
     factors: Iterable[Factor],
     known: ProblemFactors | None,
 ) -> tuple[ProblemFactors | None, SolveOptions]:
-    """Add the ties of twists, and hold the scale of the world, which ties would make small.
+    """Add the ties of twists, and hold the scale of the world, which ties alone would shrink.
 
     Raises:
         InputError: twists cannot be tied.

@@ -77,7 +77,7 @@ class MeasuredResult(RoundRecords, SolveRecord):  # the first table: iterations
 
     @cached_property
     def without_attitudes(self) -> Problem | None:
-        """The model as all but measured attitudes determine it, computed at the first access.
+        """The model of a solve without measured attitudes, computed at the first access.
 
         None without attitudes, and of a solve that did not converge.
         """

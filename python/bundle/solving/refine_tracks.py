@@ -14,10 +14,10 @@ moved to its priors, and rules are resolved, before the first round only.
 
 Held-out observations are drawn from the input, and all of this is repeated without them: neither
 the adjustment nor the triangulator sees their keypoints, nor other keypoints at the same place, nor
-their matches. After each round, their errors are computed at the points that most of the other
-observations of their tracks belong to. A point that the rounds deleted is triangulated from these
-other observations, with the cameras of the round. So all rounds, with the first as the solve of
-the input alone, are judged by the same observations.
+their matches. After each round, their errors are computed at the points to which most other
+observations of their tracks belong. A point that the rounds deleted is triangulated from these
+other observations, with the cameras of the round. All rounds are thus judged by the same
+observations; the first is a solve of the input.
 """
 
 from __future__ import annotations
@@ -465,8 +465,7 @@ def _without(matches: DatabaseMatches, problem: Problem, held: _Mask) -> Databas
 def _predicted(problem: Problem, held: _Mask, model: Problem, options: SolveOptions) -> Problem:
     """Return the problem with the cameras of a model of other tracks, and its points.
 
-    The point of a track is the point of the model that most of its observations belong to that are
-    not held out.
+    A track gets the point of the model to which most of its fitted observations belong.
     """
     rows = rows_among(_codes(problem)[~held], _codes(model))
     both = np.stack([problem.observation_point[~held], model.observation_point[rows]], axis=1)

@@ -70,7 +70,7 @@ def check_survey(prepared: Prepared, solve: Callable[[Prepared], Problem]) -> Su
 def solve_without_attitudes(
     prepared: Prepared, solve: Callable[[Prepared], Problem]
 ) -> Problem | None:
-    """Return the model as all but its measured attitudes determine it; None without or if it fails.
+    """Return the model of a solve without measured attitudes; None without attitudes or a solution.
 
     Sigmas of attitudes that are too small bend a model to them: their residuals are then small,
     and hide their errors.

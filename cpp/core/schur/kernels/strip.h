@@ -121,7 +121,7 @@ struct LaneState {
   }
 };
 
-/// True if the observation is in x.held, which fills in `held`.
+/// True if the observation is in x.held; `held` is then its residual.
 inline bool FindHeld(const StateRecords& x, int64_t observation, HeldResidual* held) {
   int64_t first = 0, last = x.num_held;
   while (first < last) {

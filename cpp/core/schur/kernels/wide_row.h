@@ -119,8 +119,8 @@ struct WideRow {
   }
 };
 
-/// The first eight numbers of a column of a block with rows of 12. Sums begin with what the block
-/// has: on a grid (assembly/sum_grid.h) every product must be rounded to it.
+/// The first eight numbers of a column of a block with rows of 12. Sums begin with the values of
+/// the block, because on a grid (assembly/sum_grid.h) every product must be rounded to the grid.
 inline WideRow<2> LoadColumn(const double* column) {
   double numbers[8];
   for (int r = 0; r < 8; ++r) numbers[r] = column[12 * r];

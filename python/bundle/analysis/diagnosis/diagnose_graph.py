@@ -109,8 +109,8 @@ def graph_diagnosis(
 ) -> Diagnosis:
     """Return the diagnosis of a graph of either kind.
 
-    Modes without a dimension are notes, those of pose graphs never. ``chi2``: (m,) of the
-    given terms. ``edge`` returns the keys of a term, its line in a file, and its name.
+    For a factor graph, modes without a dimension are notes. ``chi2``: (m,) chi2 of the given terms.
+    ``edge`` returns the keys of a term, its line in a file, and its name.
     """
     words, cost = equations.words, equations.cost
     at_minimum = tests.is_at_minimum(cost)

@@ -179,7 +179,7 @@ def _unseen(unknowns: Unknowns, tracks: TrackTable) -> Iterator[WeakMode]:
 
 
 def _blocks(unknowns: Unknowns, directions: Floats) -> Iterator[NDArray[np.int64]]:
-    """Yield the unknowns of each independent part of the space."""
+    """Yield the unknowns of each block of the projector onto the null space."""
     entities = unknowns.entities()
     active = np.flatnonzero((directions**2).sum(axis=1) > COUPLED**2)
     if not len(active):
@@ -333,8 +333,8 @@ def mode_of_poses(
         return WeakMode(
             kind=kind,
             sentence=f"{named('Image', sorted_ids(ids, loose))} relative to the others: {what}, "
-            f"which leaves {how} open ({plural(dimension, 'direction')}). Match more points "
-            "between them and the others, or fix them.",
+            f"which does not determine {how} ({plural(dimension, 'direction')}). Match more "
+            "points between them and the others, or fix them.",
             image_ids=sorted_ids(ids, loose),
             dimension=dimension,
         )
@@ -345,8 +345,8 @@ def mode_of_poses(
     moved = np.flatnonzero(energy > DOMINANT * energy.max()) if energy.any() else images
     return WeakMode(
         kind="undetermined_poses",
-        sentence=f"{named('Image', sorted_ids(ids, moved))}: the observations leave "
-        f"{plural(dimension, 'direction')} of the poses open.",
+        sentence=f"{named('Image', sorted_ids(ids, moved))}: the observations do not "
+        f"determine {plural(dimension, 'direction')} of the poses.",
         image_ids=sorted_ids(ids, moved),
         dimension=dimension,
     )

@@ -9,9 +9,9 @@ Eigenvalues of the scaled system below 1e-5 count
 as weak: seeded flights over flat ground have one to two of them per image; over a relief of 5 % of
 the height at most 0.4, walks and drives none. An image is named if the weak directions contain 0.7
 of a direction of its unknowns, and its points are flat: their relief about a plane is below 2 % of
-their distance. Where all images are flat, the weak directions of a long road reach 3e-5, and those
-below 5e-5 count; the next are above 2e-4. Eigenvalues below 1e-11 are zero; if they contain 0.7 of
-a direction of an image, it is named for any scene.
+their distance. If the points of all images are flat, eigenvalues below 5e-5 count: those of a long
+road reach 3e-5, and the next are above 2e-4. Eigenvalues below 1e-11 are zero; if they contain 0.7
+of a direction of an image, it is named for any scene.
 
 The eigenvalues are computed with the row time s as a function of the parameters (the solution of
 s = pi_y(x) / height - 1/2), not with s fixed at the observed row. The residual of an observation is
@@ -34,8 +34,8 @@ rotations e, and the scale of the world):
 
     t: u = -R t,    e: w = -R e, u = (R e) x T_t,    scale: u = T_t, d = (0, v).
 
-The eigenvalues are those of the reduced system without these, scaled to a unit diagonal. Held
-intrinsics, free twists: with more free parameters, eigenvalues are smaller or equal.
+The eigenvalues are those of the reduced system without these, scaled to a unit diagonal. Intrinsics
+are constant and twists free: with more free parameters, eigenvalues are smaller or equal.
 """
 
 from __future__ import annotations

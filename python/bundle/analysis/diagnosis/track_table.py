@@ -1,11 +1,11 @@
 """Observations by point, and viewing geometry: causes of weakly separable intrinsics and poses.
 
 Let all images of a camera look along one direction d. Stretching the world along d by s, together
-with the focal length, changes no pinhole image: x = f X / Z. If images are only shifted against
-each other, along d or across it, no scene separates the focal length from the depth. Rotated images
-do separate them. Over a plane perpendicular to d, only the images move ("height"). Then even
-slightly inclined images separate focal length and depth poorly (Wu 2014: Critical configurations
-for radial distortion self-calibration; Sturm 1997: critical motion sequences).
+with the focal length, changes no pinhole image: x = f X / Z. If images differ only by translations,
+no scene separates the focal length from the depth. Rotated images do separate them. Over a plane
+perpendicular to d, only the images move ("height"). Then even slightly inclined images separate
+focal length and depth poorly (Wu 2014: Critical configurations for radial distortion
+self-calibration; Sturm 1997: critical motion sequences).
 
 Weak joints: parts of a model that few points connect to the rest.
 

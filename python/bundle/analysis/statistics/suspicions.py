@@ -25,7 +25,7 @@ s^2 / f pixels per radian, and must be below 20 / sqrt(n).
 
 A depth is the third coordinate of R X + t, in the reconstruction's length unit. A solve can pull
 points onto a projection centre, where any direction fits. Their depths are then many orders of
-magnitude smaller than others, and their derivatives as many larger.
+magnitude smaller than others, and their derivatives larger by the same factor.
 """
 
 from __future__ import annotations
@@ -101,7 +101,7 @@ def suspicions(
 def broken_parts(problem: Problem, held: Container[int | str] = ()) -> tuple[Finding, ...]:
     """Return parts with which a refined model is unusable, whatever its residuals.
 
-    Ids or names of images are held if more than their observations determines their poses.
+    ``held``: ids or names of images whose poses are not determined by observations alone.
     """
     lens = lenses(problem)
     return (

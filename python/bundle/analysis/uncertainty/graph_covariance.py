@@ -171,8 +171,8 @@ def graph_covariance(
     equations = PoseEquations(weighted)
     if gauge == "none" and equations.for_gauge:
         raise InputError(
-            "gauge: none expects a fixed pose in each component, found "
-            f"{plural(equations.num_floating, 'component')} without; gauge first fixes one in each"
+            "gauge: expected a fixed pose in each component for 'none', found "
+            f"{plural(equations.num_floating, 'component')} without; 'first' fixes one in each"
         )
     is_plain = weighted.options.loss == "trivial"
     found, factor, facts = selected_covariance(equations, rows, gauge, scale, is_plain)
@@ -272,8 +272,8 @@ def factor_graph_covariance(
         )
     if gauge == "none" and space.nullity and not space.others.shape[1]:
         raise InputError(
-            f"gauge: none expects factors or constant variables that fix the gauge, found "
-            f"{plural(space.nullity, 'free direction')}; first fixes a variable"
+            f"gauge: expected factors or constant variables that fix it for 'none', found "
+            f"{plural(space.nullity, 'free direction')}; 'first' fixes a variable"
         )
     place = {key: k for k, key in enumerate(graph.keys)}
     rows = [(place[a], place[b]) for a, b in pairs]

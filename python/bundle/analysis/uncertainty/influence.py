@@ -68,8 +68,8 @@ class Change:
 class Influence(FrozenArrays, Displayed, Tabular):
     """A quantity, its sigma, and what each measurement contributes.
 
-    Arrays have a row per observation, image or point of the problem. What does not count, or has no
-    value, has NaN.
+    Arrays have a row per observation, image or point of the problem. NaN: a measurement that does
+    not count or has no value.
 
     Attributes:
         on: the quantity.
@@ -163,7 +163,7 @@ def influence(
     constraints: Constraints | Iterable[str | Rule] = (),
     **changes: Any,
 ) -> Influence:
-    """Find what a quantity of a solution hangs on.
+    """Find the measurements that determine a quantity of a solution.
 
     The derivatives are those of Gauss-Newton at the problem's values, which should be a minimum of
     a solve with the same options. They do not depend on the gauge.

@@ -196,7 +196,7 @@ _FUNCTIONS = {"distance": _distance, "height": _height, "angle": _angle, "volume
 
 
 def lacking(quantity: Quantity, problem: Problem) -> str:
-    """Return what of the world changes a quantity, in words; no position does."""
+    """Return the free motions of the world that change a quantity: "rotation", "scale" or both."""
     rotations = rotation_matrices(problem.cam_from_world[:, :4])
     of_w, of_t = quantity.images[:, :3], quantity.images[:, 3:]
     points, t = problem.points, problem.cam_from_world[:, 4:]

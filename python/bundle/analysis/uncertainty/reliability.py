@@ -14,10 +14,10 @@ delta0 sigma / sqrt(l), and it moves any function of the unknowns by at most del
 l) of its sigmas. ``delta0`` is that of a test of one number, along u, as in Baarda's B-method.
 
 Below a redundancy of :data:`NOT_CHECKABLE`, an error is so large before it is seen that the linear
-theory no longer holds: planted errors of 98 px shifted w by 0.8 in the place of 4.13. There are no
-numbers then. A point with two rays has four residuals and three coordinates: along the epipolar
-line it follows any error, and l = 0 for both observations, although their components may have
-redundancies of 0.5.
+theory no longer holds: planted errors of 98 px shifted w by 0.8 in the place of 4.13. Such
+measurements therefore have no numbers. A point with two rays has four residuals and three
+coordinates: along the epipolar line it follows any error, and l = 0 for both observations, although
+their components may have redundancies of 0.5.
 """
 
 from __future__ import annotations
@@ -376,7 +376,7 @@ def _findings(
         yield Finding(
             kind="unchecked_control_points",
             sentence=f"An error in the survey of {names} would not be noticed: "
-            f"{plural(len(controls), 'control point')} leave it open. Add a control point near "
+            f"{plural(len(controls), 'control point')} do not check it. Add a control point near "
             "each, or measure them in more images.",
             evidence={
                 "control_points": [one.name for one in alone],

@@ -77,7 +77,7 @@ class GraphContents(Displayed):
         Raises:
             InputError: the object is not a factor, a key is unknown, or its numbers do not fit the
                 variables: a wrong size, or an information matrix that is asymmetric, singular or
-                indefinite. Or information would count twice: the graph would have a prior of
+                indefinite. Also if information would count twice: the graph would have a prior of
                 :meth:`bundle.FactorGraph.marginalize` together with a factor that it contains, or
                 two priors that contain the same factor.
         """

@@ -198,7 +198,7 @@ def _are_shared(*groups: Iterable[Key]) -> bool:
 
 
 def _sigmas(factors: Sequence[ReprojectionFactor]) -> NDArray[np.float64] | None:
-    """Return the sigma of each observation; None if one has two."""
+    """Return the sigma of each observation; None if its x and y have different ones."""
     information = np.stack([as_information(f.name, np.asarray(f.information), 2) for f in factors])
     weight = information[:, 0, 0]
     if (information != weight[:, None, None] * np.eye(2)).any():

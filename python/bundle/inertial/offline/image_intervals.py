@@ -118,7 +118,7 @@ class ImageIntervals:
 
 
 def likely_kinds(instant: ClockOffset, interval: ClockOffset) -> tuple[str, ...]:
-    """Return the kinds of samples that the offsets of the clocks by both kinds leave possible."""
+    """Return the kinds of samples that the clock offsets found with each kind allow."""
     if instant.is_clear and interval.is_clear:
         return ("instant",)  # the offset takes the difference
     if not (math.isfinite(instant.sigma) and math.isfinite(interval.sigma)):

@@ -380,7 +380,7 @@ def _evidence(
     noise_scale: float,
     place: Callable[[int], str] | None,
 ) -> Evidence:
-    """Return what is known about images and IMU after the solves."""
+    """Return the evidence on images and IMU after the solves."""
     last, alone = found.results[-1], case.images
     count = len(case.bodies) - 1
     problem = alone.problem

@@ -14,9 +14,9 @@ ones exceeds with a probability of 0.1 %.
 Causes. The rotations of images alone and of the gyroscope reveal errors of axes (``rotation_map``),
 and errors of single times: a time of image k that is off by x_k changes the rotation between images
 by w_{k+1} x_{k+1} - dR^T w_k x_k (``clock_offset``). A drift is x_k in proportion to the time.
-Without a drift, the x_k count as independent; the method of moments gives their variance. White
-noise of samples is at most what their second differences show: std / sqrt(6), times the root of the
-period as a density.
+Without a drift, the x_k count as independent; the method of moments gives their variance. The
+second differences of samples bound their white noise: std / sqrt(6), times the root of the period
+as a density.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 r"""Scale, gravity, velocities and biases of a reconstruction whose images have IMU samples.
 
-The gyroscope's bias b makes the preintegrated rotations dR_k(b) those of the images:
+With the bias b of the gyroscope, the preintegrated rotations dR_k(b) equal those of the images:
 
     Log(dR_k(b)^T R_k^T R_{k+1}) = 0,        R = world_from_imu,
 
@@ -96,7 +96,7 @@ def solve_inertial_start(
 
     ``rotations`` (n, 3, 3) are world_from_imu, ``centers`` (n, 3) projection centres in units of
     the model, ``arms`` (n, 3) from camera to IMU along its axes, metres; ``gravity`` is
-    a length, m/s^2. Without ``rate_bias`` the rotations give it.
+    a length, m/s^2. ``rate_bias``: bias of the gyroscope; None: estimated from the rotations.
     """
     if rate_bias is None:
         between = np.swapaxes(rotations[:-1], 1, 2) @ rotations[1:]

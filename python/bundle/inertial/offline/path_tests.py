@@ -155,7 +155,7 @@ LEAST_MOVEMENT = 0.02
 
 
 class LeastCost(NamedTuple):
-    """Least costs of images and IMU for a scale of the forces, and positions (n, 3) there."""
+    """Minimum cost of images and IMU at a scale of the forces, and the positions (n, 3) at it."""
 
     images: float
     imu: float

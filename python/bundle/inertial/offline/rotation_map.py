@@ -204,7 +204,7 @@ def accel_axes(
     gravity: float,
     rule: str,
 ) -> tuple[Array, InertialStart] | None:
-    """Return the axes that explain the path, and the start with the given ones, or None.
+    """Return the axes that explain the path and the start with the given axes, or None.
 
     The arguments are those of :func:`solve_inertial_start`.
     """

@@ -7,8 +7,9 @@ late clock by d leave, with the rates w at both images and T between them,
     c - R g = s R g + a x R g + d R (w_j - w_i) - T R b,        k = 1 / (1 + s),
 
 by least squares with the information on c, Cauchy weights, and weak priors, without which s and b
-are not separable at constant speed. A right k leaves errors of tracks only. If a larger residual
-remains, or s, a or d exceed their priors, another fault affects the rotations: k is unknown.
+are not separable at constant speed. With the right k, only errors of tracks remain. If a larger
+residual remains, or s, a or d exceed their priors, another fault affects the rotations: k is
+unknown.
 
 **Change of the bias.** (g - R^T c) / T is the bias b of each pair. The medians before and after a
 time differ by at most 5 deviations in clean flights, by 17 with a turned camera, and by 26 or more
@@ -121,7 +122,7 @@ def bias_findings(recording: Recording, turns: list[Turn]) -> tuple[Finding, ...
 
 
 def _change(biases: Array, first: int) -> tuple[float, float, int]:
-    """Return the change of the median (n, 3) from a row on: in deviations, its size; the row."""
+    """Return the largest change of the median of (n, 3): in deviations, its size, and its row."""
     parts = biases[:first], biases[first:]
     medians = [np.median(part, axis=0) for part in parts]
     errors = np.concatenate([np.abs(a - b) for a, b in zip(parts, medians, strict=True)])
@@ -167,9 +168,9 @@ def jitter_findings(images: SequenceImages, recording: Recording) -> tuple[Findi
     if not ratio > 2 * math.log(1 / FALSE_ALARM):
         return ()
     sentence = (
-        f"{recording.name}: stamps of images: expected a constant rate of {1 / period:.4g} Hz, "
-        f"with which tracks and gyroscope agree better, found deviations of {1e3 * jitter:.2g} ms "
-        "(rms): times of receipt in place of exposure?"
+        f"{recording.name}: stamps of images: expected times of exposure, found times that "
+        f"deviate by {1e3 * jitter:.2g} ms (rms) from a constant rate of {1 / period:.4g} Hz, with "
+        "which tracks and gyroscope agree better; are they times of receipt?"
     )
     evidence = {"jitter": jitter, "ratio": ratio, "num_pairs": len(given.camera)}
     return (Finding(kind="stamps", sentence=sentence, evidence=evidence),)

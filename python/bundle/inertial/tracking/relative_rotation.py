@@ -19,7 +19,7 @@ search begins at two starts and returns the minimum with the lowest Cauchy cost.
 * Essential matrix E by linear least squares on y^T E x = 0 (Longuet-Higgins, 1981), which ignores
   that two of its singular values are equal and the third is 0. With E = U S V^T, the smaller of the
   two rotations U W V^T, in which W is a quarter of a turn to either side; t is the last column of
-  U. Points on a plane leave E open.
+  U. Points on a plane do not determine E.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ def refined_rotation(
 
 
 def linear_rotation(x: Array, y: Array) -> tuple[Array, Array]:
-    """Return rotation (3, 3) and direction of the translation between unit rays, roughly."""
+    """Return an approximate rotation (3, 3) and direction of the translation between unit rays."""
     rows = (y[:, :, None] * x[:, None, :]).reshape(-1, 9)
     essential = np.linalg.svd(rows)[2][-1].reshape(3, 3)
     errors = np.abs(rows @ essential.ravel())

@@ -237,7 +237,7 @@ def _angle(lens: Array, pairs: RotationPairs, imu: Array) -> tuple[float, float]
 
 
 def _likely_shifts(pairs: RotationPairs) -> list[float]:
-    """Return the shift at which the sizes of rotations, which no axes change, agree best."""
+    """Return the shift at which the angles of rotations, independent of axes, agree best."""
     sizes = _norms(pairs.camera)
     scores = []
     for shift in SHIFTS:

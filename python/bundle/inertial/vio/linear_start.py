@@ -7,8 +7,8 @@ for the gyroscope bias b (on which rotations depend alone) and J = d dp / d acce
 
 A camera (R_c, t_c of camera_from_imu) observes a point X at y = R_c R^T (X - p) + t_c. Its
 observation (u, w) gives y_x - u y_z = 0 and y_y - w y_z = 0, which is linear in X, v, g and a. One
-linear system thus determines everything but b, in metres. A vision-only reconstruction with a scale
-fitted afterwards is not needed (Dong-Si and Mourikis, IROS 2012; Martinelli, IJCV 2014).
+linear system thus determines all unknowns except b, in metres. A vision-only reconstruction with a
+scale fitted afterwards is not needed (Dong-Si and Mourikis, IROS 2012; Martinelli, IJCV 2014).
 
 * Points are eliminated (Schur complement). Gravity has its known length and moves on its sphere by
   two coordinates, in a few iterations. A prior constrains a, which a second of motion

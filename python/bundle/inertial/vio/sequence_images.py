@@ -8,8 +8,8 @@ of their standard deviation around the gap (twice its length on each side). A ga
 uncertainty of s T to a rotation and of s T to a velocity.
 
 Without its bad samples (:mod:`bundle.model.sequence.sequence_findings`) a sensor has a gap, too.
-For a spike, s is at least its size, in case it was a real impact. Stretches longer than two seconds
-stay as they are.
+For a spike, s is at least its size, in case it was a real impact. Longer stretches of bad samples
+than two seconds are kept.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Alarms of a window's telemetry.
 
-Some indicators are wrong at any time. Others, which a healthy window shows briefly, count only if
-they persist: two keyframes, five without excitation, a trend over fifty.
+Some indicators raise an alarm at once. Others, which healthy windows show briefly, must persist:
+two keyframes, five without excitation, a trend over fifty.
 
 The cost of a prior is at least 0. It is half a chi-square, whose degrees of freedom are the
 prior's number of coordinates. Healthy windows have about 0.1 per coordinate. The cost exceeds 1

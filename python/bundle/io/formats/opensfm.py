@@ -329,7 +329,7 @@ def _reconstruction(problem: Problem) -> dict[str, Any]:
 
 
 def _metadata(data: Mapping[str, Any], name: str) -> dict[str, Any]:
-    """Return the data of a shot that was read, without a position in a frame that was left."""
+    """Return the data of a shot as read, without its position if the frame has changed."""
     known = data.get("shots", {}).get(name, {})
     return {key: known[key] for key in known if key != "gps_position" or not _has_left(data)}
 

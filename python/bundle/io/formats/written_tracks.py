@@ -1,4 +1,4 @@
-"""Points with their views as text, and what writers of all formats need of a problem.
+"""Points with their views as text, and common functions of the writers of all formats.
 
 A block of points is one ``%`` format with one tuple of numbers: the format of a point depends only
 on the number of its views, so that no number is formatted alone in Python.

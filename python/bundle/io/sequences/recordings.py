@@ -224,7 +224,7 @@ def read_video(
     count, rate = _frames(path)
     if frame_times is None:
         stamps: NDArray[np.int64] = np.rint(1e9 / rate * np.arange(count)).astype(np.int64)
-        note = f"Frames: {count} at {rate:.6g} per second from 0, the rate of the container."
+        note = f"Frames: {count} from time 0, at the rate of the container, {rate:.6g} per second."
     else:
         table = _table(frame_times, [])
         stamps = table.whole[:, 0]

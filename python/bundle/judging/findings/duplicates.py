@@ -8,7 +8,7 @@ Test. Two points are duplicates if two or more images see both at the same pixel
 alone does this once in (area in tenths of pixels) / observations per image for one image, and never
 for two.
 
-It matters little: on real models, sigmas are 1 to 7 % too small. So terminals show it with
+The effect is small: on real models, sigmas are 1 to 7 % too small. So terminals show it with
 --verbose only (``DETAILS``), and no command is advised.
 
 Threshold. 10 % of the observed points are in such pairs: standard deviations are 5 % too small.

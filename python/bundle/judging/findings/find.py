@@ -94,7 +94,7 @@ def _repairs(measured: Measured) -> tuple[tuple[str, str], bool]:
 
 
 def _num_outliers(model: Measured, given: Measured) -> int:
-    """Return the number of outliers of a model that was solved again, for the loss given."""
+    """Return the number of outliers of a model under the loss of another."""
     found = outliers(dataclasses.replace(model, options=given.options))
     return 0 if found is None else int(found.evidence["num_outliers"])
 

@@ -30,8 +30,8 @@ first step of the model with velocities beyond that of the present one, and s1 a
 deviations of the centres in both, for the same noise. Without motion, D^2 is s1^2 - s0^2 on average
 (Hausman 1978). Motion has moved the present centres by b, b^2 about D^2 - (s1^2 - s0^2), so that
 their mean square error is b^2 + s0^2. It exceeds s1^2, that with velocities, if D^2 > 2 (s1^2 -
-s0^2). D varies: a shutter is advised if D > 2 sqrt(s1^2 - s0^2). Lenses that differ are not shared
-by this command: once the shutter is known, ``shared_lens`` decides.
+s0^2). D varies: a shutter is advised if D > 2 sqrt(s1^2 - s0^2). The command does not share lenses
+that differ: ``shared_lens`` decides on that once the shutter is known.
 
 Single images. Without motion in general, an image has systematic residuals if b_i^T V_i^-1 b_i >
 3 + 6 sqrt(6) + 20 + 2 log m and its field has an rms of half a scale. It is weak if its scale is
@@ -43,8 +43,8 @@ than the best weights by more than the share q of these images in the sum of squ
 parameter of all images has at most 1 / (1 - q) of its best variance, and the images' own positions
 gain nothing. At q = 0.3 (two images of 20 with 3 times the noise), the loss changes positions by a
 factor of 0.99 on average, between 0.84 and 1.3 by chance (30 scenes); at q = 0.73, by 0.71 (24
-scenes). So q >= 2/3 is needed for a command. The few points of a weak joint make most of the errors
-of positions, which the loss changes by chance: then there is none.
+scenes). So q >= 2/3 is needed for a command. At a weak joint, few points cause most errors of
+positions, which the loss changes by chance; then no command is given.
 """
 
 from __future__ import annotations

@@ -3,8 +3,8 @@
 Test. At a minimum the gradient by each free point and by each free pose vanishes, whatever else was
 held constant. With g = J^T W r and H = J^T W J of one point (or one pose), its own Newton step
 lowers the cost 1/2 sum w e^2 by 1/2 g^T H^-1 g. The sum over the points (poses), relative to the
-cost, is about what a step of all achieves. W are the weights rho'(e^2) of the loss of the solve. An
-unknown loss is tried: squares, soft_l1 and cauchy at 1 px; the smallest decrease is used.
+cost, approximates the decrease by a common step. W are the weights rho'(e^2) of the loss of the
+solve. An unknown loss is tried: squares, soft_l1 and cauchy at 1 px; the smallest decrease is used.
 
 Threshold. At the true values, too, k parameters absorb noise: a share e = k / (2 observations) of
 the cost. The remainder, (1 - decrease) / (1 - e), must be below 0.8 for points or for poses. Nine

@@ -5,14 +5,14 @@ well. The residual of image i in units of its sigma has the length d_i in a grou
 d_i^2 is chi^2 with as many degrees of freedom as measured axes (median 1.386 for two, 0.455 for
 one).
 
-Wrong sigmas. The ratio of a group, the root of median d^2 over its expected median, is above 2 and
-3 of its standard errors above 1, over at least 6 images. The command gives the sigmas that the
-residuals show, per group. Where the file has sigmas of its own, it gives
-factors on these.
-Single positions. The residual of all axes, each in sigmas times the ratio of its group (at least
-1), is above 5 in at most a third of the images.
-If outliers or a small lens bend the model, the test uses the model without them. If motion that no
-command removes bends it, no sigmas are advised, because larger sigmas would allow more bending.
+Wrong sigmas. The ratio of a group is the root of median d^2 over its expected median. It exceeds 2,
+and 1 by 3 of its standard errors, over at least 6 images. The command gives the sigmas that the
+residuals show, per group. Where the file has sigmas of its own, it gives factors on these.
+
+Single wrong positions. In at most a third of the images, the residual over all axes exceeds 5
+sigmas, after division by the ratio of each group (at least 1). If outliers or a small lens bend the
+model, the test uses the model without them. If motion that no command removes bends it, no sigmas
+are advised, because larger sigmas would allow more bending.
 
 Drift. Priors pull the model, so that a drift shows little in the residuals. If these show any
 tension (a ratio above 1.5, or a residual above 5 sigmas), the model is solved without positions,

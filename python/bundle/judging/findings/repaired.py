@@ -1,15 +1,15 @@
 """A model as it would be without a fault that was found, for the tests that follow.
 
-One fault looks like others. Outliers of a least-squares fit bend cameras, a lens model that is too
-small makes focal lengths differ, a rolling shutter bends, wrong positions pull images away. So the
-tests run in stages. If a stage finds a fault, the model is solved again from its present values as
-the command of the finding says (a cauchy loss, a larger lens model, a rolling shutter, no
+One fault causes symptoms of others. Outliers of a least-squares fit bend cameras, a lens model that
+is too small makes focal lengths differ, a rolling shutter bends, wrong positions pull images away.
+So the tests run in stages. If a stage finds a fault, the model is solved again from its present
+values as the command of the finding says (a cauchy loss, a larger lens model, a rolling shutter, no
 positions), and the next stage looks at that model. It reports faults of the original only. If the
 robust solve does not converge, the fault has destroyed the model, and no later stage can be
 trusted. That of a larger lens or a shutter begins at a minimum; a few steps are enough. Later
 stages need only large changes, so both solves may end at a cost that is 1e-4 too high. This takes a
-third of the steps, and slow steps near the minimum do not count as failures. Positions that bend
-a model take it far from the minimum without them, and the return is slow, because a drift costs
+third of the steps, and slow steps near the minimum do not count as failures. Positions that bend a
+model take it far from the minimum without them, and the return is slow, because a drift costs
 little. So that solve has more steps and a smaller tolerance.
 
 The second solve takes about as long as the first. It is made for models of at most 50,000

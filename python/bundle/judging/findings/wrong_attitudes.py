@@ -8,7 +8,7 @@ distribution with k = 1, 2 or 3 degrees of freedom.
 Single images. a_i is above max(1, ratio) times the quantile that the largest of n good ones exceeds
 with a probability of 0.1 %, and above 1 degree, in less than half of the images. The ratio is the
 median of a_i over that of the chi distribution.
-Wrong sigmas. The ratio is above 2 and 3 of its standard errors above 1, over at least 6 images. The
+Wrong sigmas. The ratio exceeds 2, and 1 by 3 of its standard errors, over at least 6 images. The
 median of n lengths has the relative standard error c_k / sqrt(n), with c_k = 1 / (2 f(m) m), m the
 median and f the density of the chi distribution. The command gives the sigma that the residuals
 show.

@@ -53,7 +53,7 @@ _Floats = NDArray[np.float64]
 
 
 class MotionTest(NamedTuple):
-    """Result of a test by prediction."""
+    """Result of the test for motion or a rolling shutter."""
 
     gain: float  # relative decrease of the lowest score with shared lenses by a shutter
     explains: bool  # True if this gain is relevant
@@ -61,7 +61,7 @@ class MotionTest(NamedTuple):
 
 
 def measured(fit: CandidateFit) -> Measured:
-    """Return a fit as the findings see it."""
+    """Return a fit in the form that findings read."""
     assert fit.prepared is not None
     return Measured(whole=fit.refined, command=NextCommand(), options=fit.prepared.options)
 

@@ -222,8 +222,8 @@ def _pixels_and_points(
 ) -> tuple[NDArray[np.float64], NDArray[np.uint64]]:
     """Return the pixels (n, 2) and point ids (n,) of the observations of images.
 
-    pycolmap has no arrays of them, and takes 0.5 us for the object of a keypoint. It writes files
-    in 50 ns per keypoint: of a model that has the same keypoints and nothing else.
+    pycolmap has no arrays of them, and takes 0.5 us for the object of a keypoint. Writing a model
+    with only these keypoints to a file takes 50 ns per keypoint.
     """
     xy, point_id = np.empty((counts.sum(), 2)), np.empty(counts.sum(), np.uint64)
     end = 0

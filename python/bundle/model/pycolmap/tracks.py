@@ -239,7 +239,7 @@ def _with_keypoints(
 ) -> pycolmap.Reconstruction:
     """Return the problem as a reconstruction that has these keypoints.
 
-    Images without a pose keep their own.
+    Images without a pose keep the keypoints of the source.
     """
     # Without observations, whose keypoints the source may lack; the points have colours.
     bare = problem.select(observations=np.zeros(problem.num_observations, bool)).problem

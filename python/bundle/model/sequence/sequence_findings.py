@@ -161,7 +161,7 @@ _BAD = {
 
 
 def _bad_samples(sequence: Sequence, place: Place, findings: list[SequenceFinding]) -> None:
-    """Report stretches that are no measurements; a constant sensor at rest is none of them."""
+    """Report stretches of invalid samples; constant samples at rest are valid."""
     stamps = sequence.imu_timestamps_ns
     found = [
         each

@@ -17,8 +17,8 @@ rates by size. The times follow from solves of graphs whose counts differ, the l
 third-level cache.
 
 Threads divide the edges equally. They divide the factorisation by its subtrees and by slices of the
-panels above them: the busiest thread counts (``panel_work.cpp``). Two graphs measure the actual
-saving.
+panels above them: the busiest thread counts (``panel_work.cpp``). Solves of two graphs measure how
+much time threads save.
 """
 
 from __future__ import annotations
@@ -283,8 +283,8 @@ def step_time(graph: PoseGraph, ordering: str, num_threads: int) -> float:
     next step to linearise again, with more damping. A step is whole if it linearises once: if it is
     taken after a taken one, or rejected after a rejected one.
 
-    Other load only adds time. Of a long step on one thread the processor time counts, which other
-    load changes little; for a short step the calls that read it would take too long.
+    Other load only adds time. A long step on one thread is measured in processor time, which other
+    load changes little; for a short step, reading this time takes too long.
     """
     found: list[float] = []
     begun = perf_counter()

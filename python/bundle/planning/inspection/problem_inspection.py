@@ -433,7 +433,7 @@ def ceres_time(
 
 
 def passes_per_step(pattern: ProblemPattern) -> float:
-    """Return the assumed number of products without S per step, as ``choose_solver.cpp``."""
+    """Return the assumed number of products without S per step, as in ``choose_solver.cpp``."""
     columns = float(max(pattern.num_camera_columns, 1))
     density = min(2 * pattern.num_reduced_values / columns**2, 1.0)
     return min(_MOST_PASSES, _PASSES_OF_FULL_SYSTEM / density)

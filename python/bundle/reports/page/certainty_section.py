@@ -83,8 +83,9 @@ def ellipsoid_data(
 ) -> tuple[dict[str, Any] | None, float]:
     """Return ellipsoids for the view, and the factor by which their drawing is enlarged.
 
-    Positions are (n, 3) in the frame of the view, of more than 400 every k-th; covariances are
-    (n, 3, 3) in squared units of the world, of which the view's unit has ``unit``.
+    Positions are (n, 3) in the frame of the view; of more than 400, every k-th is drawn.
+    Covariances are (n, 3, 3) in squared units of the world; ``unit``: world units per unit of the
+    view.
     """
     good = np.flatnonzero(np.isfinite(covariance).all(axis=(1, 2)))
     good = good[:: max(-(-len(good) // MOST_ELLIPSOIDS), 1)]
@@ -121,7 +122,7 @@ WORDS = (
 
 
 def projection_sections(known: Sequence[ProjectionUncertainty]) -> list[Section]:
-    """Return the figures of each camera; those of the first show, the others are details."""
+    """Return the figures of each camera; all but those of the first camera are details."""
     sections = []
     for index, one in enumerate(known):
         figures = [

@@ -358,7 +358,7 @@ def _worst_of_each(facts: GraphFacts, there: NDArray[np.bool_]) -> NDArray[np.fl
 
 
 def _pairs(edges: NDArray[np.int64], step: int, count: int) -> str:
-    """Return pairs of drawn points, packed; edges of points that are left out are left out."""
+    """Return pairs of drawn points, packed; edges of points that are not drawn are left out."""
     kept = edges[(edges % step == 0).all(axis=1)] // step
     kept = kept[(kept < count).all(axis=1)]
     return packed(kept[:: max(1, -(-len(kept) // MOST_LINES))].astype(float))

@@ -173,7 +173,7 @@ def placement_sections(place: Placement, dimensions: Block | None) -> list[Secti
 
 
 def _rms(place: Placement) -> list[Table]:
-    """Return the table of RMS errors: those that tell the accuracy first."""
+    """Return the table of RMS errors, those that measure accuracy first."""
     head = ["RMS error", "count", "east [m]", "north [m]", "up [m]", "horizontal [m]", "total [m]",
             "CE90 [m]", "LE90 [m]"]  # fmt: skip
     controls = sum(target.role == "control" for target in place.targets)
@@ -392,7 +392,7 @@ def shutter_section(
 def shutter_data(
     problem: Problem, result: Result | None, sigmas: dict[int, float]
 ) -> dict[str, Any]:
-    """Return the same for programs; empty without rolling shutters."""
+    """Return the same as JSON entries; empty without rolling shutters."""
     if result is None or not about_shutter(problem):
         return about_shutter(problem)
     return solved_data(result, sigmas)

@@ -28,7 +28,7 @@ FEW_IDS = 4
 def field_sections(
     fields: Sequence[ResidualField], num_cameras: int, rows: Mapping[str, RowResiduals]
 ) -> list[Section]:
-    """Return the figures of all fields; those of the first show, the others are details.
+    """Return the figures of all fields; all but those of the first field are details.
 
     ``num_cameras`` counts cameras with observations; ``rows`` are residuals by row, by label.
     """

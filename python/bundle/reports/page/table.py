@@ -104,7 +104,7 @@ MOST_DETAILS = 3
 
 
 def rendered(sections: Iterable[Section | str]) -> list[str]:
-    """Return the markup of sections; of many details in a row all but the first are one fold.
+    """Return the markup of sections; consecutive details after the first are folded together.
 
     Text is markup already.
     """

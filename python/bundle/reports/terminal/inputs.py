@@ -46,7 +46,7 @@ def input_facts(path: str, given: Problem | PoseGraph | None, *, rigs: bool = Fa
 
 
 def about_input(path: str, given: Problem | PoseGraph | None) -> dict[str, Any]:
-    """Return path, format and counts of an input for programs, and the notes on its file."""
+    """Return path, format and counts of an input as JSON entries, and the notes on its file."""
     if given is None:
         return {"path": path, "format": "python"}
     if not isinstance(given, Problem):
@@ -191,7 +191,7 @@ def shutter_fact(problem: Problem) -> list[tuple[str, str]]:
 
 
 def about_shutter(problem: Problem) -> dict[str, Any]:
-    """Return the rolling shutters of a problem for programs; empty without any."""
+    """Return the rolling shutters of a problem as JSON entries; empty without any."""
     shutter = problem.rolling_shutter
     if shutter is None or not shutter.is_rolling.any():
         return {}
@@ -229,7 +229,7 @@ def shutter_moves(moved: GlobalShutterModel | None) -> list[str]:
 
 
 def shutter_data(moved: GlobalShutterModel | None) -> dict[str, Any]:
-    """Return the same for programs; empty for None."""
+    """Return the same as JSON entries; empty for None."""
     if moved is None:
         return {}
     names = ("num_moved", "num_left", "median", "largest", "motion")
@@ -237,7 +237,7 @@ def shutter_data(moved: GlobalShutterModel | None) -> dict[str, Any]:
 
 
 def solved_data(solved: Result, readout_sigma: dict[int, float]) -> dict[str, Any]:
-    """Return the outcome of a solve with rolling shutters for programs; empty without any.
+    """Return the JSON entries of a solve with rolling shutters; empty without any.
 
     Standard deviations of refined readouts are by camera id.
     """
@@ -305,7 +305,7 @@ def edit_rows(edits: CameraEdits | None) -> list[tuple[str, str]]:
 
 
 def edit_data(edits: CameraEdits | None) -> dict[str, Any]:
-    """Return the entries for programs; empty without changes."""
+    """Return the JSON entries of the changes; empty without changes."""
     return {} if edits is None else {"camera_edits": edits.asdict()}
 
 

@@ -38,7 +38,7 @@ def contents_of_sequence(sequence: Sequence) -> str:
 
 
 def about_sequence(path: str, format: str, sequence: Sequence) -> dict[str, Any]:
-    """Return path, format and counts of a sequence for programs."""
+    """Return path, format and counts of a sequence as JSON entries."""
     names = ("num_imu_samples", "num_images", "num_tracks", "num_observations")
     return {"path": path, "format": format, **dict(zip(names, _counts(sequence), strict=True))}
 
@@ -62,8 +62,8 @@ def odometry_report(
 ) -> Report:
     """Return start, keyframes, times, alarms, and errors if there is a truth.
 
-    Findings are those about the sequence; they precede the alarms. Without tracking, the sequence
-    has tracks. ``written`` is the path of the trajectory.
+    Findings are those about the sequence; they precede the alarms. ``tracking``: None if the
+    sequence came with tracks. ``written`` is the path of the trajectory.
     """
     said = _warnings(result, findings)
     return Report(
@@ -294,7 +294,7 @@ def _section(result: TwoLoopsResult, error: TrajectoryError | None) -> Section:
 def _data(
     result: TwoLoopsResult, error: TrajectoryError | None, written: str | None
 ) -> dict[str, Any]:
-    """Return the entry ``two_loops`` of the report for programs."""
+    """Return the entry ``two_loops`` of the JSON report."""
     motion = result.correction
     return {
         **result.statistics.asdict(),

@@ -197,7 +197,7 @@ def divided_bounds(bounds: tuple[float, float], times: float) -> tuple[float, fl
 
 
 class Groups:
-    """Groups as they grow (union-find with multiples)."""
+    """Union-find of tied parameters, with their multiples."""
 
     def __init__(self) -> None:
         # Parent of each member, and the ratio of the member's value to the parent's value.

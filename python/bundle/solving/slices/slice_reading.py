@@ -164,7 +164,7 @@ def _bal_header(path: Path) -> tuple[int, int, int] | None:
 
 
 def blocks(size: int) -> Iterator[slice]:
-    """Yield the slices of an array that is not to be in memory as a whole."""
+    """Yield slices of an array that may be larger than the memory."""
     return (slice(begin, begin + _BLOCK) for begin in range(0, size, _BLOCK))
 
 
