@@ -17,6 +17,7 @@
 #include "core/covariance/long_scatter.h"
 #include "core/covariance/long_sums.h"
 #include "core/covariance/sandwich.h"
+#include "core/dense/decompositions.h"
 #include "core/parallel/thread_pool.h"
 
 namespace bundle {
@@ -158,7 +159,7 @@ CovarianceComputation::Matrix CovarianceComputation::CovarianceTimes(const Eigen
     std::vector<double> na(size_t(n) * d), ya(na);
     inner->RowsOfUnknowns(0, n, na.data(), ya.data());
     const Eigen::Map<const Matrix> all_n(na.data(), n, d), all_y(ya.data(), n, d);
-    const Matrix own_n = rhs.transpose() * all_n, own_y = rhs.transpose() * all_y;
+    const Matrix own_n = MultiplyTransposed(rhs, all_n), own_y = MultiplyTransposed(rhs, all_y);
     inner->Transform(n, na.data(), ya.data(), count, own_n.data(), own_y.data(), columns.data());
   }
   return columns;
@@ -169,8 +170,8 @@ CovarianceComputation::Matrix CovarianceComputation::LocalRows(int image,
                                                                const Matrix& columns) const {
   Matrix rows = Matrix::Zero(6, columns.cols());
   for (const LocalMap& map : system_.evaluator().maps(image)) {
-    rows += WholeMap(map).topRows<6>() *
-            columns.middleRows(layout().blocks()[map.block].offset, map.size);
+    rows += WholeMap(map).topRows<6>().lazyProduct(
+        columns.middleRows(layout().blocks()[map.block].offset, map.size));
   }
   return rows;
 }
@@ -214,13 +215,14 @@ void CovarianceComputation::FindFunctions() {
       const double* const from = &wanted_.functions[size_t(k) * size + size_t(i) * width];
       std::copy_n(from, std::min(width, kPoseSize + kMaxCameraParams), local.col(k).data());
     }
-    if (centered_.is_moved()) local.topRows<6>() = MapBack(i).transpose() * local.topRows<6>();
+    if (centered_.is_moved())
+      local.topRows<6>() = MapBack(i).transpose().lazyProduct(local.topRows<6>()).eval();
     for (const LocalMap& map : system_.evaluator().maps(i)) {
       rhs.middleRows(layout().blocks()[map.block].offset, map.size) +=
-          WholeMap(map).transpose() * local;
+          WholeMap(map).transpose().lazyProduct(local);
     }
   }
-  const Matrix found = rhs.transpose() * CovarianceTimes(rhs);
+  const Matrix found = MultiplyTransposed(rhs, CovarianceTimes(rhs));
   output_.functions.assign(found.data(), found.data() + found.size());
 }
 

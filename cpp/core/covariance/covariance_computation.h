@@ -178,7 +178,7 @@ class CovarianceComputation {
       for (const LocalMap& b : maps) {
         const Matrix block = BlockOf(a.block, b.block);
         if (!a.values.empty() || !b.values.empty()) {
-          joint += WholeMap(a) * block * WholeMap(b).transpose();
+          joint += WholeMap(a).lazyProduct(block).eval().lazyProduct(WholeMap(b).transpose());
           continue;
         }
         for (int i = 0; i < a.size; ++i) {

@@ -75,7 +75,7 @@ std::vector<int> ChooseHeld(const Eigen::MatrixXd& n, const std::vector<double>&
     if (!(rows.rowwise().squaredNorm().maxCoeff(&longest) > 0)) break;
     held.push_back(static_cast<int>(longest));
     const Eigen::VectorXd direction = rows.row(longest).normalized();
-    rows -= (rows * direction) * direction.transpose();
+    rows -= rows.lazyProduct(direction).eval().lazyProduct(direction.transpose());
   }
   return held;
 }
@@ -111,15 +111,15 @@ void FreeGauge::Take(const GaugeSums& sums) {
     if (system_.held()[j] != 0) reduced.row(static_cast<Eigen::Index>(j)).setZero();
   }
   cameras_ = Multiply(cameras, free);
-  const Eigen::MatrixXd squares =
-      MultiplyTransposed(cameras_, cameras_) + free.transpose() * sums.squares() * free;
+  const Eigen::MatrixXd squares = MultiplyTransposed(cameras_, cameras_) +
+                                  Multiply(MultiplyTransposed(free, sums.squares()), free);
   const Eigen::MatrixXd inverse = InverseOfCholesky(squares);
   combinations_ = Multiply(free, inverse);
   padded_.setZero();
   padded_.leftCols(degrees()) = combinations_;
   cameras_ = Multiply(cameras_, inverse);
   reduced_ = Multiply(reduced, combinations_);
-  of_points_ = combinations_.transpose() * sums.weighted() * combinations_;
+  of_points_ = Multiply(MultiplyTransposed(combinations_, sums.weighted()), combinations_);
 }
 
 const NullPoint* FreeGauge::FindNullPoint(int point) const {
@@ -154,9 +154,9 @@ void FreeGauge::Remove(const Left& left, const Right& right, FullVectors* x) con
       if (system_.layout().point_is_free(p)) visit(points.middleRows(3 * Eigen::Index{p}, 3), p);
     }
   };
-  for_points([&](auto of_point, int p) { along += right(p).transpose() * of_point; });
+  for_points([&](auto of_point, int p) { along += right(p).transpose().lazyProduct(of_point); });
   cameras -= Multiply(cameras_, along);
-  for_points([&](auto of_point, int p) { of_point -= left(p) * along; });
+  for_points([&](auto of_point, int p) { of_point -= left(p).lazyProduct(along); });
 }
 
 void FreeGauge::Project(FullVectors* x) const {
@@ -214,8 +214,10 @@ void InnerConstraints::Transform(int rows, const double* n_rows, const double* y
   const int d = degrees();
   const Map ni(n_rows, rows, d), yi(y_rows, rows, d), nj(n_columns, columns, d),
       yj(y_columns, columns, d);
-  Eigen::Map<Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>>(
-      block, rows, columns) += ni * (k_ * nj.transpose() - yj.transpose()) - yi * nj.transpose();
+  Eigen::Map<Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>>(block, rows,
+                                                                                     columns) +=
+      ni.lazyProduct((k_.lazyProduct(nj.transpose()) - yj.transpose()).eval()) -
+      yi.lazyProduct(nj.transpose());
 }
 
 void TransformBlocks(const Eigen::MatrixXd& n, const Eigen::MatrixXd& y, const Eigen::MatrixXd& k,

@@ -10,6 +10,7 @@
 
 #include "core/covariance/covariance_computation.h"
 #include "core/covariance/eliminated_rows.h"
+#include "core/dense/decompositions.h"
 
 namespace bundle {
 namespace {
@@ -39,7 +40,7 @@ Eigen::MatrixXd CovarianceComputation::GradientOfCameras(const InfluenceOptions&
     }
     for (const LocalMap& map : system_.evaluator().maps(i)) {
       gradient.col(0).segment(layout().blocks()[map.block].offset, map.size) +=
-          WholeMap(map).transpose() * local;
+          WholeMap(map).transpose().lazyProduct(local);
     }
   }
   return gradient;
@@ -63,11 +64,11 @@ void CovarianceComputation::FindInfluence(const InfluenceOptions& gradient,
   }
   const FreeGauge& gauge = *gauge_;
   if (gauge.degrees() > 0) {
-    Eigen::VectorXd along = gauge.cameras().transpose() * given.col(0);
-    Eigen::VectorXd terms = gauge.cameras().cwiseAbs().transpose() * given.col(0).cwiseAbs();
+    Eigen::VectorXd along = MultiplyTransposed(gauge.cameras(), given.col(0));
+    Eigen::VectorXd terms = MultiplyTransposed(gauge.cameras().cwiseAbs(), given.col(0).cwiseAbs());
     for (const int p : points) {
-      along += gauge.OfPoint(p).transpose() * of_point(p);
-      terms += gauge.OfPoint(p).cwiseAbs().transpose() * of_point(p).cwiseAbs();
+      along += gauge.OfPoint(p).transpose().lazyProduct(of_point(p));
+      terms += gauge.OfPoint(p).cwiseAbs().transpose().lazyProduct(of_point(p).cwiseAbs());
     }
     found->gauge_share = terms.isZero(0) ? 0 : along.norm() / terms.norm();
   }
@@ -120,13 +121,14 @@ void CovarianceComputation::FindInfluence(const InfluenceOptions& gradient,
         blocks, rows, {}, [](const ObservationRows&) { return Eigen::Matrix2d::Identity(); });
     using Rows3 = Eigen::Matrix<double, Eigen::Dynamic, 3, Eigen::RowMajor>;
     const Eigen::Map<const Rows3> y(blocks.y.data(), blocks.begin.back(), 3);
-    const Eigen::MatrixXd t = all.rightCols(y.rows()) - all.leftCols<3>() * y.transpose();
+    const Eigen::MatrixXd t =
+        all.rightCols(y.rows()) - all.leftCols<3>().lazyProduct(y.transpose());
     Eigen::VectorXd along(t.rows()), r(t.rows());
     for (int i = 0; i < rows.num_rows(); ++i) {
       std::copy_n(rows.row(i).residual, 2, r.data() + 2 * i);
       std::copy_n(&found->along[2 * size_t(rows.row(i).observation)], 2, along.data() + 2 * i);
     }
-    const Eigen::MatrixXd h = t * CovarianceOf(unknowns, inverse) * t.transpose();
+    const Eigen::MatrixXd h = Multiply(Multiply(t, CovarianceOf(unknowns, inverse)), t.transpose());
     const Eigen::LLT<Eigen::MatrixXd> factor(Eigen::MatrixXd::Identity(h.rows(), h.cols()) - h);
     if (factor.info() != Eigen::Success) return;
     if (factor.matrixLLT().diagonal().cwiseAbs2().minCoeff() < kNoRedundancy) return;
@@ -147,7 +149,7 @@ void CovarianceComputation::FindInfluence(const InfluenceOptions& gradient,
     }
     for (const int unknown : rows.unknowns) x[at++] = a(unknown, 0);
     const Eigen::Map<const Matrix> j(rows.jacobian.data(), rows.num_rows, x.size());
-    const Eigen::VectorXd along = j * x;
+    const Eigen::VectorXd along = j.lazyProduct(x);
     found->factor_share[rows.factor] = along.squaredNorm();
     found->step -=
         along.dot(Eigen::Map<const Eigen::VectorXd>(rows.residual.data(), rows.num_rows));

@@ -62,7 +62,7 @@ void AddObservation(const ParameterLayout& layout, const ObservationRows& of, co
   for (int b = 0; b < of.num_blocks; ++b) AppendUnknowns(layout, of.block[b], &unknowns);
   MatrixXd rows(left.rows(), static_cast<Eigen::Index>(unknowns.size()));
   for (int b = 0, first = 0; b < of.num_blocks; first += of.size[b++]) {
-    rows.middleCols(first, of.size[b]) = left * RowsByBlock(of, b);
+    rows.middleCols(first, of.size[b]) = Multiply(left, RowsByBlock(of, b));
   }
   AddSquares(unknowns, rows, sum);
 }

@@ -54,7 +54,7 @@ Eigen::MatrixXd PseudoInverse(const Eigen::MatrixXd& covariance) {
   const Eigen::VectorXd inverse =
       of.values.unaryExpr([least](double v) { return v > least ? 1 / v : 0; });
   const Eigen::MatrixXd scaled = scale.asDiagonal() * of.vectors;
-  return scaled * inverse.asDiagonal() * scaled.transpose();
+  return Multiply(scaled * inverse.asDiagonal(), scaled.transpose());
 }
 
 }  // namespace
@@ -128,18 +128,18 @@ void CovarianceComputation::FindLeverages(const LongMatrix& inverse,
   found->factor_rank.assign(m, 0);
   system_.ForFactors([&](const ReducedSystem::FactorRows& rows) {
     const auto k = static_cast<size_t>(rows.factor);
-    const Eigen::Map<const Matrix> j(
-        rows.jacobian.data(), rows.num_rows,
-        static_cast<Eigen::Index>(rows.jacobian.size()) / rows.num_rows);
+    const Eigen::MatrixXd j =
+        Eigen::Map<const Matrix>(rows.jacobian.data(), rows.num_rows,
+                                 static_cast<Eigen::Index>(rows.jacobian.size()) / rows.num_rows);
     Eigen::MatrixXd h = Eigen::MatrixXd::Zero(rows.num_rows, rows.num_rows);
     if (!rows.points.empty()) {
-      h = j * of_points.at(rows.points[0]) * j.transpose();
+      h = Multiply(Multiply(j, of_points.at(rows.points[0])), j.transpose());
     } else if (!rows.unknowns.empty()) {
-      h = j * CovarianceOf(rows.unknowns, inverse) * j.transpose();
+      h = Multiply(Multiply(j, CovarianceOf(rows.unknowns, inverse)), j.transpose());
     }
     const SymmetricEigen of = DecomposeSymmetric(0.5 * (h + h.transpose()));
-    const Eigen::VectorXd along = of.vectors.transpose() * Eigen::Map<const Eigen::VectorXd>(
-                                                               rows.residual.data(), rows.num_rows);
+    const Eigen::VectorXd along = MultiplyTransposed(
+        of.vectors, Eigen::Map<const Eigen::VectorXd>(rows.residual.data(), rows.num_rows));
     const int idle = rows.num_rows - rows.num_measurements;  // rows that follow from the others
     found->factor_measurements[k] = rows.num_measurements;
     found->factor_redundancy[k] = rows.num_measurements - h.trace();
@@ -231,22 +231,22 @@ void CovarianceComputation::FindEffects(const std::vector<int>& points,
     system_.ForPoints(1, {point}, [&](int, const PointBlocks& blocks, const PointAssembler&, int) {
       SubtractEliminated(blocks, of_point, &rhs, k);
       own.col(k) = Eigen::Map<const Matrix3>(blocks.inverse) * of_point;
-      if (degrees > 0) s.col(k) += gauge_->OfPoint(point).transpose() * own.col(k);
+      if (degrees > 0) s.col(k) += gauge_->OfPoint(point).transpose().lazyProduct(own.col(k));
     });
   }
   Check(system_.Solve(rhs.data(), count, x.data()));
-  if (degrees > 0) s += gauge_->reduced().transpose() * x;
+  if (degrees > 0) s += MultiplyTransposed(gauge_->reduced(), x);
   const Matrix by_unknown = x;  // the columns of an unknown side by side
   Matrix moved = x;
-  if (degrees > 0) moved -= gauge_->cameras() * s;
+  if (degrees > 0) moved -= Multiply(gauge_->cameras(), s);
   for (int i = 0; i < view().num_images; ++i) {
     const Matrix6 covariance = Eigen::Map<const Matrix6>(&output_.poses[36 * size_t(i)]);
     if (!(covariance.trace() > 0)) continue;
     const Eigen::MatrixXd inverse = PseudoInverse(covariance);
     Matrix rows = LocalRows(i, moved);
-    if (centered_.is_moved()) rows = MapBack(i) * rows;
+    if (centered_.is_moved()) rows = MapBack(i).lazyProduct(rows).eval();
     for (int k = 0; k < count; ++k) {
-      const double sigmas = std::sqrt(rows.col(k).dot(inverse * rows.col(k)));
+      const double sigmas = std::sqrt(rows.col(k).dot(inverse.lazyProduct(rows.col(k))));
       ExternalEffect& effect = found->worst[k];
       if (!(sigmas > effect.image_sigmas)) continue;
       effect.image = i;
@@ -273,7 +273,7 @@ void CovarianceComputation::FindEffects(const std::vector<int>& points,
                             of.row(c) -= y[c] * by_unknown.row(block.offset + r);
                         }
                       }
-                      if (degrees > 0) of -= gauge_->OfPoint(p) * s;
+                      if (degrees > 0) of -= gauge_->OfPoint(p).lazyProduct(s);
                       const Matrix3 inverse = covariances[place[p]].inverse();
                       for (int k = 0; k < count; ++k) {
                         sigmas(place[p], k) = std::sqrt(of.col(k).dot(inverse * of.col(k)));

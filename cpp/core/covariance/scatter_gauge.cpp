@@ -27,7 +27,7 @@ void ScatterGauge::AddPoint(int point, const PointBlocks& blocks, const double p
 }
 
 Eigen::MatrixXd ScatterGauge::UnitColumns(int first, int columns) const {
-  Eigen::MatrixXd y = -basis_ * basis_.middleRows(first, columns).transpose();
+  Eigen::MatrixXd y = -Multiply(basis_, basis_.middleRows(first, columns).transpose());
   for (int c = 0; c < columns; ++c) y(first + c, c) += 1;
   return y;
 }
