@@ -177,10 +177,7 @@ def rounds_to_single(values: Callable[[list[Array]], Array], blocks: list[Array]
 
 
 def _singles(values: Array) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return masks of numbers of single precision, and of those that are not so by chance.
-
-    Numbers such as 0, 1 and 0.5 are exact in any precision.
-    """
+    """Return masks of single-precision numbers, and of those not so by chance (0, 0.5, 1)."""
     with np.errstate(over="ignore", invalid="ignore"):
         single = values.astype(np.float32).astype(np.float64) == values
         plain = np.round(values * 2**10) == values * 2**10
@@ -261,6 +258,5 @@ def _rows_of(evidence: Evidence, columns: Sequence[int]) -> str:
 
 
 def _largest(evidence: Evidence, column: int) -> np.ndarray:
-    """Return the largest error of a column at each point where it is wrong."""
     errors: np.ndarray = evidence.deviations.error[..., column].max(axis=1)
     return errors[errors > 0]

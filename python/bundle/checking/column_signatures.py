@@ -155,7 +155,6 @@ def zero_entries(evidence: Evidence) -> None:
 
 
 def _num_used(evidence: Evidence) -> int:
-    """Return the number of columns on which the residual depends."""
     return int(evidence.reference.any(axis=(0, 1)).sum())
 
 

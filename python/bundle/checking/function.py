@@ -66,7 +66,6 @@ class UserFunction:
         return values, self._jacobians(matrices) if jacobians else None
 
     def _inside(self, blocks: Sequence[Array]) -> tuple[Any, Sequence[Any]] | None:
-        """Return residual and Jacobians; None outside the function's domain."""
         try:
             return self._call(blocks)
         except InputError:

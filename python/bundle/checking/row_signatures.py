@@ -387,7 +387,6 @@ def _windows(block: Block, size: int) -> list[list[int]]:
 
 
 def _skew(w: Array) -> Array:
-    """Return [w]x (K, 3, 3)."""
     matrices: Array = np.cross(w[:, None, :], np.eye(3)).transpose(0, 2, 1)
     return matrices
 

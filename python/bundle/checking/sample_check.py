@@ -341,7 +341,6 @@ def _unstable(first: Sequence[Array], again: Sequence[Array]) -> Finding | None:
 
 
 def _vagueness(findings: Sequence[Finding]) -> int:
-    """Return the number of findings that state only that something is wrong."""
     if not findings:
         return 100
     return sum(f.kind in ("small_part", "large_part", "order", "missing_term") for f in findings)

@@ -116,7 +116,6 @@ class Tally:
         return [int(j) for j in np.flatnonzero(self.num_wrong)]
 
     def _note_worst(self, deviations: JacobianDeviation, points: NDArray[np.intp]) -> None:
-        """Store the worst entries of each column, at most one per point."""
         score: Array = deviations.error + 1e-6 * np.minimum(deviations.deviation, 1e9)
         rows = score.argmax(axis=1)
         by_column = score.max(axis=1)

@@ -283,7 +283,6 @@ def image_figure(found: Validation) -> Figure:
 
 
 def _label(one: ValidatedCandidate) -> str:
-    """Return the short name of a candidate."""
     return f"{one.lens}, {one.sharing}"
 
 

@@ -96,10 +96,7 @@ def _places(curves: Sequence[LensCurve], colour: int) -> Places:
 def focal_figure(
     ids: Array, values: Mapping[str, Array], sigmas: Mapping[str, Array], title: str
 ) -> Figure:
-    """Return the focal lengths [pixels] of several cameras, by parameter, with their sigmas.
-
-    A sigma is NaN where it is unknown.
-    """
+    """Return focal lengths [pixels] by parameter, with sigmas, NaN where unknown."""
     words = []
     for name, value in values.items():
         typical = sigmas[name][np.isfinite(sigmas[name])]
@@ -321,7 +318,6 @@ def _lens_curve(
 def _curve(
     model: str, params: NDArray[np.float64], angles: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the mean radius in the image and the mean distortion at each angle."""
     around = np.arange(AROUND) * (2 * np.pi / AROUND)
     angle, phi = (grid.ravel() for grid in np.meshgrid(angles, around, indexing="ij"))
     unit = np.column_stack([np.cos(phi), np.sin(phi)])

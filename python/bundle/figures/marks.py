@@ -403,7 +403,6 @@ def line_figure(
 
 
 def _plan(x: Array, y: Array, labels: tuple[str, str]) -> tuple[Axis, Axis]:
-    """Return axes with the same scale in both directions."""
     ends = [(values.min() / 2, values.max() / 2) for values in (x, y)]  # sums could overflow
     middle = [low + high for low, high in ends]
     half = [high - low for low, high in ends]
@@ -412,6 +411,5 @@ def _plan(x: Array, y: Array, labels: tuple[str, str]) -> tuple[Axis, Axis]:
 
 
 def _finite(parts: Iterable[Array]) -> Array:
-    """Return the finite values of all arrays."""
     values: Array = np.concatenate([np.zeros(0), *parts])
     return values[np.isfinite(values)]

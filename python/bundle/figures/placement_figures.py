@@ -243,7 +243,6 @@ def block(problem: Problem) -> Block | None:
 
 
 def _focal_lengths(problem: Problem) -> NDArray[np.float64]:
-    """Return (num_cameras,) focal lengths in pixels; NaN for a model without one."""
     found = []
     for model, params in zip(problem.camera_models, problem.camera_params, strict=True):
         kinds = param_kinds(model)
@@ -265,7 +264,6 @@ def _extent(plan: NDArray[np.float64]) -> tuple[float, float]:
 
 
 def _overlap(problem: Problem) -> float:
-    """Return the median number of images that have a point in their frame."""
     if not problem.camera_sizes[problem.image_camera].all():
         return math.nan
     rows = np.linspace(0, problem.num_points - 1, min(problem.num_points, MOST_VIEWED))

@@ -214,10 +214,7 @@ def profile_figure(field: ResidualField) -> Figure:
 def image_figure(
     image: ImageResiduals, factor: float | None = None, picture: object = None
 ) -> Figure:
-    """Return the residuals of an image, starting at the measurements, ``factor`` times as long.
-
-    Without a factor, a round one is chosen. ``picture`` is the background.
-    """
+    """Return the residuals of an image over ``picture``, ``factor`` times as long (None: round)."""
     box, round_factor = image_frame(image)
     factor = round_factor if factor is None else factor
     words = plural(len(image.xy), "residual")
@@ -237,10 +234,7 @@ def image_name(image: ImageResiduals) -> str:
 
 
 def image_frame(image: ImageResiduals) -> tuple[Array, float]:
-    """Return the box of an image, and a round factor that makes its residuals visible.
-
-    The box is that of the observations if the size is unknown.
-    """
+    """Return the box of an image, or of its observations, and a round factor for its residuals."""
     box = np.array([0.0, 0.0, 1.0, 1.0])
     if min(image.size) > 0:
         box[2:] = image.size

@@ -132,7 +132,6 @@ def scene_before(
 def _matches(
     wanted: NDArray[np.int64], ids: NDArray[np.int64]
 ) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
-    """Return a mask of the ids that exist, and the index of each of these."""
     order = np.argsort(ids, kind="stable")
     place = np.minimum(np.searchsorted(ids, wanted, sorter=order), max(len(ids) - 1, 0))
     found = order[place] if len(ids) else np.zeros(len(wanted), np.int64)
@@ -181,7 +180,6 @@ def _half_fields(problem: Problem) -> NDArray[np.float64]:
 def _directions(
     axes: NDArray[np.float64], *, z_is_up: bool
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the unit vectors up and forward, perpendicular to each other."""
     mean = axes.mean(axis=0) if len(axes) else np.eye(3)
     up = np.array([0.0, 0.0, 1.0]) if z_is_up else -mean[1]
     if np.linalg.norm(up) < 0.3:  # cameras in all orientations, as in aerial images

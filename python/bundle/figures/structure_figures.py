@@ -69,10 +69,7 @@ def covisibility_graph(problem: Problem, max_edges: int = 4000) -> CovisibilityG
 
 
 def covisibility_figure(graph: CovisibilityGraph) -> Figure:
-    """Return the graph with the images at their camera centres; edges are stronger with weight.
-
-    Cameras far outside, such as those of broken poses, are drawn at the border.
-    """
+    """Return the graph; cameras far outside, such as those of broken poses, are at the border."""
     positions = within_view(graph.positions)
     strength = np.log1p(graph.weights) / np.log1p(max(int(graph.weights.max(initial=1)), 2))
     kinds = np.minimum((STRENGTHS * strength**2).astype(int), STRENGTHS - 1)
@@ -181,10 +178,7 @@ def track_statistics(problem: Problem) -> TrackStatistics:
 
 
 def length_figure(tracks: TrackStatistics, longest: int | None = None) -> Figure:
-    """Return the number of points against the number of their observations.
-
-    Without the length of the longest track, the last class may contain longer ones.
-    """
+    """Return the number of points by track length; without ``longest`` the last class is open."""
     last = len(tracks.lengths) - 1
     names = [f"{length}" for length in range(last + 1)]
     names[-1] += " or more" if longest is None or longest > last else ""

@@ -79,11 +79,7 @@ DELTA0 = 4.13
 @documented
 @dataclass(frozen=True, kw_only=True, repr=False)
 class ReliabilityOptions(Options):
-    """Options of ``bundle diagnose`` for reliability.
-
-    Raises:
-        InputError: an option has a value outside its range; the message names option and value.
-    """
+    """Options of ``bundle diagnose`` for reliability."""
 
     reliability: bool = option(
         False,
@@ -128,11 +124,7 @@ class InfluenceOptions(Options):
 
 
 def one_of(name: str, value: Any, choices: tuple[str, ...]) -> str:
-    """Return the choice that equals a word; case, hyphens and underscores are ignored.
-
-    Raises:
-        InputError: the word is not a valid choice.
-    """
+    """Return the choice that equals a word; case, hyphens and underscores are ignored."""
     word = value.lower().replace("-", "_") if isinstance(value, str) else value
     if word not in choices:
         expected = ", ".join(choices[:-1])
@@ -141,11 +133,7 @@ def one_of(name: str, value: Any, choices: tuple[str, ...]) -> str:
 
 
 def parts_of(name: str, value: str | Iterable[str]) -> tuple[str, ...]:
-    """Return the named parts, in the order of ``PARTS``.
-
-    Raises:
-        InputError: a name is not in ``PARTS``, or the list is empty.
-    """
+    """Return the named parts, in the order of ``PARTS``."""
     words = value.split(",") if isinstance(value, str) else list(value)
     named = {one_of(name, word.strip() if isinstance(word, str) else word, PARTS) for word in words}
     if not named:
@@ -162,11 +150,7 @@ TOLERANCE = 1e-7
 @documented
 @dataclass(frozen=True, kw_only=True, repr=False)
 class CheckOptions(Options):
-    """Options of ``bundle check``.
-
-    Raises:
-        InputError: an option has a value outside its range; the message names option and value.
-    """
+    """Options of ``bundle check``."""
 
     samples_per_image: int = option(
         SAMPLES_PER_IMAGE,

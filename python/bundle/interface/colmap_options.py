@@ -194,7 +194,6 @@ def _solve_options(known: Mapping[str, Any]) -> SolveOptions:
 
 
 def _typed(place: str, value: Any, default: Any) -> Any:
-    """Return a value, which may be text, in the type of the default."""
     kind = type(default)
     if isinstance(value, str):
         return _parsed(place, value.strip(), kind)

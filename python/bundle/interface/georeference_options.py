@@ -211,11 +211,7 @@ class GeoreferenceOptions(Options):
 
     @property
     def lever_arm(self) -> list[float]:
-        """Position of the antenna in the frame of the camera.
-
-        Raises:
-            InputError: the text is not three numbers.
-        """
+        """Position of the antenna in the frame of the camera."""
         try:
             numbers = [float(part) for part in self.antenna.split(",")]
         except ValueError:

@@ -89,11 +89,7 @@ def option(
 
 
 def checked(field: dataclasses.Field[Any], value: Any) -> Any:
-    """Return the value in canonical form.
-
-    Raises:
-        InputError: the value is not of the option's type or range; the message names both.
-    """
+    """Return the value in canonical form."""
     choices = field.metadata["choices"]
     if field.metadata["late"] or (isinstance(field.default, str | type(None)) and not choices):
         return value
@@ -112,11 +108,7 @@ def checked(field: dataclasses.Field[Any], value: Any) -> Any:
 
 
 def choice(name: str, value: Any, choices: Iterable[str]) -> str:
-    """Return the choice that equals a value; case, hyphens and underscores are ignored.
-
-    Raises:
-        InputError: the value is not a valid choice; the message suggests the nearest.
-    """
+    """Return the choice that equals a value; case, hyphens and underscores are ignored."""
     expected = tuple(choices)
     hint = ""
     if type(value) is str and value in expected:

@@ -328,11 +328,7 @@ class SolveOptions(Options):
 @documented
 @dataclass(frozen=True, kw_only=True, repr=False)
 class GraphOptions(SolveOptions):
-    """Options of :meth:`bundle.FactorGraph.solve`: the SolveOptions, and Gauss-Newton.
-
-    Raises:
-        InputError: an option has a value outside its range; the message names option and value.
-    """
+    """Options of :meth:`bundle.FactorGraph.solve`: the SolveOptions, and Gauss-Newton."""
 
     trust_region_strategy_type: str = option(
         "levenberg_marquardt",

@@ -186,11 +186,7 @@ def history_path() -> Path:
 
 
 def recall(structure: str, now: PastFactor) -> PastFactor | None:
-    """Return the cheapest earlier factor of a structure, or None; record the present one.
-
-    Args:
-        structure: checksum of the matrix and name of its solver.
-    """
+    """Return the cheapest earlier factor of a structure, or None; record the present one."""
     try:
         path = history_path()
         entries = _read(path)
@@ -208,7 +204,6 @@ def recall(structure: str, now: PastFactor) -> PastFactor | None:
 
 
 def _read(path: Path) -> dict[str, PastFactor]:
-    """Return the entries in order of their last use; empty if the file is missing or damaged."""
     try:
         written, text = path.read_text(encoding="ascii").splitlines()
     except (OSError, ValueError):  # not two lines of ASCII

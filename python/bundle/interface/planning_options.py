@@ -74,11 +74,7 @@ def _listed(
 @documented
 @dataclass(frozen=True, kw_only=True, repr=False)
 class CompareOptions(Options):
-    """Options of ``bundle compare``.
-
-    Raises:
-        InputError: an option has a value outside its range; the message names option and value.
-    """
+    """Options of ``bundle compare``."""
 
     solvers: tuple[str, ...] = _listed(SOLVERS, "--solvers", "", LINEAR_SOLVER_TYPES, use=3)
     backends: tuple[str, ...] = _listed(BACKENDS, "--backends", "", EVERY_BACKEND, use=4)
@@ -152,11 +148,7 @@ class CompareOptions(Options):
 
     @property
     def memory_cap_in_bytes(self) -> int:
-        """Bytes that a solve may use in addition to the loaded problem; 0: part of free memory.
-
-        Raises:
-            InputError: the size cannot be read.
-        """
+        """Bytes that a solve may use in addition to the loaded problem; 0: part of free memory."""
         with at("memory_cap"):
             return 0 if self.memory_cap is None else parse_size(self.memory_cap)
 
@@ -202,11 +194,7 @@ class RankOptions(Options):
     )
 
     def counts(self) -> list[int]:
-        """Return the numbers of processes.
-
-        Raises:
-            InputError: they cannot be read.
-        """
+        """Return the numbers of processes."""
         try:
             return [] if self.ranks is None else [int(count) for count in self.ranks.split(",")]
         except ValueError:
@@ -215,11 +203,7 @@ class RankOptions(Options):
             ) from None
 
     def rate_and_latency(self) -> tuple[float, float]:
-        """Return gigabits per second and microseconds of the network.
-
-        Raises:
-            InputError: they cannot be read.
-        """
+        """Return gigabits per second and microseconds of the network."""
         try:
             rate, latency = (float(number) for number in self.network.split(","))
         except ValueError:
@@ -283,11 +267,7 @@ class ShapeOptions(Options):
     )
 
     def counts(self) -> tuple[int, int, int]:
-        """Return the numbers of cameras and points, and the length of a track.
-
-        Raises:
-            InputError: they cannot be read, or a point is seen by more cameras than there are.
-        """
+        """Return the numbers of cameras and points, and the length of a track."""
         try:
             cameras, points, track = (int(count) for count in str(self.shape).split(","))
         except ValueError:

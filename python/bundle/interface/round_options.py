@@ -206,7 +206,6 @@ class RoundRecords:
     observation_mask: NDArray[np.bool_] | None = None
 
     def _work(self, num_steps: int) -> str:
-        """Return the work of all rounds, after a last adjustment of so many steps."""
         rounds = self.rounds
         if not rounds:
             return plural(num_steps, "step")

@@ -56,10 +56,7 @@ def with_warnings(fields: Mapping[str, Any], sentences: Mapping[str, str]) -> di
 
 
 def record_fields(output: Mapping[str, Any], summary: Summary | None = None) -> dict[str, Any]:
-    """Return the fields of a record, without options, from the output of the core's solvers.
-
-    ``summary`` replaces that of the output.
-    """
+    """Return the fields of a record, without options; ``summary`` replaces that of the output."""
     return {
         "summary": summary or Summary(**output["summary"]),
         "iterations": output["iterations"],

@@ -325,10 +325,7 @@ def short_outcome(summary: Summary, done: str) -> str:
 
 
 def sentence(summary: Summary, num_steps: int, num_rejected: int = 0) -> str:
-    """Return a sentence on the termination of a solve.
-
-    `num_rejected` of its `num_steps` steps were not accepted.
-    """
+    """Return a sentence on the termination; ``num_rejected`` steps were not accepted."""
     steps = plural(num_steps, "step")
     if num_rejected:
         steps += f", {num_rejected} rejected"

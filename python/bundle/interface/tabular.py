@@ -23,11 +23,7 @@ _RECORDS = re.compile(r"tuple\[(?!(?:Key|Any)\b)[A-Z]\w+, \.\.\.\]")
 
 
 def frame_of(columns: Mapping[str, Any]) -> pandas.DataFrame:
-    """Return a pandas.DataFrame of columns.
-
-    Raises:
-        InputError: pandas is not installed.
-    """
+    """Return a pandas.DataFrame of columns."""
     try:
         import pandas  # late: an extra, and slow to import
     except ImportError:
@@ -72,7 +68,6 @@ class Tabular:
         return frame_of(tables[name])
 
     def _tables(self) -> dict[str, Mapping[str, Any]]:
-        """Return the columns of each table by its name."""
         found: dict[str, Mapping[str, Any]] = {}
         for field in dataclasses.fields(self):  # type: ignore[arg-type]
             if has_records(field):

@@ -115,11 +115,7 @@ def most_nonmonotonic_steps() -> Any:
 
 
 def check_order(options: Any) -> None:
-    """Refuse bounds that exclude each other.
-
-    Raises:
-        InputError: the message names both options.
-    """
+    """Refuse bounds that exclude each other."""
     for low, high in (
         ("initial_trust_region_radius", "max_trust_region_radius"),
         ("min_trust_region_radius", "initial_trust_region_radius"),

@@ -126,7 +126,6 @@ _OTHERS: dict[tuple[str, str], Schema] = {
 
 
 def _entries(command: str) -> dict[str, Schema]:
-    """Return the schema of each entry of a command's reports."""
     words = _REPORTS[command].split()
     if command == "refine":
         words += dict.fromkeys(f"{row.entry}:dict|None" for row in ROWS)
@@ -193,14 +192,12 @@ def report_schema() -> Schema:
 
 
 def _class(path: str) -> type:
-    """Return a class, given by its place in the package."""
     module, _, name = path.rpartition(".")
     found: type = getattr(importlib.import_module(f"bundle.{module}"), name)
     return found
 
 
 def _properties(kind: type) -> dict[str, str]:
-    """Return the types of the properties of a class, as text."""
     found = {name: inspect.getattr_static(kind, name) for name in dir(kind)}
     getters = {
         name: one.func if isinstance(one, cached_property) else one.fget
@@ -225,7 +222,6 @@ def record_schema(kind: type) -> Schema:
 
 
 def _of_type(text: str) -> Schema:
-    """Return the schema of a value by the text of its type."""
     choices = [_of_plain_type(part.strip()) for part in re.split(r"\s*\|\s*(?![^\[]*\])", text)]
     kinds: list[str] = []
     for choice in choices:

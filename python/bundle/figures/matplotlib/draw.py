@@ -147,7 +147,6 @@ def _places(ax: Axes, mark: Places) -> None:
 
 
 def _bars(ax: Axes, mark: Bars) -> None:
-    """Draw horizontal bars on a logarithmic axis, with their text to the right."""
     rows, scale = mark.rows(), mark.scale
     ax.set_xscale("log")
     for place, (name, value) in enumerate(rows.items()):
@@ -341,12 +340,10 @@ def keep_room(ax: Axes, below: float, named_rows: bool) -> None:
 
 
 def _inches(ax: Axes) -> float:
-    """Return the width of an axis in inches, including the labels around it."""
     spec = ax.get_subplotspec()
     columns = 1 if spec is None else spec.get_gridspec().ncols
     return float(ax.get_figure(root=True).get_figwidth()) / columns  # type: ignore[union-attr]
 
 
 def _wrapped(name: str, width: int = 22) -> str:
-    """Return a name wrapped into short lines."""
     return textwrap.fill(name, width, break_long_words=False, break_on_hyphens=False)

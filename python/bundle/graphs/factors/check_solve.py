@@ -60,10 +60,7 @@ def about_free_directions(
     dependent: Sequence[Key] | None,
     factors: Sequence[Factor],
 ) -> str:
-    """Return a warning if the factors leave directions undetermined; "" otherwise.
-
-    ``dependent``: variables of linearly dependent columns; None if not computed.
-    """
+    """Return a warning about undetermined directions, or ""; ``dependent`` None: not computed."""
     if dependent is None:
         free = Counter(_floating(variables, parts, factors))
         least = "at least "
@@ -221,10 +218,7 @@ def _candidate(
 
 
 def _dependent(output: Mapping[str, Any], graph: SolvedGraph, seconds: float) -> list[Key] | None:
-    """Return the variables whose Jacobian columns are linearly dependent at the solution.
-
-    None if not computed.
-    """
+    """Return the variables of linearly dependent columns at the solution; None: not computed."""
     if graph.conditioning is not None and not graph.conditioning[3]:
         return []
     is_costly = graph.conditioning is None and (

@@ -221,7 +221,6 @@ def _keys(blocks: Any, names: Any) -> tuple[str, ...]:
 
 
 def _graph_of(factor: Factor, values: Any, manifolds: Any) -> FactorGraph:
-    """Return a graph of one factor."""
     graph = FactorGraph()
     known = _by_key("blocks", factor, values)
     kinds = {} if manifolds is None else _by_key("manifolds", factor, manifolds, every=False)
@@ -262,11 +261,7 @@ def check_edges(
     progress: Callable[[int], None] | None = None,
     **settings: Any,
 ) -> FactorCheck:
-    """Check the Jacobians of edges; odometry and closures are two kinds.
-
-    ``error``: error of the edges, as in a solve. ``most_of_a_kind``: largest number of edges of a
-    kind; None: all. ``progress``: called with the number of checked edges.
-    """
+    """Check the Jacobians of at most ``most_of_a_kind`` odometry edges and closures."""
     error = choice("error", error, POSE_ERRORS)
     if most_of_a_kind is not None:
         most_of_a_kind = number("most_of_a_kind", most_of_a_kind, minimum=1, whole=True)

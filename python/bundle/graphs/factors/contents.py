@@ -199,7 +199,6 @@ class GraphContents(Displayed):
                 )
 
     def _remember(self, factor: Factor) -> None:
-        """Store which factors a prior of the graph contains."""
         if isinstance(factor, AnchoredFactor):
             for source in factor.sources:
                 self._in_priors[source] = factor.name
@@ -292,10 +291,7 @@ def factor_name(position: int, factor: Factor) -> str:
 def connected(
     variables: Mapping[Key, Variable], factors: Iterable[Factor], *, held_connect: bool = True
 ) -> dict[Key, int]:
-    """Return the connected component of each variable: the position of one of its variables.
-
-    ``held_connect``: False if constant variables connect nothing.
-    """
+    """Return the component of each variable: the position of one of its variables."""
     place = {key: k for k, key in enumerate(variables)}
     joins = {key for key, v in variables.items() if held_connect or not (v.held and all(v.held))}
     pairs = [

@@ -70,11 +70,7 @@ def check_each(
     num_factors: int | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> FactorCheck:
-    """Check factors.
-
-    ``num_factors``: number of factors of the graph; None: all are checked. ``progress``: called
-    with the number of checked factors.
-    """
+    """Check factors of a graph that has ``num_factors``; None: these are all."""
     check_keywords("check_gradients", settings, {name: name for name in _SETTINGS})
     given = dict(_SETTINGS) | dict(settings)
     num_samples = number("num_samples", given["num_samples"], minimum=1, whole=True)
@@ -132,7 +128,6 @@ _TRANSLATIONS = {"se2": (slice(0, 2), slice(0, 2)), "se3": (slice(4, 7), slice(3
 
 
 def _sample(variable: Variable, radius: float, rng: np.random.Generator) -> Array:
-    """Return a sample near the value of a variable."""
     if variable.manifold == "euclidean":
         return sample(Manifold.parse(None, len(variable.value)), variable.value, radius, rng)
     step = (
@@ -155,7 +150,6 @@ def _origin(variable: Variable, value: Array) -> Array:
 
 
 def _order(variable: Variable, tangent: str) -> list[int]:
-    """Return the tangent coordinate of each column."""
     if variable.manifold == "euclidean":
         return list(range(len(variable.value)))
     return tangent_of(tangent, variable.manifold).order(variable.manifold)

@@ -221,11 +221,7 @@ class FactorGraph(GraphMarginals):
     def _choose_square_root(
         self, wanted: bool | None, options: SolveOptions, core: Any, factors: list[Factor]
     ) -> tuple[bool, str, Conditioning | None]:
-        """Return True to solve by QR, the reason, and the conditioning.
-
-        The reason is "" unless QR is chosen automatically; the conditioning is None if it is not
-        computed.
-        """
+        """Return True for QR, the reason if it was chosen automatically, and the conditioning."""
         if wanted is not None:
             by_root = as_flag("square_root", wanted)
             for option in ("backend", "linear_solver_type"):

@@ -23,10 +23,7 @@ SHOWN = 10
 
 
 class Member(NamedTuple):
-    """Checked factor: number and name of its kind, its keys, and its columns.
-
-    A column is (name, position of its variable, coordinate).
-    """
+    """Checked factor: kind, keys, and columns as (name, position of its variable, coordinate)."""
 
     kind: int
     label: str

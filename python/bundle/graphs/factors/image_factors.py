@@ -138,11 +138,7 @@ class HeadingFactor(_AttitudeFactor):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class TwistTieFactor(MeasuredFactor):
-    """Tie of an image's twist m to the poses of two images of the same video.
-
-    Raises:
-        InputError: a number is not above 0 (once the factor is added to a problem).
-    """
+    """Tie of an image's twist m to the poses of two images of the same video."""
 
     twist: Key  # key of the twist, ``("twist", image_id)``
     readout: Key  # key of the readout, ``("readout", camera_id)``
@@ -197,9 +193,6 @@ class VelocityFactor(WeightedFactor):
     """Measured velocity of an antenna on a camera with a rolling shutter.
 
     e = -R^T (v + w x lever_arm) / readout - velocity, with the twist (w, v) of the image.
-
-    Raises:
-        InputError: an argument is not numeric.
     """
 
     pose: Key  # key of the pose cam_from_world (R, t), on se3

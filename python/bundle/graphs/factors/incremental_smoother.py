@@ -213,7 +213,6 @@ class IncrementalSmoother(Displayed):
         )
 
     def _given(self, manifold: str, value: Array) -> Any:
-        """Convert a value to GTSAM."""
         gtsam = self._gtsam
         if manifold == "euclidean":
             return np.array(value)
@@ -227,7 +226,6 @@ class IncrementalSmoother(Displayed):
         return turn if manifold == "so3" else gtsam.Pose3(turn, np.array(value[4:]))
 
     def _taken(self, key: Key, estimate: Any, place: int) -> Array:
-        """Convert an estimate from GTSAM."""
         manifold = self._graph._variables[key].manifold
         found = getattr(estimate, f"at{_TYPES[manifold]}")(place)
         if manifold == "euclidean":
@@ -242,7 +240,6 @@ class IncrementalSmoother(Displayed):
         return np.array(parts if manifold == "so3" else [*parts, *found.translation()])
 
     def _translated(self, factor: Factor) -> Any:
-        """Convert a factor to GTSAM."""
         assert isinstance(factor, PriorFactor | BetweenFactor)
         variable = self._graph._variables[factor.keys[0]]
         size = len(variable.coordinates)

@@ -164,10 +164,7 @@ class AnchoredFactor(Factor):
         return self._spectrum
 
     def alarm(self, largest: int) -> str:
-        """Return the warning of the spectrum, or "".
-
-        The spectrum of a prior with more than `largest` columns is not computed for this.
-        """
+        """Return the warning of a spectrum with at most ``largest`` columns, or ""."""
         if self._spectrum is None and len(self._matrix()) > largest:
             return ""
         return self.spectrum.warning

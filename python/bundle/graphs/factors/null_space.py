@@ -148,7 +148,6 @@ def _constant(variable: Variable) -> Flags:
 
 
 def _orthonormal(columns: Floats) -> Floats:
-    """Return an orthonormal basis of the span of columns."""
     if not columns.size:
         return np.zeros((len(columns), 0))
     left, values, _ = np.linalg.svd(columns, full_matrices=False)
@@ -156,10 +155,7 @@ def _orthonormal(columns: Floats) -> Floats:
 
 
 def _part(rows: Floats) -> Floats:
-    """Return an orthonormal basis of a component's directions.
-
-    The rows of other components are orthogonal to them, so that singular values are 1 or 0.
-    """
+    """Return an orthonormal basis of a component's directions: singular values are 1 or 0."""
     left, values, _ = np.linalg.svd(rows, full_matrices=False)
     return np.asarray(left[:, values > 0.5])
 
@@ -185,7 +181,6 @@ def _of_few_variables(basis: Floats) -> Floats:
 
 
 def _complement(columns: Floats) -> Floats:
-    """Return an orthonormal basis of the complement of orthonormal columns."""
     left, _, _ = np.linalg.svd(columns, full_matrices=True)
     return np.asarray(left[:, columns.shape[1] :])
 

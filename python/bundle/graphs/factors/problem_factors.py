@@ -83,12 +83,7 @@ def _stayed(start: Array, end: Array, manifold: str) -> NDArray[np.bool_]:
 
 
 class ProblemFactors:
-    """Checked factors whose variables are those of a problem.
-
-    Raises:
-        InputError: the argument is not a list of factors, a key is not in the problem, or a factor
-            does not fit its variables.
-    """
+    """Checked factors whose variables are those of a problem."""
 
     def __init__(self, problem: Problem, factors: Iterable[Factor]) -> None:
         self._problem, self._values = problem, estimates(problem)

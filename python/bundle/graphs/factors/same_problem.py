@@ -172,7 +172,6 @@ def _is_fixed(variable: Variable) -> bool:
 
 
 def _is_whole(variable: Variable) -> bool:
-    """Tell whether all coordinates of a variable are free, or all are constant."""
     return not len(variable.lower) and (_is_fixed(variable) or not any(variable.held))
 
 
@@ -193,7 +192,6 @@ def _is_id(found: Any) -> bool:
 
 
 def _are_shared(*groups: Iterable[Key]) -> bool:
-    """Tell whether a variable has two roles."""
     return len(set().union(*groups)) < sum(map(len, map(tuple, groups)))
 
 
@@ -210,10 +208,7 @@ def _sigmas(factors: Sequence[ReprojectionFactor]) -> NDArray[np.float64] | None
 def _refined(
     cameras: Sequence[Variable], models: Sequence[str]
 ) -> tuple[tuple[str, ...], NDArray[np.bool_]] | None:
-    """Return the refined parameters of all cameras and the mask of constant cameras.
-
-    None if the free parameters of a camera are not those of some names of ``refine``.
-    """
+    """Return ``refine`` of all cameras and the mask of constant ones; None if no names fit."""
     free: dict[str, bool] = {}
     constant = np.zeros(len(cameras), bool)
     for k, (camera, model) in enumerate(zip(cameras, models, strict=True)):

@@ -250,7 +250,6 @@ class _Line:
 
 
 def _sizes(manifold: str, value: Array) -> Array:
-    """Return the natural size of each tangent coordinate."""
     if manifold == "euclidean":
         length = float(np.linalg.norm(value))
         return np.where(value != 0, np.abs(value), length if length > 0 else 1.0)

@@ -86,12 +86,7 @@ class Variable(FrozenArrays):
         lower: ArrayLike | None,
         upper: ArrayLike | None,
     ) -> Variable:
-        """Return a checked variable.
-
-        Raises:
-            InputError: value, manifold and bounds do not fit each other; the message names the
-                variable.
-        """
+        """Return a checked variable."""
         name = variable_name(key)
         manifold = choice(f"{name}: manifold", manifold, MANIFOLDS)
         checked, coordinates = _core.check_value(name, manifold, as_row(name, value))
@@ -117,10 +112,7 @@ class Variable(FrozenArrays):
         return replace(self, held=tuple(map(bool, flags)))
 
     def core(self) -> tuple[Any, ...]:
-        """Return the arguments of ``_core``.
-
-        Equal bounds, which Ceres refuses, become constants.
-        """
+        """Return the arguments of ``_core``; equal bounds, which Ceres refuses, are constants."""
         equal = self.lower == self.upper
         lower, upper = (
             np.where(equal, infinity, bound)
@@ -291,10 +283,7 @@ def tangent_of(name: str, manifold: str) -> Tangent:
 
 
 def other_coordinates(manifold: str, values: Array, tangent: str = "gtsam") -> Conventions:
-    """Return kind, description and M_e^-1 M_w (K, d, d) of each wrong convention, simplest first.
-
-    ``values``: values (K, n) of the variable.
-    """
+    """Return kind, description, M_e^-1 M_w (K, d, d) of wrong conventions at values (K, n)."""
     if manifold not in ("so3", "se2", "se3"):
         return {}
     expected = tangent_of(tangent, manifold)

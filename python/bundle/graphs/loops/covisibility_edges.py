@@ -232,7 +232,6 @@ def _limit(errors: Array) -> float:
 
 
 def _pairs_per_track(length: Array) -> Array:
-    """Return the number of observation pairs in use for tracks of these lengths."""
     lags = np.minimum(np.maximum(length - 1, 0), MOST_NEIGHBOURS)
     pairs: Array = lags * length - 0.5 * lags * (lags + 1)
     return pairs

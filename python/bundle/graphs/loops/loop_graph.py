@@ -395,7 +395,6 @@ def _points(
 
 
 def _carriers(problem: Problem, fitting: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Return the observations whose images carry the points."""
     point = problem.observation_point
     has = np.zeros(problem.num_points, bool)
     has[point[fitting]] = True

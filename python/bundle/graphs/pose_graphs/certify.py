@@ -145,7 +145,6 @@ def check_certifiable(graph: PoseGraph, loss: str) -> None:
 
 
 def _kept(solved: PoseGraphResult) -> PoseGraph:
-    """Return the solved graph without the closures that the test of consistency left out."""
     graph = solved.problem
     kept = np.ones(graph.num_edges, bool)
     kept[[entry.edge for entry in solved.left_out]] = False
@@ -277,7 +276,6 @@ def _verdict(
 
 
 def _solved_chi2(graph: PoseGraph, poses: Floats, error: str, threads: int) -> float:
-    """Return chi2 after a solve from some poses."""
     held, _, _ = _core.hold_poses(graph)
     options = PoseGraphOptions(error=error, num_threads=threads).asdict()
     nothing = np.zeros(graph.num_edges, bool)

@@ -87,11 +87,7 @@ class ClosureConsistency:
 
 
 def closure_consistency(graph: PoseGraph, num_threads: int = 1) -> ClosureConsistency:
-    """Find the largest set of pairwise consistent closures.
-
-    ``graph``: graph whose odometry (edges from each id to the next) has no gaps; all other edges
-    are closures.
-    """
+    """Find the largest set of pairwise consistent closures of a graph with whole odometry."""
     closures = np.flatnonzero(graph.is_closure)
     if len(closures) > MOST_CLOSURES:
         raise InputError(
@@ -178,11 +174,7 @@ Solve = Callable[[PoseGraph, PoseGraphOptions], tuple[PoseGraphResult, Floats]]
 
 
 def solve_consistent(graph: PoseGraph, options: PoseGraphOptions, solve: Solve) -> PoseGraphResult:
-    """Solve without the closures outside the largest consistent set; report on all edges.
-
-    ``solve``: function from a graph and options without
-    ``consistency`` to the result and the poses at the start.
-    """
+    """Solve without the closures outside the largest consistent set; report on all edges."""
     begun = perf_counter()
     weighed = checked_information(graph, options.information)
     found = closure_consistency(weighed, options.num_threads or 1)
@@ -375,10 +367,7 @@ def _smallest_cover(pattern: Any) -> tuple[Flags, Flags]:
 
 
 def _by_integers(conflicts: Flags) -> tuple[Flags, bool]:
-    """Solve the integer programme.
-
-    At the time limit, return the larger of its best set and a greedy set.
-    """
+    """Solve the integer programme; at the time limit, return the larger of it and a greedy set."""
     from scipy.optimize import Bounds, LinearConstraint, milp  # optional dependency
     from scipy.sparse import csr_array  # optional dependency
 

@@ -84,10 +84,7 @@ def check_information_exists(graph: PoseGraph) -> None:
 def weighted_graph(
     source: Any, options: PoseGraphOptions | None, changes: dict[str, Any], caller: str
 ) -> WeightedGraph:
-    """Return a graph at its poses, with the weights of a loss on its edges.
-
-    ``options``: options; only error, information and loss have an effect.
-    """
+    """Return a graph at its poses, with the weights of a loss on its edges."""
     weights = None
     if isinstance(source, PoseGraphResult):
         if options is None and not changes:
@@ -255,11 +252,7 @@ def _hint_of_order(graph: PoseGraph) -> str:
 
 
 def isotropic(graph: PoseGraph) -> PoseGraph:
-    """Return the graph with isotropic information.
-
-    The information of an edge becomes diagonal: one number for its rotation and one for its
-    translation, the means of their diagonals.
-    """
+    """Return the graph with one mean information of rotation and one of translation per edge."""
     diagonal = np.diagonal(graph.information, axis1=1, axis2=2)
     parts = (slice(0, 2), slice(2, 3)) if graph.dimension == 2 else (slice(0, 3), slice(3, 6))
     weights = np.empty_like(diagonal)

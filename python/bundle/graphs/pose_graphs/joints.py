@@ -149,10 +149,7 @@ def typical_sigmas(graph: PoseGraph) -> Floats:
 
 
 def find_joints(graph: PoseGraph, held: NDArray[np.bool_], error: str) -> Joints:
-    """Find directions that the edges leave undetermined or weak.
-
-    ``held``: (n,) poses that a solve holds constant. ``error``: "log", "g2o" or "ceres".
-    """
+    """Find directions that the edges leave undetermined or weak; ``held`` (n,) are constant."""
     sigmas = typical_sigmas(graph)
     values = np.linalg.eigvalsh(graph.information * np.outer(sigmas, sigmas))
     full = values[:, 0] > OPEN * values[:, -1]

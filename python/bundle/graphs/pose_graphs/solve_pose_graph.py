@@ -239,10 +239,7 @@ def _rejected(
     doubted: NDArray[np.bool_],
     options: PoseGraphOptions,
 ) -> tuple[int, ...]:
-    """Return the edges that the loss rejects: weight below 1/2 and a certainly too large error.
-
-    The weight alone is not sufficient, because some losses reduce the weight of every edge.
-    """
+    """Return the edges of weight below 1/2 and a too large error; losses reduce every weight."""
     if options.loss == "trivial":
         return ()
     out = doubted & (output["weights"] < 0.5)

@@ -157,13 +157,7 @@ def find_doubt(
     c_squared: float,
     num_threads: int = 1,
 ) -> str:
-    """Return evidence of wrong edges after a solve with all edges; "" without any.
-
-    ``doubted``: (m,) True for edges that may be wrong. ``chi2``: (m,) after this solve.
-
-    Returns:
-        Words that follow "without a loss".
-    """
+    """Return evidence of wrong edges, in words after "without a loss"; "" without any."""
     beyond = int((doubted & (chi2 > c_squared)).sum())
     if beyond:
         have = "has" if beyond == 1 else "have"
@@ -187,10 +181,7 @@ def flip_gains(
     c_squared: float,
     num_threads: int = 1,
 ) -> Floats:
-    """Return the first-order decrease of the sum if a doubted edge is put in or out.
-
-    ``doubted``: (m,) edges to test; others get -inf. ``used``: (m,) True where an edge is in.
-    """
+    """Return the decrease of the sum, to first order, if an edge is flipped; others: -inf."""
     gains = np.full(graph.num_edges, -np.inf)
     inside, outside = np.flatnonzero(used), np.flatnonzero(doubted & ~used)
     found = _core.graph_covariance(

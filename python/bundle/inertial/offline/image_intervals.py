@@ -44,9 +44,6 @@ class ImageIntervals:
     Attributes:
         kind: the same.
         rule: rule of preintegration.
-
-    Raises:
-        InputError: the samples are wrong or do not cover the images, or two images have one time.
     """
 
     def __init__(
@@ -76,18 +73,12 @@ class ImageIntervals:
         self._longer = ImuSlices(*_extended(samples), self.rule)
 
     def at(self, offset: float) -> list[ImuInterval]:
-        """Return the samples between consecutive images, for an offset in seconds.
-
-        The first and the last sample hold beyond the recording.
-        """
+        """Return the samples between images at an offset [s]; the outer samples hold beyond."""
         slices = self._slices if offset == 0 else self._longer
         return [slices.between(a, b) for a, b in pairwise(self._moved(offset).tolist())]
 
     def offset(self, rotations: Array, noise: ImuNoise) -> ClockOffset:
-        """Return the offset of the clocks.
-
-        ``rotations`` (n, 3, 3) are world_from_imu of the images.
-        """
+        """Return the offset of the clocks from world_from_imu (n, 3, 3) of the images."""
 
         def motions_at(offset: float, bias: Array) -> list[Preintegration]:
             return preintegrated(self.at(offset), noise, np.append(bias, np.zeros(3)), self.rule)
@@ -148,12 +139,7 @@ LIMIT = 2**63
 
 
 def read_image_times(path: str | os.PathLike[str], problem: Problem) -> NDArray[np.int64]:
-    """Return the (n,) times of the problem's images in nanoseconds.
-
-    Raises:
-        InputError: a line has other words, times do not ascend, or an image has no time.
-        OSError: the file cannot be read.
-    """
+    """Return the (n,) times of the problem's images in nanoseconds."""
     times: dict[str, int] = {}
     last: tuple[int, int] | None = None
     for number, line in numbered_lines(path):

@@ -333,7 +333,6 @@ def _rotation_map(case: _Case, video: ImageIntervals, clock: ClockOffset) -> Rot
 
 
 def _accel_axes(case: _Case, intervals: list[ImuInterval], rule: str) -> str:
-    """Return a sentence on wrong axes of the accelerometer, or ""."""
     problem, bodies = case.images.problem, case.bodies
     found = accel_axes(
         bodies.imu_rotations(problem), bodies.centers(problem), bodies.arms(problem),
@@ -380,7 +379,6 @@ def _evidence(
     noise_scale: float,
     place: Callable[[int], str] | None,
 ) -> Evidence:
-    """Return the evidence on images and IMU after the solves."""
     last, alone = found.results[-1], case.images
     count = len(case.bodies) - 1
     problem = alone.problem

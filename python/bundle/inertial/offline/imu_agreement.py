@@ -148,10 +148,7 @@ class ClockErrors(NamedTuple):
 def noise_ratios(
     stamps: NDArray[np.int64], gyro: Array, accel: Array, noise: ImuNoise
 ) -> tuple[float, float]:
-    """Return calibrated noise densities over those that samples show, of gyro and accelerometer.
-
-    0 for samples without noise.
-    """
+    """Return calibrated over shown noise of gyro and accelerometer; 0 for samples without noise."""
     period = 1e-9 * float(np.median(np.diff(stamps)))
     found = []
     for values, density in zip((gyro, accel), noise.astuple()[:2], strict=True):

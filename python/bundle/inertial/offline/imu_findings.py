@@ -99,7 +99,6 @@ def imu_findings(known: Evidence) -> tuple[ImuFinding, ...]:
 
 
 def _contradiction(known: Evidence, others: Sequence[ImuFinding]) -> ImuFinding | None:
-    """Return the finding of an adjustment that costs more than noise explains."""
     agreement = known.agreement
     if not agreement.is_contradicted:
         return None
@@ -147,7 +146,6 @@ def _contradiction(known: Evidence, others: Sequence[ImuFinding]) -> ImuFinding 
 
 
 def _forces(known: Evidence) -> ImuFinding | None:
-    """Return the finding of forces of a wrong scale."""
     found = known.forces()
     if not found.is_wrong:
         return None
@@ -162,7 +160,6 @@ def _forces(known: Evidence) -> ImuFinding | None:
 
 
 def _arm(known: Evidence) -> ImuFinding | None:
-    """Return the finding of a wrong arm; other errors bend the path, too."""
     found = known.arm()
     if not found.is_wrong:
         return None

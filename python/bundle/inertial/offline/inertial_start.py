@@ -58,10 +58,7 @@ class InertialStart(NamedTuple):
 
 
 class _Rows(NamedTuple):
-    """Equations of a segment after the elimination of its own unknowns.
-
-    Columns: s, g (3), a (3), right side.
-    """
+    """Equations of a segment without its own unknowns; columns: s, g (3), a (3), right side."""
 
     rows: Array
     first: int

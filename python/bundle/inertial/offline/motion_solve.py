@@ -124,10 +124,6 @@ class ImuBodies:
         Args:
             image_times_ns: (num_images,) times; equal for the images of a frame.
             camera_from_imu: (7,) of each image, or of the images of the reference sensor.
-
-        Raises:
-            InputError: there are several rigs, images beside the rig, no image of the reference
-                sensor, or the images of a frame have different times.
         """
         times = np.asarray(image_times_ns, np.int64)
         arm = np.asarray(camera_from_imu, np.float64)

@@ -174,11 +174,7 @@ class ForceScale(NamedTuple):
     def of(
         least: Callable[[float], LeastCost], images_variance: float, variance: float
     ) -> ForceScale:
-        """Return the scale.
-
-        Args:
-            least: function of f.
-        """
+        """Return the scale; ``least`` is a function of f."""
         low, mid, high = (least(f) for f in (1 - STEP, 1.0, 1 + STEP))
         by_images, by_imu = (
             (getattr(high, part) + getattr(low, part) - 2 * getattr(mid, part)) / STEP**2

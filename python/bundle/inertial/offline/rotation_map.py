@@ -108,10 +108,7 @@ class RotationMap(NamedTuple):
         return self.is_determined and abs(self.scale - 1) > max(SCALE, SIGMAS * sigma)
 
     def cause(self, camera_from_imu: Array) -> tuple[str, str]:
-        """Return the kind of a gross error and a sentence on it; "" without one.
-
-        The kinds are "inverse", "order", "gyro_axes", "camera_from_imu" and "gyro_scale".
-        """
+        """Return the kind ("inverse", "gyro_scale", ...) and a sentence of a gross error."""
         explains = self.rms < EXPLAINED * self.rms_before
         if not (self.is_determined and explains):
             return "", ""
@@ -179,7 +176,6 @@ def _fit(rows: Array, values: Array) -> tuple[Array, Array, float]:
 
 
 def _degrees(rotation: Array) -> float:
-    """Return the angle of a rotation matrix."""
     cosine = (float(np.trace(rotation)) - 1) / 2
     return math.degrees(math.acos(min(1.0, max(-1.0, cosine))))
 
@@ -204,10 +200,7 @@ def accel_axes(
     gravity: float,
     rule: str,
 ) -> tuple[Array, InertialStart] | None:
-    """Return the axes that explain the path and the start with the given axes, or None.
-
-    The arguments are those of :func:`solve_inertial_start`.
-    """
+    """Return the axes that explain the path and the start with the given axes, or None."""
     found: list[tuple[float, Array, InertialStart]] = []
     between = np.swapaxes(rotations[:-1], 1, 2) @ rotations[1:]
     bias = gyro_bias(between, intervals, noise, rule)

@@ -53,9 +53,6 @@ def upright_start(
         problem: problem in any frame and unit.
         is_metric: True for a constant baseline between sensors of a rig, which is in metres; the
             similarity then has scale 1.
-
-    Raises:
-        InputError: the motion does not determine the scale, or the rig is not in metres.
     """
     start = solve_inertial_start(
         bodies.imu_rotations(problem),
@@ -87,10 +84,6 @@ def to_priors(problem: Problem, priors: Sequence[Prior]) -> Similarity | None:
     """Return the heading and shift that move a levelled problem in metres to its priors.
 
     None without priors.
-
-    Raises:
-        InputError: a prior does not fit the problem, there are no two positions with a height, or
-            they are at one place.
     """
     if not priors:
         return None

@@ -102,9 +102,6 @@ class ImageImuFactor(_MotionFactor):
     """IMU measurement between two images of a reconstruction in metres.
 
     The error is that of :class:`ImuFactor` for world_from_imu = cam_from_world^-1 camera_from_imu.
-
-    Raises:
-        InputError: a key occurs twice, or gravity is not three finite numbers.
     """
 
     image_i: Key  # key of the pose cam_from_world of i, on se3; positions in metres

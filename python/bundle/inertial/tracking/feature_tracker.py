@@ -122,7 +122,6 @@ class FeatureTracker:
         return now
 
     def _end(self, check: str, alive: Array, passed: Array) -> Array:
-        """Count the living tracks that a check ends; return those that stay alive."""
         self.lost[check] += int(np.count_nonzero(alive & ~passed))
         return alive & passed
 
@@ -141,7 +140,6 @@ class FeatureTracker:
         return usable
 
     def _predicted(self, image: Array, before: _Features, turn: Array) -> Array:
-        """Return the positions from which tracking starts."""
         calibration = self._calibration
         rays = np.column_stack([before.plane, np.ones(len(before.plane))]) @ turn.T
         xy, valid = project(calibration.camera_model or "", calibration.camera_params, rays)
@@ -179,7 +177,6 @@ class FeatureTracker:
         return fits
 
     def _refill(self, image: Array) -> None:
-        """Add the best corner of each cell without a track."""
         import cv2
 
         height, width = image.shape
@@ -234,7 +231,6 @@ def _is_crowded(pixels: Array, alive: Array, distance: float) -> Array:
 
 
 def _reduced(image: Any) -> Array:
-    """Return the image reduced by 8, as float32."""
     import cv2
 
     size = max(1, image.shape[1] // 8), max(1, image.shape[0] // 8)
@@ -243,7 +239,6 @@ def _reduced(image: Any) -> Array:
 
 
 def _patches(small: Array, pixels: Array) -> Array:
-    """Return patches (n, 25) of a reduced image around pixels of the whole one."""
     import cv2
 
     steps = np.arange(-PATCH, PATCH + 1, dtype=np.float32)

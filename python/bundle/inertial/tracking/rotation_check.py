@@ -163,10 +163,7 @@ class RotationPairs:
         return moved
 
     def imu(self, shift: float, scale: float = 1.0) -> Array:
-        """Return rotation vectors (n, 3) later_from_earlier of the IMU, of scaled samples.
-
-        Pairs that a large shift moves beyond the samples end there.
-        """
+        """Return (n, 3) later_from_earlier of scaled samples; shifts end at the last sample."""
         matrices = []
         first, last = self._slices.stamps[[0, -1]]
         for begin, end in (self.spans + round(1e9 * shift)).clip(first, last).tolist():

@@ -83,10 +83,7 @@ def _motion_findings(images: SequenceImages, recording: Recording) -> tuple[Find
 def explanations(
     sequence: Sequence, path: str, known: Iterable[Finding | SequenceFinding] = ()
 ) -> tuple[Finding, ...]:
-    """Return possible causes of a failed odometry or its alarms; takes a second or two.
-
-    Kinds that are ``known`` are left out.
-    """
+    """Return causes, not ``known``, of a failed odometry or its alarms; takes a second or two."""
     if not _measures(sequence):
         return ()
     images, recording = SequenceImages(sequence), _recording(sequence, path)
@@ -180,10 +177,7 @@ class _Start(NamedTuple):
 
 
 def right_signs(images: SequenceImages, is_gross: bool = False) -> Signs | None:
-    """Return signs of the accelerometer's axes that explain spans better than the given ones.
-
-    ``is_gross`` compares spans with points behind the camera only, and ends at one that passes.
-    """
+    """Return better signs of the accelerometer's axes; ``is_gross``: for points behind only."""
     changed: dict[Signs, SequenceImages] = {}
     for each in product((1, -1), repeat=3):
         accel = images.sequence.accel * np.array(each, np.float64)

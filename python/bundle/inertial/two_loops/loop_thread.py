@@ -98,11 +98,9 @@ class SolveLoop(Displayed):
     _num_solves = 0
 
     def _start(self, name: str) -> None:
-        """Start the thread once its work can run."""
         self._worker = LoopThread(name, self._work)
 
     def _work(self) -> None:
-        """Do the pending work, on the thread."""
         raise NotImplementedError
 
     @property

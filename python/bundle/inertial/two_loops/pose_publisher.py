@@ -255,7 +255,6 @@ class PosePublisher(Displayed):
         return last
 
     def _forget_samples(self) -> None:
-        """Discard samples before the solution in use, and those that are too old."""
         newest = self._samples[-1].timestamp_ns
         begin = max(self._solution.timestamp_ns, newest - self._memory_ns)
         while len(self._samples) > 2 and self._samples[1].timestamp_ns <= begin:

@@ -175,7 +175,6 @@ class WindowDriver:
         self._keyframes.append(place)
 
     def _put_closures(self, now: int) -> None:
-        """Queue the closures whose later end is not after the newest keyframe."""
         assert self._graph is not None
         while self._closures and max(self._ends(self._closures[0])) <= now:
             closure = self._closures.pop(0)
@@ -186,11 +185,7 @@ class WindowDriver:
                 self._graph.put_closure(moved)
 
     def _between_keyframes(self, closure: Closure) -> Closure | None:
-        """Return the closure between its nearest keyframes.
-
-        Return None if an end is before the first keyframe, or if both ends have the same nearest
-        keyframe.
-        """
+        """Return the closure between its nearest keyframes; None if these are one, or too late."""
         ends = np.array(self._ends(closure), np.int64)
         if ends.min() < self.run.stamps[0]:
             return None

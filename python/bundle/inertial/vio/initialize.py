@@ -266,10 +266,7 @@ REST_WINDOW = 0.5  # s, for that mean
 
 
 def rest_at_start(images: SequenceImages) -> tuple[int, int]:
-    """Return the last image at rest and the number of samples at rest at the start.
-
-    If the sequence begins in motion, these are the first covered image and 0.
-    """
+    """Return the last image and the number of samples at rest at the start; (first, 0): none."""
     sequence = images.sequence
     first = int(np.argmax(images.covered))
     last = _last_still_image(images, first)

@@ -83,10 +83,7 @@ class Triangulation:
 def reanchored(
     rotations: Array, centres: Array, old: Array, xy: Array, depths: Array, new: Array
 ) -> Array:
-    """Return inverse depths in other frames for landmarks at xy in their old frames.
-
-    The result is not positive if a landmark is behind the new camera; 0 stays 0.
-    """
+    """Return inverse depths in other frames; not positive behind the new camera; 0 stays 0."""
     rays = np.c_[xy, np.ones(len(xy))]
     in_world = np.einsum("kji,kj->ki", rotations[old], rays)
     # multiplied by the inverse depth

@@ -91,10 +91,7 @@ class LandmarkTable(NamedTuple):
         )
 
     def parallax(self) -> Array:
-        """Return the largest distance of an observation from the anchor, per landmark.
-
-        It is zero for a landmark without observations.
-        """
+        """Return the largest distance from the anchor, per landmark; 0 without observations."""
         distance = np.linalg.norm(self.xy - self.anchor_xy[self.landmarks], axis=1)
         largest = np.zeros(len(self.ids))
         np.maximum.at(largest, self.landmarks, distance)
@@ -129,10 +126,7 @@ def landmark_table(frames: Sequence[FrameTracks]) -> LandmarkTable:
 
 
 def sight_numbers(image: Array, ids: Array, xy: Array) -> Array:
-    """Return the number of each observation's track, from 0: by its first image, then x, then y.
-
-    Observations are sorted by image.
-    """
+    """Return each observation's track number: by its first image, then x, then y."""
     _, first, track = np.unique(ids, return_index=True, return_inverse=True)
     order = np.lexsort((xy[first, 1], xy[first, 0], image[first]))
     numbers = np.empty(len(first), np.int64)

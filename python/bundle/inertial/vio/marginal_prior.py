@@ -84,10 +84,7 @@ class MarginalPrior:
 
     @classmethod
     def of(cls, found: dict[str, Any], stamps: list[int]) -> MarginalPrior:
-        """Return the prior from the core's marginalize_window, for the frames of these stamps.
-
-        Its cost is zero at its own minimum.
-        """
+        """Return the prior, zero at its minimum, from the core's result for these stamps."""
         prior = found["prior"]
         keys: list[tuple[int | str, int]] = []
         for block in prior["blocks"]:
@@ -106,10 +103,7 @@ class MarginalPrior:
         )
 
     def spectrum(self, scaled: bool = False) -> Array:
-        """Return the eigenvalues of the information matrix, ascending.
-
-        With a unit diagonal if scaled.
-        """
+        """Return the ascending eigenvalues of the information, with a unit diagonal if scaled."""
         return np.asarray(_core.prior_spectrum(self.matrix, self.square_root, scaled))
 
     def definiteness(self) -> float:
@@ -161,10 +155,7 @@ class MarginalPrior:
         return float(values[0] / values[-1])
 
     def relinearized(self, states: dict[int, Array]) -> MarginalPrior:
-        """Return the prior about the current states with the same minimum.
-
-        V <- v +- M d, M is kept.
-        """
+        """Return the prior about the current states with the same minimum: V <- v +- M d."""
         points, steps = self.points.copy(), []
         for row, (key, kind) in enumerate(self.keys):
             if not isinstance(key, int):

@@ -150,11 +150,7 @@ def track_rows(
 
 
 def _triangulate(rotations: Array, offsets: Array, image: Array) -> Array:
-    """Return the landmark of least squares; nan if it is behind the first camera or at infinity.
-
-    Gauss-Newton on (a, b, 1 / z) in the first camera, starting at infinity: c ~ R (a, b, 1) + t /
-    z.
-    """
+    """Return the least-squares landmark, or nan, by Gauss-Newton on (a, b, 1 / z) from infinity."""
     turns = rotations @ rotations[0].T
     shifts = offsets - turns @ offsets[0]
     landmark = np.array([image[0, 0], image[0, 1], 0.0])

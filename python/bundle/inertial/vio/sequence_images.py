@@ -68,11 +68,7 @@ class ImuSlices:
         self._holes = holes
 
     def between(self, begin: int, end: int) -> ImuInterval:
-        """Return the samples from one stamp to a later one.
-
-        Raises:
-            InputError: the recording does not cover the interval.
-        """
+        """Return the samples from one stamp to a later one."""
         if not (self.stamps[0] <= begin < end <= self.stamps[-1]):
             raise InputError(
                 f"IMU: expected samples from {begin} to {end} ns, found {self.stamps[0]} to "
@@ -121,7 +117,6 @@ class ImuSlices:
         return variances[0], variances[1]
 
     def _at(self, values: Array, stamp: int, before: int) -> Array:
-        """Interpolate between a sample and the next one."""
         a, b = self.stamps[before], self.stamps[before + 1]
         share = float(stamp - a) / float(b - a)
         between: Array = (1 - share) * values[before] + share * values[before + 1]

@@ -238,7 +238,6 @@ class SlidingWindow:
                 frame.anchor = frame.state.copy()
 
     def _priors(self, steady: list[WindowFrame]) -> list[dict[str, Any]]:
-        """Return the prior and, if requested, the prior on steady speed of some frames."""
         priors, sigma = [self.prior], self.options.steady_speed_sigma
         if sigma > 0 and self._telemetry.excitation()[1] == "unobservable":
             priors.append(steady_speed(steady, sigma, self.options.prior_form == "square_root"))
@@ -340,7 +339,6 @@ class SlidingWindow:
         self._telemetry.lap("marginalization")
 
     def _cut_inertia(self) -> None:
-        """Remove the IMU factor of the first frame."""
         self._numbers.keep(np.unique(np.concatenate([frame.tracks.ids for frame in self.frames])))
         self.frames[0].interval = self.frames[0].inertia = None
 

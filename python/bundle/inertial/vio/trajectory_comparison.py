@@ -98,9 +98,6 @@ def aligned_in_yaw(
     """Return stamps (n,), poses of the estimate and of the truth, (n, 7), where both exist.
 
     The estimate is rotated about the vertical and translated to fit the truth best.
-
-    Raises:
-        InputError: fewer than three poses of the estimate lie between stamps of the truth.
     """
     from bundle.georeference.pose_alignment import align_centers, moved_poses  # late, as above
 
@@ -126,11 +123,7 @@ def states_at(trajectory: Trajectory, stamps: NDArray[np.int64]) -> Array:
 
 
 def covered_by(truth: Trajectory, stamps: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Return the mask of an estimate's stamps that lie between those of the truth.
-
-    Raises:
-        InputError: fewer than three lie between them.
-    """
+    """Return the mask of an estimate's stamps that lie between those of the truth."""
     inside: NDArray[np.bool_] = stamps >= truth.timestamps_ns[0]
     inside = inside & (stamps <= truth.timestamps_ns[-1])
     if inside.sum() < LEAST_POSES:

@@ -44,10 +44,7 @@ def walks_down(ratios: list[float]) -> bool:
 
 
 def yaw_falls(sigmas: list[float], turned: list[float]) -> tuple[float, float] | None:
-    """Return the yaw standard deviation before and after its decrease while the platform turned.
-
-    None without a decrease.
-    """
+    """Return yaw's sigma before and after it fell while the platform turned; None if not."""
     if len(sigmas) < 2 * YAW_MEDIAN:
         return None
     windows = np.lib.stride_tricks.sliding_window_view(np.array(sigmas), YAW_MEDIAN)

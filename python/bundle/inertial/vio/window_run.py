@@ -97,9 +97,6 @@ class WindowRun:
         next_image: first image after the start.
         stamps, states: stamps and states of the start's keyframes, then of each image.
         lost: reason once tracking is lost; "" before.
-
-    Raises:
-        InputError: the sequence has no start; the message has the reason.
     """
 
     def __init__(self, sequence: Sequence, options: WindowOptions) -> None:
@@ -220,7 +217,6 @@ def _lost_reason(records: list[KeyframeRecord]) -> str:
 
 
 def _longest(stamps: list[int], flags: list[bool]) -> float:
-    """Return the seconds of the longest run of flags."""
     longest, begin = 0, 0
     for k, flag in enumerate(flags):
         begin = begin if flag else k + 1

@@ -161,7 +161,6 @@ class WindowTelemetry:
         return record
 
     def _rotation_so_far(self) -> float:
-        """Return the sum of the angles (rad) between keyframes, including the newest."""
         attitudes = self.window.states[:, :4]
         if self._attitudes is not None:
             attitudes = np.vstack([self._attitudes, attitudes[-1:]])

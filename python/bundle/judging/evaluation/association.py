@@ -64,10 +64,6 @@ def associate(a: PoseTable, b: PoseTable, tolerance: float = 0.01) -> Associatio
     """Return the pairs of poses of A and B; see the top of this file.
 
     The tolerance of time stamps is in seconds.
-
-    Raises:
-        InputError: fewer than three poses have a partner, a name exists twice, or the numbers of
-            poses without names or stamps differ.
     """
     named = [_is_named(table) for table in (a, b)]
     timed = [table.timestamps_ns is not None for table in (a, b)]
@@ -120,7 +116,6 @@ _SAID = {
 
 
 def _unique(names: tuple[str, ...], key: Callable[[str], str]) -> dict[str, int]:
-    """Return the rows of the keys that only one name has."""
     keys = [key(name) for name in names]
     counts = Counter(keys)
     return {name: row for row, name in enumerate(keys) if counts[name] == 1}
@@ -143,7 +138,6 @@ def _by_time(a: PoseTable, b: PoseTable, tolerance: float) -> Association:
 
 
 def _nearest(wanted: Indices, among: Indices) -> Indices:
-    """Return the index of the nearest of ascending stamps for each stamp."""
     after = np.clip(np.searchsorted(among, wanted), 0, len(among) - 1)
     before = np.maximum(after - 1, 0)
     nearer = np.abs(wanted - among[before]) <= np.abs(among[after] - wanted)
@@ -187,7 +181,6 @@ def _by_order(a: PoseTable, b: PoseTable) -> Association:
 
 
 def _frames(table: PoseTable) -> Indices | None:
-    """Return the frame numbers; None if the names do not end in different numbers."""
     if table.format == "kitti":
         return np.arange(len(table))
     words = [re.search(r"(\d{1,18})$", _LEVELS["stem"](name)) for name in table.names]

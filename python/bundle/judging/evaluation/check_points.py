@@ -43,12 +43,7 @@ Array = NDArray[np.float64]
 
 
 def check_points_of(given: Any, format: str | None) -> tuple[GroundControlPoint, ...] | None:
-    """Return check points from a path or from control points; None for other references.
-
-    Raises:
-        InputError: the file violates the format of gcp_list.txt.
-        OSError: the path cannot be read.
-    """
+    """Return check points from a path or from control points; None for other references."""
     if isinstance(given, Sequence) and not isinstance(given, str) and len(given):
         points = [one for one in given if isinstance(one, GroundControlPoint)]
         return tuple(points) if len(points) == len(given) else None

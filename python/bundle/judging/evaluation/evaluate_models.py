@@ -107,10 +107,6 @@ def open_input(
 
     Args:
         format: format of a path; None: by its content.
-
-    Raises:
-        InputError: the input has another type or format.
-        OSError: a path cannot be read.
     """
     if isinstance(given, PoseTable):
         return given
@@ -198,7 +194,6 @@ def _evaluate(
 
 
 def _described(one: Problem | PoseTable) -> dict[str, Any]:
-    """Return format and counts of an input."""
     if isinstance(one, PoseTable):
         return {"format": one.format, "num_poses": len(one)}
     counts = ("num_cameras", "num_images", "num_points", "num_observations")
@@ -224,7 +219,6 @@ def _directions(
 def _of_models(
     a: Problem, b: Problem, pairs: Association, compared: Compared, options: EvaluateOptions
 ) -> tuple[dict[str, Any], list[str]]:
-    """Return the results for two models only: lenses, points and movement; and remarks."""
     rows = pairs.rows_a, pairs.rows_b
     points = shared_points(a, b, *rows)
     movement, notes = _movement(a, b, pairs, options)
@@ -242,7 +236,6 @@ def _movement(
     pairs: Association,
     options: EvaluateOptions,
 ) -> tuple[SigmaMovement | None, list[str]]:
-    """Return the movement in sigmas, or the reason why it is missing."""
     if options.sigmas == "off" or not a.num_observations:
         return None, []
     if options.sigmas == "auto" and a.num_images > MOST_IMAGES:
@@ -258,7 +251,6 @@ def _movement(
 
 
 def _missing(pairs: Association) -> list[Finding]:
-    """Return the finding about images of B that A lacks."""
     count = len(pairs.only_b)
     if not count or pairs.by == "time":
         return []

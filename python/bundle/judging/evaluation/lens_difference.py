@@ -65,10 +65,7 @@ class LensDifference:
 def lens_differences(
     a: Problem, b: Problem, rows_a: Indices, rows_b: Indices
 ) -> tuple[LensDifference, ...]:
-    """Return the difference of each pair of cameras of shared images, most images first.
-
-    The rows (n,) are those of the shared images.
-    """
+    """Return the difference of each pair of cameras of shared images, most images first."""
     cameras = np.column_stack([a.image_camera[rows_a], b.image_camera[rows_b]])
     pairs, counts = np.unique(cameras, axis=0, return_counts=True)
     boxes = _Boxes(a)

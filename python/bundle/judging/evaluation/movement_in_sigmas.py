@@ -109,9 +109,6 @@ def movement_in_sigmas(
     """Return the movement of the shared images, whose rows are (n,).
 
     `solved` has the loss of the solve of A; what it refined is found here.
-
-    Raises:
-        InputError: A has no covariance, or a metric scale that B does not have.
     """
     held = _movement(a, b, rows_a, rows_b, solved)
     if not held.is_minimum or not held.median > 1:

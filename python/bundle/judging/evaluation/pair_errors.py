@@ -182,7 +182,6 @@ def _direction_errors(
 
 
 def _normalized(centers: Array) -> Array:
-    """Return centres relative to their mean, divided by the largest distance from the mean."""
     centered = centers - centers.mean(axis=0)
     extent = float(np.abs(centered).max())
     normalized: Array = centered / extent if extent > 0 else centered

@@ -51,10 +51,7 @@ def point_difference(
 
 
 def shared_points(a: Problem, b: Problem, rows_a: Indices, rows_b: Indices) -> Indices:
-    """Return (n, 2) indices of the points of A and B of the same tracks, in the order of A.
-
-    The rows (m,) are those of the shared images.
-    """
+    """Return (n, 2) indices of points of the same tracks in shared images, in the order of A."""
     first, second = _Views(a, rows_a), _Views(b, rows_b)
     listed_a, listed_b = first.with_keypoint(), second.with_keypoint()
     same_a, same_b = _join(first.keypoint_keys(listed_a), second.keypoint_keys(listed_b))
@@ -112,7 +109,6 @@ def _labels(table: Array) -> Indices:
 
 
 def _join(keys_a: Indices, keys_b: Indices) -> tuple[Indices, Indices]:
-    """Return the rows of keys that occur once in both arrays."""
     row_a, row_b = _single(keys_a), _single(keys_b)
     _, in_a, in_b = np.intersect1d(
         keys_a[row_a], keys_b[row_b], assume_unique=True, return_indices=True
@@ -121,7 +117,6 @@ def _join(keys_a: Indices, keys_b: Indices) -> tuple[Indices, Indices]:
 
 
 def _single(keys: Indices) -> Indices:
-    """Return the rows of the keys that occur once."""
     _, first, counts = np.unique(keys, return_index=True, return_counts=True)
     rows: Indices = np.sort(first[counts == 1])
     return rows

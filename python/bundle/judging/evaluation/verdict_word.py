@@ -163,7 +163,6 @@ def _outlier_images(given: Compared) -> Finding | None:
 
 
 def _explains(given: Compared, poses: Array, reference: Array) -> float | None:
-    """Return the position error of other poses if it is much smaller; None otherwise."""
     try:
         similarity = align_centers(poses[:, 4:], reference[:, 4:], given.alignment)
     except InputError:

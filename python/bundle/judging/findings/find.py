@@ -76,7 +76,6 @@ def find(
 
 
 def _lens(measured: Measured, fits: ImageFits, fields: Sequence[LensField]) -> Finding | None:
-    """Return the finding about a lens model that is too small, in residuals or absorbed."""
     is_varied = variation(measured.scale, fits, fields)[2]
     return lens_model(measured, fields) or absorbed_lens(measured, is_varied=is_varied)
 

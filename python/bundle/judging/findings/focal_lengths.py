@@ -115,7 +115,6 @@ def undetermined_intrinsics(measured: Measured, groups: Groups) -> Finding | Non
 
 
 def _differ(measured: Measured, group: FocalLengths) -> bool:
-    """Return True if the lenses of a group differ enough for separate lenses."""
     joint = joint_statistic(measured, group)
     return joint is not None and joint[0] >= PAYS * joint[1]
 

@@ -151,7 +151,6 @@ def _found(measured: Measured, names: list[str]) -> Finding | None:
 
 
 def _extended(measured: Measured, model: str) -> Step | None:
-    """Return the step of a larger model with the same pixels; None: it cannot have them."""
     problem = measured.whole
     width = max(problem.camera_params.shape[1], len(camera_models()[model]))
     params = np.zeros((problem.num_cameras, width))

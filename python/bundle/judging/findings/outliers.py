@@ -45,10 +45,7 @@ FEWEST_OBSERVATIONS = 30
 
 
 def outliers(measured: Measured, robust: Measured | None = None) -> Finding | None:
-    """Return the finding about outliers, or None.
-
-    The robust model is the same after a robust solve; None if there is none.
-    """
+    """Return the finding about outliers, or None; ``robust`` is the model after a robust solve."""
     known = measured.counted
     count = int(known.sum())
     if count < FEWEST_OBSERVATIONS:

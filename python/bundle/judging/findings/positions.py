@@ -158,7 +158,6 @@ def positions_of_start(measured: Measured) -> Finding | None:
 
 
 def _unexplained(ratio: float, evidence: dict[str, Any], why: str) -> Finding:
-    """Return the finding about a contradiction whose cause is not known."""
     return Finding(
         kind="positions",
         sentence=f"Measured positions and model differ by {number(ratio)} times the sigmas. " + why,
@@ -196,7 +195,6 @@ def position_offset(measured: Measured) -> Finding | None:
 
 
 def _sigma_command(measured: Measured, given: list[float], factors: list[float]) -> str:
-    """Return the command that gives the sigmas, or factors on those of the file."""
     command = measured.command
     asked = command.value("--gps-sigma", GPS_SIGMA).split("/")
     of_flag = [float(asked[0]), float(asked[-1])]
@@ -230,10 +228,7 @@ def is_tense(measured: Measured) -> bool:
 
 
 def scale_drift(measured: Measured, free: Problem) -> Finding | None:
-    """Return the finding about a scale that changes along the images, or None.
-
-    The images alone determine the free model, in any frame.
-    """
+    """Return the finding about a scale that changes along the images of a model by images alone."""
     rows, priors = _used(measured)
     if len(rows) < 2 * FEWEST:
         return None
@@ -273,7 +268,6 @@ def scale_drift(measured: Measured, free: Problem) -> Finding | None:
 
 
 def _has_model(measured: Measured, factors: Floats) -> bool:
-    """Return True if a solve with these factors on the sigmas of positions has a usable result."""
     positions = _used(measured)[1]
     priors = [*(_scaled(one, factors) for one in positions), *_others(measured, positions)]
     try:
@@ -284,7 +278,7 @@ def _has_model(measured: Measured, factors: Floats) -> bool:
 
 
 def _shrinking(free: float, left: float) -> float:
-    """Return the factor on sigmas with which half of LEFT is left of a drift.
+    """Return the factor on sigmas that leaves half of LEFT of a drift.
 
     Positions leave the share 1 / (1 + k / sigma^2), with k from the present share.
     """
@@ -348,7 +342,6 @@ def _distances(
 
 
 def _used(measured: Measured) -> tuple[list[int], list[Any]]:
-    """Return rows of images with measured positions, and these positions."""
     problem = measured.whole
     by_id = {int(one): row for row, one in enumerate(problem.image_ids.tolist())}
     by_name = {name: row for row, name in enumerate(problem.image_names) if name}
@@ -366,7 +359,6 @@ def _used(measured: Measured) -> tuple[list[int], list[Any]]:
 
 
 def _antenna(problem: Problem, row: int, prior: Any) -> Floats:
-    """Return the position of the antenna of an image in the model."""
     pose = problem.cam_from_world[row : row + 1]
     turned = quaternion_rotate(
         quaternion_inverse(pose[:, :4]), np.asarray(prior.lever_arm, float)[None]
@@ -376,7 +368,6 @@ def _antenna(problem: Problem, row: int, prior: Any) -> Floats:
 
 
 def _sigmas(measured: Measured) -> list[tuple[float, float]]:
-    """Return the horizontal and the vertical sigma of each used position."""
     return [
         (float(np.sqrt(full[0, 0])), float(np.sqrt(full[2, 2])))
         for full in (prior.full_covariance for prior in _used(measured)[1])
@@ -384,7 +375,6 @@ def _sigmas(measured: Measured) -> list[tuple[float, float]]:
 
 
 def _sigma(priors: list[Any], axis: int) -> float:
-    """Return the median sigma of an axis."""
     return median(np.array([np.sqrt(prior.full_covariance[axis, axis]) for prior in priors]))
 
 
@@ -456,12 +446,10 @@ def sigma_factors(
 
 
 def _others(measured: Measured, priors: list[Any]) -> list[Any]:
-    """Return the priors of a model without these."""
     return [one for one in measured.priors if all(one is not prior for prior in priors)]
 
 
 def _scaled(prior: Any, factors: Floats) -> Any:
-    """Return a prior with its standard deviations multiplied."""
     axes = np.array([factors[0], factors[0], factors[1]])
     if prior.sigma is not None:
         return dataclasses.replace(prior, sigma=np.asarray(prior.sigma) * axes)

@@ -111,7 +111,6 @@ def _wrong_sigmas(measured: Measured, errors: AttitudeErrors) -> Finding | None:
 
 
 def _sigma_command(measured: Measured, errors: AttitudeErrors, sigma: str) -> str:
-    """Return the command that gives the sigma of all, or a factor where the file has its own."""
     command, flag = measured.command, SCALES[errors.noun]
     scale = command.value(flag, "")
     default = float(command.value("--gravity-sigma", str(GRAVITY_SIGMA)))

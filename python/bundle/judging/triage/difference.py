@@ -164,7 +164,6 @@ def _waiting(environment: Entry) -> float:
 
 
 def _known(value: Any) -> float | None:
-    """Return a finite number, or None."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         return None
     return float(value) if math.isfinite(value) else None
@@ -217,10 +216,7 @@ class Difference:
 
     @cached_property
     def options(self) -> dict[str, tuple[Any, Any]]:
-        """Options that differ, by name, without threads and those of the report alone.
-
-        Some reports list an option only if it is given: None stands for the others.
-        """
+        """Options that differ, without threads and those of the report; None: not listed there."""
         old, new = self.old.options, self.new.options
         names = [name for name in {**old, **new} if name not in (*WITHOUT_EFFECT, THREADS)]
         pairs = {name: (old.get(name), new.get(name)) for name in names}

@@ -36,12 +36,7 @@ class SolveReport:
 
 
 def read_report(path: str | os.PathLike[str]) -> SolveReport:
-    """Read the JSON that ``--json FILE`` wrote.
-
-    Raises:
-        InputError: the file is no such report, is of another version, or is incomplete.
-        OSError: the file cannot be read.
-    """
+    """Read the JSON that ``--json FILE`` wrote."""
     place = shown(os.fspath(path))
     expected = f"{place}: expected a report of bundle refine, vio or compare (--json FILE)"
     try:
@@ -91,9 +86,6 @@ def same_input(old: SolveReport, new: SolveReport) -> None:
 
     A file may have another name in each run, and its contents may grow under the same name. An
     input with another name and another size is another input.
-
-    Raises:
-        InputError: the reports are not comparable; the message names both inputs.
     """
     place = shown(new.path)
     if old.command != new.command:
@@ -119,7 +111,6 @@ def same_input(old: SolveReport, new: SolveReport) -> None:
 
 
 def _name(given: Entry) -> str:
-    """Return the name of a file without folder and suffixes."""
     return Path(given["path"] or "").name.partition(".")[0]
 
 
@@ -291,9 +282,6 @@ def check_shape(value: Any, shape: Any, place: str, name: str = "") -> None:
     Args:
         shape: expected shape.
         name: names of the entries that lead to the value, such as "summary.final_cost".
-
-    Raises:
-        InputError: an entry is missing or of another kind; the message names it.
     """
     if isinstance(shape, Maybe):
         if value is not None:

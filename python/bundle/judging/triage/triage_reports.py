@@ -103,7 +103,6 @@ def triage(
 def _differences(
     old: SolveReport, new: SolveReport, options: TriageOptions
 ) -> Sequence[Difference]:
-    """Return the difference of each method that both reports contain."""
     both = [key for key in old.solves if key in new.solves]
     if not both:
         raise InputError(
@@ -129,7 +128,6 @@ def _is_machine(differences: Sequence[Difference]) -> bool:
 
 
 def _notes(two: Difference, found: dict[str, TriageCause]) -> tuple[str, ...]:
-    """Return the differences without an effect beyond noise."""
     said = []
     if two.options and "options" not in found and "ordering" not in found:
         said.append(f"Options differ without effect: {', '.join(two.options)}.")

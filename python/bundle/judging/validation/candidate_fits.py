@@ -193,7 +193,6 @@ class _Run:
         return result
 
     def _residuals(self, problem: Problem) -> NDArray[np.float64]:
-        """Return residuals without those of control points, which are the last."""
         found = residuals(problem, self._options.cheirality)
         of_input = slice(self._given.problem.num_observations)
         return np.where(found.counted[:, None], found.xy, np.nan)[of_input]
@@ -206,7 +205,6 @@ class _Run:
 
 
 def _differ_in_sharing(fit: CandidateFit, other: CandidateFit) -> bool:
-    """Return True for a fit that differs from another in its sharing only."""
     return not fit.error and replace(fit.candidate, share=other.candidate.share) == other.candidate
 
 

@@ -146,14 +146,12 @@ def default_candidates(
 
 
 def _own_share(problem: Problem, shares: Sequence[str]) -> str:
-    """Return the sharing with the groups of the input."""
     own = groups_of(problem, "input").tobytes()
     same = (s for s in shares if s != "focal" and groups_of(problem, s).tobytes() == own)
     return next(same, "input")
 
 
 def _shared_names(model: str, refine: tuple[str, ...]) -> list[str]:
-    """Return the refined parameters besides focal lengths."""
     kinds = {kind for kind in ("extra", "principal_point") if kind in refine}
     names = camera_models().get(model, ())
     both = zip(names, param_kinds(model) if names else (), strict=True)
@@ -167,9 +165,6 @@ def with_cameras(
 
     Points do not change. Merged cameras start at their mean. With ``keep_scale`` their images
     move to keep their scale, else poses do not change.
-
-    Raises:
-        InputError: the cameras cannot be merged or split, or the model cannot represent them.
     """
     model, share = candidate.camera_model, candidate.share
     if model and len(set(problem.camera_models)) > 1:

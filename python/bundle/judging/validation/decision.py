@@ -99,9 +99,6 @@ def decide(
         vetoes: reason why a candidate may not be recommended; "" if it may. None: no vetoes.
         rule: numbers of the rule; None: the defaults.
         cameras: positions of the fits; None: only the errors count.
-
-    Raises:
-        InputError: no candidate can be recommended.
     """
     rule = DecisionRule() if rule is None else rule
     values, of_image = np.asarray(errors, float), np.asarray(image)
@@ -140,10 +137,7 @@ def decide(
 
 
 def jackknife(sums: _Floats, others: _Floats, counts: _Floats) -> float:
-    """Return the standard error of the difference of two RMS values over images.
-
-    Given are (num_images,) sums of squared errors of two candidates, and the numbers of errors.
-    """
+    """Return the standard error of the difference of two RMS values from (num_images,) sums."""
     used = counts > 0
     if used.sum() < 2:
         return float("inf") if (sums != others).any() else 0.0

@@ -210,7 +210,6 @@ def _veto(fit: CandidateFit, test: RowTest | None) -> str:
 def _findings(
     test: RowTest | None, fit: CandidateFit, order: str, command: str
 ) -> tuple[Finding, ...]:
-    """Return the finding about motion, with the command that adds a worthwhile shutter."""
     if test is None or not test.fires:
         return ()
     gain = shutter_movement(measured(fit), order)
@@ -247,7 +246,6 @@ def _certainty(fit: CandidateFit) -> Certainty:
 
 
 def _num_intrinsics(fit: CandidateFit) -> int:
-    """Return the number of free lens parameters; tied parameters count once."""
     assert fit.prepared is not None
     problem, applied = fit.refined, fit.prepared.applied
     options = fit.prepared.options
@@ -313,7 +311,6 @@ def _record(
     num_intrinsics: int,
     command: str,
 ) -> ValidatedCandidate:
-    """Return the record of one candidate."""
     candidate, problem = fit.candidate, fitting.problem
     held = summarize_clipped(errors, clip)
     fitted = summarize_clipped(np.hypot(*fit.residuals.T), clip)
@@ -350,7 +347,6 @@ def _record(
 
 
 def _command(fit: CandidateFit, fitting: Fitting, source: str, flags: str) -> str:
-    """Return the command line of a candidate, without options that do not move the minimum."""
     names = ("function_tolerance", "num_threads", "max_num_iterations")
     options = fitting.options.replace(**{name: getattr(SolveOptions(), name) for name in names})
     words = refine_command(fitting.problem, fit.candidate, options, source)

@@ -131,10 +131,7 @@ def _camera_sigma(prepared: Prepared, full: Result) -> float:
 
 
 def _sound(prepared: Prepared, full: Result) -> Problem:
-    """Return the fitted problem without points that would dominate the gauge.
-
-    Points of factors, such as control points, are always kept.
-    """
+    """Return the problem without points that would dominate the gauge; points of factors stay."""
     known = touched_ids(prepared.factors)["point"]
     kept = sorted({*known, *prepared.options.fixed_point_ids})
     lengths = np.hypot(*residuals(full.problem, full.options.cheirality).xy.T)

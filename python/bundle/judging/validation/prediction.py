@@ -39,10 +39,7 @@ _Floats = NDArray[np.float64]
 def prediction_covariances(
     problem: Problem, folds: NDArray[np.int16], cheirality: str = "auto"
 ) -> _Floats:
-    """Return S of each observation; NaN for observations that are in no fold (-1).
-
-    The problem has the values of a fit to all observations.
-    """
+    """Return S of each observation at a fit to all; NaN for observations in no fold (-1)."""
     jacobians = linearize(problem, cheirality).d_point
     if problem.observation_sigma is not None:
         jacobians = jacobians / problem.observation_sigma[:, None, None]
@@ -71,10 +68,7 @@ def squared_errors(residuals: _Floats, covariances: _Floats) -> _Floats:
 
 
 def normalized_errors(residuals: _Floats, covariances: _Floats) -> tuple[_Floats, float]:
-    """Return the normalised errors of all candidates, and sigma.
-
-    Residuals (num_candidates, num_held_out, 2) are NaN without a projection.
-    """
+    """Return the normalised errors of all candidates, NaN without a projection, and sigma."""
     squares = squared_errors(residuals, covariances)
     medians = np.median(np.where(np.isnan(squares), np.inf, squares), axis=1)
     # The best candidate: a lens that is too small would take its systematic errors for noise.
@@ -84,7 +78,6 @@ def normalized_errors(residuals: _Floats, covariances: _Floats) -> tuple[_Floats
 
 
 def _sums(matrices: _Floats, index: NDArray[np.int32], count: int) -> _Floats:
-    """Return the sum of symmetric matrices (n, 3, 3) by index."""
     sums = np.empty((count, 3, 3))
     for i in range(3):
         for j in range(i, 3):
@@ -115,10 +108,7 @@ def _sums(matrices: _Floats, index: NDArray[np.int32], count: int) -> _Floats:
 
 
 def dispersion(lengths: NDArray[np.float64], dof: int, options: SolveOptions) -> float:
-    """Return s^2 from the lengths of residuals, in sigmas; NaN lengths are ignored.
-
-    NaN without residuals or without degrees of freedom.
-    """
+    """Return s^2 from lengths of residuals in sigmas (NaN ignored); NaN without dof."""
     lengths = lengths[np.isfinite(lengths)]
     if not len(lengths) or dof <= 0:
         return float("nan")
@@ -163,7 +153,6 @@ def refine_command(
 
 
 def _sharing(share: str) -> str:
-    """Return the flag of `refine` for a kind of sharing."""
     if share in ("each", "focal"):
         return "--split-cameras"
     return f"--share-cameras {share}"

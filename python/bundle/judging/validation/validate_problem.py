@@ -143,11 +143,7 @@ def _words(name: str, given: str | Iterable[str], choices: Sequence[str]) -> tup
 
 
 def _folds(problem: Problem, num_folds: int, seed: int) -> NDArray[np.int16]:
-    """Return the folds.
-
-    Raises:
-        InputError: too few observations can be held out.
-    """
+    """Return the folds."""
     folds = folds_of(problem, num_folds, seed)
     count = int((folds >= 0).sum())
     if count < FEWEST_HELD_OUT:
@@ -161,11 +157,7 @@ def _folds(problem: Problem, num_folds: int, seed: int) -> NDArray[np.int16]:
 
 
 def _candidates(problem: Problem, *wanted: Any) -> list[Candidate]:
-    """Return the candidates of the request.
-
-    Raises:
-        InputError: there are too many.
-    """
+    """Return the candidates of the request."""
     candidates = default_candidates(problem, *wanted)
     if len(candidates) > MOST_CANDIDATES:
         raise InputError(
@@ -175,7 +167,6 @@ def _candidates(problem: Problem, *wanted: Any) -> list[Candidate]:
 
 
 def _check_fits(fits: Sequence[CandidateFit]) -> None:
-    """Raise an InputError if no candidate has a fit."""
     if all(fit.error for fit in fits):
         first = fits[0]
         raise InputError(f"candidates: {first.candidate.name}: {first.error}")

@@ -193,10 +193,7 @@ def verdict_of(
 def present_candidate(
     records: Sequence[ValidatedCandidate], problem: Problem, chosen: ValidatedCandidate
 ) -> int:
-    """Return the index of the candidate with the input's models and sharing; -1: none.
-
-    With several losses and refined sets, only those of the recommended candidate are used.
-    """
+    """Return the index of the input's models and sharing, with the chosen loss; -1: none."""
     used = {problem.camera_models[camera] for camera in set(problem.image_camera.tolist())}
     own = groups_of(problem, "input").tobytes()
     for k, one in enumerate(records):
@@ -244,7 +241,6 @@ def _sentence(
 
 
 def _cost(records: Sequence[ValidatedCandidate], decision: Decision, present: int) -> list[str]:
-    """Return a sentence on the loss of certainty of the change, else of the worst candidate."""
     chosen = records[decision.recommended].position_sigma
     if not chosen > 0:
         return []

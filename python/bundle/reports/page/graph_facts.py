@@ -147,7 +147,6 @@ def facts_of_factor_graph(graph: FactorGraph, result: GraphResult | None) -> Gra
 
 
 def _analysed(analyse: Any) -> Any:
-    """Return the result of an analysis; None if the graph has none."""
     try:
         return analyse()
     except InputError:

@@ -241,7 +241,6 @@ def certificate_sections(solved: object) -> list[Section]:
 
 
 def _costs(solved: PoseGraphResult, found: Certificate) -> Figure:
-    """Return chi2 and F with their lower bounds, as bars."""
     has_escaped = solved.summary.init in ESCAPES
     values = {"chi2, first solution" if has_escaped else "chi2": found.chi2}
     if has_escaped:

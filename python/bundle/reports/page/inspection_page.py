@@ -185,7 +185,6 @@ def _headline(inspection: Inspection) -> str:
 
 
 def _recommendation(inspection: Inspection, options: SolveOptions, name: str) -> str:
-    """Return the recommended command line with its reason."""
     command = recommended_command(inspection, options, name or "INPUT")
     lines = [tag("pre", tag("code", escape(command)))] if command else []
     return tag("div", *lines, tag("p", escape(inspection.recommendation)), class_="recommended")

@@ -327,7 +327,6 @@ def _focal(problem: Problem, cameras: Sequence[int], sigmas: Sigmas | None) -> l
 def _parameters(
     problem: Problem, initial: Problem | None, cameras: Sequence[int], sigmas: Sigmas | None
 ) -> Table:
-    """Return the parameters of some cameras, one parameter per row."""
     head = ["camera", "model", "parameter", *(["before"] if initial else []), "value"]
     head += ["sigma"] if sigmas is not None else []
     earlier = {} if initial is None else {int(k): i for i, k in enumerate(initial.camera_ids)}
@@ -367,10 +366,7 @@ def _single(curve: LensCurve, before: LensCurve | None) -> Figure:
 def shutter_section(
     problem: Problem, result: Result | None, sigmas: dict[int, float]
 ) -> list[Section]:
-    """Return the rolling shutters of a problem, or of a solve; empty without any.
-
-    ``sigmas`` are those of refined readouts, by camera id.
-    """
+    """Return the rolling shutters of a problem or a solve; ``sigmas`` are by camera id."""
     facts = shutter_fact(problem)
     if not facts:
         return []

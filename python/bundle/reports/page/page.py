@@ -96,7 +96,6 @@ def write_page(
 
 
 def _contents(sections: list[str]) -> str:
-    """Return links to the sections with a heading; empty for fewer than two."""
     found = re.findall(r'<h2 id="([^"]+)">([^<]+)</h2>', "".join(sections))
     items = [tag("li", tag("a", title, href=f"#{name}")) for name, title in found]
     return tag("nav", tag("ul", *items), aria_label="contents") if len(items) > 1 else ""

@@ -365,11 +365,7 @@ def report_findings(
     no_covariance: str = "",
     priors: Sequence[Any] = (),
 ) -> tuple[Finding, ...]:
-    """Return all findings about a model, problems first.
-
-    ``given`` are findings of the caller; None finds them. ``no_covariance`` is the reason why the
-    covariance is missing; "" if it is known.
-    """
+    """Return all findings, problems first; without ``given`` they are searched for."""
     singular = Finding(
         kind="no_covariance",
         sentence=no_covariance,

@@ -142,7 +142,6 @@ def write_odometry(
 
 
 def _alarms(result: OdometryResult) -> Section:
-    """Return each kind of alarm once, with the keyframes that raised it."""
     begin = int(result.trajectory.timestamps_ns[0])
     found = alarms_by_kind(result.keyframes)
     if not found:
@@ -236,7 +235,6 @@ def _details(report: GradientReport, name: str) -> list[Section]:
 
 
 def _map(details: CheckDetails, tolerance: float) -> Table:
-    """Return a table with the error of each entry."""
     wrong = details.is_wrong.any(axis=0)
     order = [*np.flatnonzero(wrong), *np.flatnonzero(~wrong)]
     shown = sorted(int(j) for j in order[:MOST_COLUMNS])

@@ -334,7 +334,6 @@ def _curve(mark: Line | Steps, path: str) -> str:
 
 
 def _look(mark: Line | Steps) -> dict[str, str | None]:
-    """Return the attributes of a path that is drawn as a curve."""
     faint = isinstance(mark, Line) and mark.opacity < 1
     return {
         "class_": "curve faint" if faint else "curve",
@@ -344,7 +343,6 @@ def _look(mark: Line | Steps) -> dict[str, str | None]:
 
 
 def _legend(marks: Iterable[Line | Steps]) -> str:
-    """Return the legend: a stroke and a label per mark."""
     entries = []
     for mark in marks:
         stroke = tag("path", d="M0 5H30", **_look(mark))

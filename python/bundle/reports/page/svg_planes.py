@@ -107,7 +107,6 @@ class _Plane:
         return tag("g", *drawn, class_="vectors") + self._areas(mark)
 
     def _areas(self, mark: Vectors) -> str:
-        """Return a transparent area with a title for each cell."""
         rows, columns = mark.grid
         wide, high = self.width / columns, self.height / rows
         areas = []
@@ -155,7 +154,6 @@ class _Plane:
 
 
 def _scale(mark: Any) -> str:
-    """Return the legend of a mark's shades or colours."""
     if isinstance(mark, Cells):
         words = f"{short(float(f'{mark.top:.3g}'))} {mark.unit}".strip()
         ends = [tag("span", "0"), tag("span", class_="ramp"), tag("span", escape(words))]

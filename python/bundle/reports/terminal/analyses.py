@@ -133,7 +133,6 @@ def uncertainties(
 
 
 def _held(cov: Covariance) -> str:
-    """Return the gauge of a graph with the poses that it holds."""
     held = {
         "first": f"{plural(len(cov.held_pose_ids or ()), 'pose')} constant, besides fixed ones",
         "inner": "inner constraints (minimum trace)",
@@ -143,7 +142,6 @@ def _held(cov: Covariance) -> str:
 
 
 def _sigmas_in_words(parts: Sequence[tuple[str, NDArray[np.float64]]], unit: str) -> str:
-    """Return the median and the 95th percentile of each standard deviation in a sentence."""
     said = []
     for name, values in _lengths(parts):
         median, p95 = map(number, np.percentile(values, [50, 95]))
@@ -213,7 +211,6 @@ def _null_points(cov: Covariance) -> list[str]:
 
 
 def _sigmas(covariances: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return standard deviations: square roots of the diagonals."""
     variances = np.diagonal(covariances, axis1=-2, axis2=-1)
     return np.sqrt(np.maximum(variances, 0))  # NaN stays NaN
 
@@ -363,7 +360,6 @@ def _condition(diagnosis: Diagnosis) -> Table:
 
 
 def _headline(diagnosis: Diagnosis) -> list[str]:
-    """Return the rank, then the condition number and the connected components."""
     verdict = diagnosis.verdict.rstrip(".")
     held = diagnosis.held_words if np.isfinite(diagnosis.condition_number) else ""
     condition = f"Condition number {number(diagnosis.condition_number)} (scaled{held})"
@@ -374,7 +370,6 @@ def _headline(diagnosis: Diagnosis) -> list[str]:
 
 
 def _eigenvalues(diagnosis: Diagnosis) -> str:
-    """Return the smallest eigenvalues as text."""
     if not len(diagnosis.eigenvalues):
         return "-"
     if diagnosis.noun == "pose":

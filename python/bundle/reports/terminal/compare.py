@@ -183,7 +183,6 @@ def _time_columns(comparison: Comparison, names: _Names) -> list[Column]:
 
 
 def _minima(comparison: Comparison, index: int, names: _Names) -> Table:
-    """Return the table of minima: the methods at each, and the fastest of them."""
 
     def fastest(runs: Sequence[Run]) -> Run:
         return min(runs, key=lambda run: run.total_time_in_seconds)
@@ -267,7 +266,6 @@ def _warnings(measured: Sequence[Pair], names: _Names) -> list[Section]:
 
 
 def _taken(run: Run, measurement: Measurement) -> list[str]:
-    """Return the solver that a method used instead of the requested one."""
     summary = measurement.summary
     taken = (summary.backend_used.lower(), summary.linear_solver_type_used)
     if taken == (run.method.backend, run.method.linear_solver_type.upper()):
@@ -276,7 +274,6 @@ def _taken(run: Run, measurement: Measurement) -> list[str]:
 
 
 def _profiles(comparison: Comparison) -> list[Section]:
-    """Return the shares of problems that each method solves within a factor of the fastest."""
     names = _Names(comparison)
     tables = []
     for gap in GAPS:
@@ -341,7 +338,6 @@ def _method_of(row: Any) -> Method:
 
 
 def _cost(value: float) -> str:
-    """Return a cost with ten digits; "-" if no run has one."""
     return f"{value:.9e}" if math.isfinite(value) else "-"
 
 

@@ -82,7 +82,6 @@ def _between(spread: Spread) -> str:
 
 
 def _overlap(run: Run, winner: Run) -> bool:
-    """Return True if the fastest repeat of a run is faster than the slowest of the winner."""
     one, other = run.spread, winner.spread
     return bool(one and other and other.num_repeats > 1 and one.min <= other.max)
 
@@ -94,7 +93,6 @@ def _listed(names: Sequence[str]) -> str:
 
 
 def _solutions(comparison: Comparison) -> Iterator[str]:
-    """Yield one sentence per problem on the minima of its methods."""
     for index, problem in enumerate(comparison.problems):
         place = "" if len(comparison.problems) == 1 else f" on {shown(problem.name)}"
         minima = comparison.minima(index)

@@ -94,10 +94,7 @@ def compared_graph(
     wall_time: float,
     orders_only: bool = False,
 ) -> Report:
-    """Return a row for each run, and a recommendation.
-
-    ``orders_only``: the methods differ in the elimination order alone.
-    """
+    """Return a row for each run, and a recommendation."""
     best = found.recommended
     made = compared_runs(found, path, orders_only)
     return dataclasses.replace(

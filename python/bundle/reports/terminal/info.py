@@ -69,7 +69,6 @@ def information(
 
 
 def _headline(path: str, problem: Problem, description: Description, count: int) -> list[str]:
-    """Return counts, the present error, and the verdict."""
     error, tracks = description.reprojection_error, description.track_length
     rmse = "Reprojection error unknown"
     if error is not None and error.num_observations:

@@ -28,10 +28,7 @@ IMPORTED = ("source_rmse", "rmse", "notes")
 
 
 def input_facts(path: str, given: Problem | PoseGraph | None, *, rigs: bool = False) -> Facts:
-    """Return path, format and contents of an input; with ``rigs`` also the rigs of a problem.
-
-    None is an object of a Python file.
-    """
+    """Return path, format and contents; None is an object of a Python file."""
     if given is None:
         return [("input", f"{shown(path)} (Python)")]
     if not isinstance(given, Problem):
@@ -237,10 +234,7 @@ def shutter_data(moved: GlobalShutterModel | None) -> dict[str, Any]:
 
 
 def solved_data(solved: Result, readout_sigma: dict[int, float]) -> dict[str, Any]:
-    """Return the JSON entries of a solve with rolling shutters; empty without any.
-
-    Standard deviations of refined readouts are by camera id.
-    """
+    """Return JSON entries of rolling shutters, sigmas by camera id; empty without any."""
     gain = shutter_gain(solved)
     if gain is None:
         return {}

@@ -45,11 +45,7 @@ def inspected(
     network: tuple[float, float],
     wall_time: float,
 ) -> Report:
-    """Return the report on a problem with predictions for several processes.
-
-    ``names`` are the options that affect an inspection; the network has gigabits per second and
-    latency in microseconds.
-    """
+    """Return the report; ``names`` are the options that affect an inspection."""
     facts = [*input_facts(path, problem, rigs=True), *size_facts(inspection), ("", CONVENTION)]
     command = recommended_command(inspection, options, shown(path))
     return Report(
@@ -76,7 +72,6 @@ def inspected(
 
 
 def _headline(inspection: Inspection) -> list[str]:
-    """Return the recommended method and its predicted cost."""
     if inspection.recommended < 0:
         return [inspection.recommendation, *_out_of_core(inspection)]
     best = _best(inspection)

@@ -80,7 +80,6 @@ FORMATS = {
 
 
 def _described(kind: dict[str, Any], direction: str) -> str:
-    """Return format and size of an input, such as "COLMAP, 8 images"."""
     name = FORMATS.get(kind["format"]) or format_name(kind["format"])
     for count, noun in (("num_poses", "pose"), ("num_images", "image"), ("num_points", "point")):
         if count in kind:
@@ -336,7 +335,6 @@ def _marks(found: Validation) -> list[str]:
 
 
 def _columns(found: Validation) -> list[Column]:
-    """Return the columns of the candidates, without their mark."""
     known = found.candidates
     base = known[found.recommended].position_sigma
     columns = [
@@ -379,7 +377,6 @@ def _legend(found: Validation) -> list[str]:
 
 
 def _details(found: Validation) -> Table:
-    """Return further numbers of each candidate."""
     columns = [
         Column("lens", "lens"),
         Column("sharing", "sharing"),
@@ -414,7 +411,6 @@ def _facts(found: Validation) -> list[tuple[str, str]]:
 
 
 def _row_test(test: RowTest | None) -> dict[str, Any] | None:
-    """Return the scalars of the test, for JSON."""
     if test is None:
         return None
     names = [field.name for field in dataclasses.fields(test)]

@@ -112,10 +112,7 @@ def merged_report(
     output: dict[str, str],
     lost: Sequence[str],
 ) -> Report:
-    """Return the report: shared images, merged parts, remaining freedoms, and the next step.
-
-    In the data, ``input`` is A and ``other`` is B.
-    """
+    """Return the report: shared images, merged parts, remaining freedoms, and the next step."""
     counts, shared = merged.counts, plural(len(merged.shared_images), "shared image")
     rows = []
     for label, path, problem in zip("AB", paths, problems, strict=True):
@@ -292,7 +289,6 @@ def alignment(
 
 
 def _headline(aligned: Alignment) -> list[str]:
-    """Return the errors of what determined the alignment, then those of check points."""
     said = []
     controls = [point for point in aligned.control_points if point.role == "control"]
     checks = [point for point in aligned.control_points if point.role == "check"]
@@ -315,7 +311,6 @@ def _headline(aligned: Alignment) -> list[str]:
 def _images(
     title: str, images: Iterable[ImageError], rms: Iterable[float], unit: str
 ) -> list[Section]:
-    """Return the images with the largest errors, and the root mean square of all errors."""
     found = list(images)
     if not found:
         return []

@@ -87,7 +87,6 @@ class _Edge:
 
 
 def _said(graph: PoseGraph) -> list[str]:
-    """Return the notes on the file of a graph as sentences."""
     return [f"{note[0].upper()}{note[1:]}." for note in graph.notes]
 
 
@@ -170,7 +169,6 @@ def refined_graph(
 def _verdicts(
     solved: PoseGraphResult, rejected: list[_Edge], left_out: list[_Edge]
 ) -> list[Section]:
-    """Return the worst edges, omitted edges, and edges that the loss rejected."""
     out = {entry.edge for entry in solved.left_out}
     order = np.argsort(-solved.chi2_after, kind="stable").tolist()
     worst = [_Edge(solved, index) for index in order if index not in out][:MOST_EDGES]
@@ -253,7 +251,6 @@ def described_graph(path: str, graph: PoseGraph) -> Report:
 
 
 def _contents(graph: PoseGraph, chi2: dict[str, float | None], degrees: int) -> str:
-    """Return the counts of a graph and its present chi2 in a sentence."""
     now = chi2[POSE_ERRORS[0]]
     if now is None:
         return f"{contents_of(graph)}; chi2 is unknown."

@@ -69,15 +69,7 @@ def refinement(
     inertial: InertialAdjustment | None = None,
     readout_sigma: dict[int, float] | None = None,
 ) -> Report:
-    """Return the report on one solve.
-
-    Args:
-        output: path and format of the output; None if nothing was written.
-        edits: changes of cameras before the solve, or None.
-        closed: loop closing before the solve, or None.
-        measured: errors at the measurements beside the pixels.
-        inertial: adjustment with an IMU, or None.
-    """
+    """Return the report on one solve; ``output`` is None if nothing was written."""
     sigmas = readout_sigma or {}
     summary, changes = solved.summary, camera_changes(solved)
     warnings = (*(edits.warnings if edits else ()), *summary.warnings)
@@ -172,7 +164,6 @@ def _loops(closed: LoopClosing) -> list[Section]:
 
 
 def _held_out(solved: Result) -> list[Section]:
-    """Return the errors of a fit at the observations that it used, and at those held out."""
     held = solved.held_out
     if held is None:
         return []
@@ -205,7 +196,6 @@ def _constraints(solved: Result) -> list[Section]:
 
 
 def _part(solved: Result) -> list[tuple[str, str]]:
-    """Return the adjusted part of the problem; empty if everything was adjusted."""
     part = solved.part
     if part is None:
         return []
@@ -238,7 +228,6 @@ def _processes(record: ProcessRecord | None) -> list[Section]:
 
 
 def _rest(rest: RestRecord) -> list[tuple[str, str]]:
-    """Return the size and cost of the marginal prior."""
     gone = f"{plural(rest.num_images, 'image')} and {plural(rest.num_points, 'point')} marginalised"
     if rest.prior_size == 0:
         return [("", f"{gone}: no influence on the others")]
@@ -255,7 +244,6 @@ def _rest(rest: RestRecord) -> list[tuple[str, str]]:
 
 
 def _edits(solved: Result) -> list[dict[str, Any]]:
-    """Return each edit and the deletion of observations, with the errors before and after."""
     rows = [*solved.edit_errors]
     if solved.deleted.num_observations:
         rows.append(("deletion", solved.reprojection_error_before, solved.kept.before))
@@ -274,7 +262,6 @@ def worst_sections(images: Sequence[ImageError], title: str) -> list[Section]:
 
 
 def _cameras(changes: Sequence[CameraChange]) -> list[Section]:
-    """Return changes of intrinsics, for the cameras with the largest changes."""
     if not changes:
         return []
     rows = []
@@ -317,7 +304,6 @@ def _refined(solved: Result) -> str:
 
 
 def _gauge(solved: Result) -> list[tuple[str, str]]:
-    """Return the gauge of a solve with rigs; empty without rigs."""
     if not solved.problem.num_frames or solved.options.gauge == "none":
         return []
     return [("gauge", f"{solved.gauge_freedom.sentence}: held")]

@@ -23,10 +23,7 @@ MOST_LINES = 25
 def laid_out(
     report: Report | Iterable[Section], verbose: bool = False, most_findings: int = MOST_FINDINGS
 ) -> list[Block | str]:
-    """Return a report, or sections alone, with an empty line between the parts.
-
-    ``verbose`` shows details and all findings.
-    """
+    """Return a report, or sections alone, with an empty line between the parts."""
     if not isinstance(report, Report):
         return _sections(report, verbose)
     headline: list[Block | str] = [Paragraph(sentence, "bold") for sentence in report.headline]

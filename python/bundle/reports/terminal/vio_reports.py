@@ -60,11 +60,7 @@ def odometry_report(
     waiting: Waiting | None = None,
     tracking: Tracking | None = None,
 ) -> Report:
-    """Return start, keyframes, times, alarms, and errors if there is a truth.
-
-    Findings are those about the sequence; they precede the alarms. ``tracking``: None if the
-    sequence came with tracks. ``written`` is the path of the trajectory.
-    """
+    """Return the report; ``findings`` are about the sequence, ``written`` the trajectory's path."""
     said = _warnings(result, findings)
     return Report(
         command="vio",
@@ -111,7 +107,6 @@ def odometry_report(
 
 
 def _headline(result: OdometryResult, error: TrajectoryError | None) -> list[str]:
-    """Return the outcome with images and speed, and the error against the truth."""
     if not result.is_usable:
         return [f"Not usable: {result.message}. The trajectory ends there or is wrong."]
     end = "Interrupted: the trajectory ends early; " if result.interrupted else ""
@@ -189,7 +184,6 @@ def _times(result: OdometryResult) -> Table:
 
 
 def _certainty(records: tuple[KeyframeRecord, ...]) -> list[tuple[str, str]]:
-    """Return rows computed on request: nullity, sigma of yaw."""
     rows = []
     counted = Counter(r.nullity for r in records if r.nullity is not None)
     if counted:
@@ -234,10 +228,7 @@ def telemetry_lines(result: OdometryResult) -> str:
 def with_loops(
     report: Report, result: TwoLoopsResult, error: TrajectoryError | None, written: str | None
 ) -> Report:
-    """Return the report of an odometry, extended by that of its two loops.
-
-    ``error`` and ``written`` belong to the published poses.
-    """
+    """Return the report of an odometry, extended by that of its two loops and their poses."""
     return replace(
         report,
         headline=[*report.headline, _published(result, error)],
@@ -247,7 +238,6 @@ def with_loops(
 
 
 def _published(result: TwoLoopsResult, error: TrajectoryError | None) -> str:
-    """Return the published poses and their error in a sentence."""
     found = result.statistics
     late = "" if found.lateness is None else f", {found.num_late:,} late by more than 5 ms"
     accuracy = "" if error is None else f"; error {number(error.ate)} m rms (ATE)"
@@ -256,7 +246,6 @@ def _published(result: TwoLoopsResult, error: TrajectoryError | None) -> str:
 
 
 def _section(result: TwoLoopsResult, error: TrajectoryError | None) -> Section:
-    """Return latency of poses, corrections by closures, and losses."""
     found, motion = result.statistics, result.correction
     rows = [("published", f"{plural(found.num_poses, 'pose')}, one per IMU sample")]
     if found.lateness is not None:
