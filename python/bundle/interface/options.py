@@ -12,7 +12,6 @@ from typing import Any, Self
 
 from bundle.base.records import dataclass
 from bundle.errors import InputError
-from bundle.interface import trust_region_fields as trust_region
 from bundle.interface.option_class import Options, documented
 from bundle.interface.option_fields import (
     REFINABLE,
@@ -53,6 +52,10 @@ AUTO_PRECONDITIONER = {
     ("ceres", "iterative_schur"): "schur_jacobi",
     ("ceres", "cgnr"): "jacobi",
 }
+LARGEST_RADIUS = 1e16
+"""Largest trust region radius of both backends, with negligible damping."""
+CERES_ONLY = ("min_lm_diagonal", "max_lm_diagonal", "use_nonmonotonic_steps")
+"""Options of which other trust regions than Ceres' have no other value than the default."""
 TRUST_REGION_STRATEGIES = ("levenberg_marquardt", "dogleg", "subspace_dogleg")
 LOSSES = ("trivial", "huber", "soft_l1", "cauchy", "arctan", "tukey")
 GAUGES = ("auto", "none", "two_cameras", "three_points")
@@ -140,15 +143,80 @@ class SolveOptions(Options):
         "trust region strategy",
         choices=TRUST_REGION_STRATEGIES,
     )
-    initial_trust_region_radius: float = trust_region.initial_radius()
-    max_trust_region_radius: float = trust_region.largest_radius()
-    min_trust_region_radius: float = trust_region.smallest_radius()
-    min_relative_decrease: float = trust_region.relative_decrease()
-    max_num_consecutive_invalid_steps: int = trust_region.most_invalid_steps()
-    min_lm_diagonal: float = trust_region.lm_diagonal("min", 1e-6)
-    max_lm_diagonal: float = trust_region.lm_diagonal("max", 1e32)
-    use_nonmonotonic_steps: bool = trust_region.nonmonotonic_steps()
-    max_consecutive_nonmonotonic_steps: int = trust_region.most_nonmonotonic_steps()
+    initial_trust_region_radius: float = option(
+        1e4,
+        "--initial-trust-region-radius",
+        "trust region radius of the first step: the reciprocal of Levenberg-Marquardt's damping, "
+        "or the length of a dogleg's step, both relative to the columns of the Jacobian. A good "
+        "start needs fewer steps with 1e6, a bad start may need more or end at a higher cost",
+        above=0.0,
+        maximum=LARGEST_RADIUS,
+        metavar="X",
+        only_with=("trust_region_strategy_type", TRUST_REGION_STRATEGIES),
+    )
+    max_trust_region_radius: float = option(
+        LARGEST_RADIUS,
+        "--max-trust-region-radius",
+        "largest trust region radius of Levenberg-Marquardt; a smaller value keeps the damping "
+        "lambda = 1 / radius above a bound",
+        above=0.0,
+        maximum=LARGEST_RADIUS,
+        metavar="X",
+        only_with=("trust_region_strategy_type", ("levenberg_marquardt",)),
+    )
+    min_trust_region_radius: float = option(
+        1e-32,
+        "--min-trust-region-radius",
+        "trust region radius at which the solve ends",
+        minimum=0.0,
+        metavar="X",
+    )
+    min_relative_decrease: float = option(
+        1e-3,
+        "--min-relative-decrease",
+        "a step is accepted if its decrease of the cost, divided by the decrease that the model "
+        "predicts, exceeds X",
+        minimum=0.0,
+        below=1.0,
+        metavar="X",
+    )
+    max_num_consecutive_invalid_steps: int = option(
+        10,
+        "--max-invalid-steps",
+        "consecutive steps without a solution of the linear system after which the solve fails "
+        "(Ceres' default is 5)",
+        minimum=1,
+        metavar="N",
+    )
+    min_lm_diagonal: float = option(
+        1e-6,
+        "--min-lm-diagonal",
+        "lower bound of the diagonal of J^T J (scaled columns) "
+        "in Levenberg-Marquardt's damping; other values need --backend ceres",
+        above=0.0,
+        metavar="X",
+    )
+    max_lm_diagonal: float = option(
+        1e32,
+        "--max-lm-diagonal",
+        "upper bound of the diagonal of J^T J (scaled columns) "
+        "in Levenberg-Marquardt's damping; other values need --backend ceres",
+        above=0.0,
+        metavar="X",
+    )
+    use_nonmonotonic_steps: bool = option(
+        False,
+        "--use-nonmonotonic-steps",
+        "accept steps that raise the cost for some steps; needs Ceres as the backend",
+    )
+    max_consecutive_nonmonotonic_steps: int = option(
+        5,
+        "--max-nonmonotonic-steps",
+        "consecutive steps that may raise the cost",
+        minimum=1,
+        metavar="N",
+        only_with=("use_nonmonotonic_steps", (True,)),
+    )
     loss: str = option(
         "trivial", "--loss", "robust loss of a reprojection error", choices=LOSSES, use=10
     )
@@ -299,7 +367,14 @@ class SolveOptions(Options):
 
     def _check(self, fields: Iterable[dataclasses.Field[Any]]) -> None:
         super()._check(fields)
-        trust_region.check_order(self)
+        for low, high in (
+            ("initial_trust_region_radius", "max_trust_region_radius"),
+            ("min_trust_region_radius", "initial_trust_region_radius"),
+            ("min_lm_diagonal", "max_lm_diagonal"),
+        ):
+            least, most = getattr(self, low), getattr(self, high)
+            if least > most:
+                raise InputError(f"{low}: expected at most {high} ({most:g}), found {least:g}")
         if SENSORS in self.refine:
             refine = tuple(name for name in self.refine if name != SENSORS)
             object.__setattr__(self, "refine", refine)

@@ -32,10 +32,9 @@ from bundle.graphs.factors.same_problem import pose_graph_of, problem_of
 from bundle.graphs.factors.variables import Array, Key, Variable, as_list
 from bundle.interface.option_class import takes_options
 from bundle.interface.option_keywords import SolveKeywords
-from bundle.interface.options import GraphOptions, SolveOptions
+from bundle.interface.options import CERES_ONLY, GraphOptions, SolveOptions
 from bundle.interface.ordering_alarm import BestOrder, with_ordering_alarm
 from bundle.interface.solve_record import Progress, SolveRecord, record_fields
-from bundle.interface.trust_region_fields import CERES_ONLY
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.model.problem import Problem
 

@@ -25,10 +25,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.errors import InputError, first_line, shown
-from bundle.interface.options import SolveOptions
+from bundle.interface.options import LARGEST_RADIUS, SolveOptions
 from bundle.interface.solve_record import Progress
 from bundle.interface.summary import ProcessRecord, Summary
-from bundle.interface.trust_region_fields import LARGEST_RADIUS
 from bundle.io.atomic import atomic_write as atomic
 from bundle.model.estimates import estimates, with_estimates
 from bundle.model.problem import Problem
