@@ -119,10 +119,8 @@ class Recipe:
         notes = list(out["warnings"])
         if layout.options.twists == "hard":
             notes.append(HARD_TWISTS)
-        if out["gauge_degrees"] > 0 and (
-            far := note_on_far_points(ready.start, out["null_points"])
-        ):
-            notes.append(far)
+        if out["gauge_degrees"] > 0 and (moved := note_on_inner_constraints(ready.start, out)):
+            notes.append(moved)
         cost = 0.5 * out["weighted_squares"]
         # Control points start at the intersection of their rays, not at the result of a solve.
         if ready.placed.targets is None and out["predicted_decrease"] > AT_MINIMUM * cost:
@@ -212,28 +210,40 @@ FAR = 100.0
 MOST_NAMED = 5
 
 
-def note_on_far_points(problem: Problem, null_points: NDArray[np.int32]) -> str:
-    """Return a sentence if distant points dominate the inner constraints; else "".
+def note_on_inner_constraints(problem: Problem, out: dict[str, Any]) -> str:
+    """Return a sentence if few points dominate the inner constraints; else "".
 
-    ``null_points``: rows of points without parallax, which take no part.
+    Distant points do by their weight, the square of their distance d from the cameras. So do points
+    whose sigma exceeds d, if they make a third of the sigma of most poses: an error of one of n
+    points moves the world by an n-th of it, and turns it by d / sum d^2 of it.
     """
     takes_part = np.bincount(problem.observation_point, minlength=problem.num_points) > 0
-    takes_part[null_points] = False
+    takes_part[out["null_points"]] = False
     rows = np.flatnonzero(takes_part)
     if not len(rows):
         return ""
-    center = np.median(problem.projection_centers, axis=0)
+    centers = problem.projection_centers
+    center = np.median(centers, axis=0)
     distances = np.linalg.norm(problem.points[rows] - center, axis=1)
     weights = (distances / max(float(distances.max()), 1e-300)) ** 2
-    is_far = distances > FAR * np.median(distances)
-    if not weights[is_far].sum() > weights[~is_far].sum():
-        return ""
-    ids = problem.point_ids[rows[is_far]].tolist()
+    is_meant = distances > FAR * np.median(distances)
+    which = f"more than {FAR:g} times as far away as most"
+    if not weights[is_meant].sum() > weights[~is_meant].sum():
+        if "points" not in out:
+            return ""
+        squares = np.trace(out["points"][rows], axis1=1, axis2=2)
+        turns = weights / max(float(weights.sum()), 1e-300) / np.maximum(distances, 1e-300)
+        arm = np.median(np.linalg.norm(centers - center, axis=1))
+        shares = (squares > distances**2) * squares * (1 / len(rows) + turns * arm) ** 2
+        is_meant, which = shares > shares.max() / FAR, "with a sigma above the distance"
+        of_poses = np.median(np.trace(out["poses"][:, 3:, 3:], axis1=1, axis2=2))
+        if not shares.sum() > of_poses / 9:
+            return ""
+    ids = problem.point_ids[rows[is_meant]].tolist()
     named = ", ".join(map(str, ids[:MOST_NAMED])) + (", ..." if len(ids) > MOST_NAMED else "")
     return (
-        f"{plural(len(ids), 'point')} more than {FAR:g} times as far away as most (ids {named}) "
-        "dominate the inner constraints: sigmas are relative to these. Use two_cameras, or leave "
-        "them out."
+        f"{plural(len(ids), 'point')} {which} (ids {named}) dominate the inner constraints: sigmas "
+        "are relative to these. Use two_cameras, or leave them out."
     )
 
 
