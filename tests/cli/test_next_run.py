@@ -97,6 +97,8 @@ def test_rules_add_up_and_other_flags_are_replaced():
         "--set 'camera 1: f prior 2 %' --loss cauchy"
     )
     assert followed(words, "--check-solution").count("--no-check-solution") == 0
+    twice = followed([*words, "--rounds", "5", "--loss", "cauchy"])
+    assert twice[6:] == shlex.split("--loss cauchy --rounds 5 --no-check-solution")
     again = followed(found, "--set", "camera 1: f prior 2 %")
     assert again.count("camera 1: f prior 2 %") == 1
 

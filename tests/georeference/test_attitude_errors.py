@@ -93,11 +93,12 @@ def test_images_without_observations_do_not_count():
 
 
 def test_images_of_a_rig_are_tied_by_its_frame():
-    problem = rig_problem(rigs=(STEREO,), num_frames=5)
+    problem = rig_problem(rigs=(STEREO,), num_frames=5, num_alone=2)
+    assert problem.image_frame.tolist() == [0, 0, 1, 1, 2, 2, 3, 3, 4, 4, -1, -1]
     problem = with_observations(problem, problem.observation_image % 2 == 0)
     priors = measured(problem, GravityPrior, 1.0, np.random.default_rng(1))
     known = ProblemAttitudes.make(problem, priors)
-    assert known.groups[0].tied(problem).all()
+    assert known.groups[0].tied(problem).tolist() == [True] * 11 + [False]
 
 
 def radius_of_three_or_four(residuals, sigma):

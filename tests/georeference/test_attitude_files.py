@@ -104,8 +104,10 @@ BAD_ORIENTATIONS = {
     "name yaw pitch roll": "found 0",
     "name yaw pitch roll\n7 1 2": "2 words",
     "name qx qy qz qw\n7 0 0 0 0": "quaternion",
-    "name heading sigma_heading\n7 1 0": "sigma_heading",
-    "name yaw pitch roll sigma_heading sigma_tilt\n7 1 2 3 4 -5": "sigma_tilt",
+    "name heading sigma_heading\n7 1 0": "attitudes.txt: line 2: sigma_heading: .* found 0",
+    "name yaw pitch roll sigma_heading sigma_tilt\n7 1 2 3 4 -5": (
+        "attitudes.txt: line 2: sigma_tilt: .* found -5"
+    ),
 }
 
 

@@ -1,10 +1,12 @@
 """Exact numbers of attitude priors: sigmas by axis, kinds that turn the world, thresholds."""
 
+import dataclasses
 import math
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from scipy.stats import chi
 
 import bundle
 from bundle import GravityPrior, HeadingPrior, InputError, OrientationPrior, PositionPrior
@@ -82,6 +84,38 @@ def test_headings_beside_orientations_do_not_turn_the_world():
     gravity = ProblemAttitudes.make(truth, [*gravity_of(truth, 1e-9), *headings_of(truth, 20.0)])
     turn = Rotation.from_matrix(gravity.placement(truth).rotation).as_rotvec(degrees=True)
     np.testing.assert_allclose(turn, [0, 0, -20], atol=1e-5)
+
+
+@pytest.mark.parametrize("length", [1e-200, 1.0, 1e200])
+def test_directions_and_quaternions_of_any_length(length):
+    given = length * np.array([2.0, -4, 4])
+    for found in (GravityPrior(1, given, 1).direction, HeadingPrior(1, 0, 1, axis=given).axis):
+        np.testing.assert_allclose(found, [1 / 3, -2 / 3, 2 / 3], rtol=1e-15)
+    found = OrientationPrior(1, [*given, 8 * length], 1).rotation
+    np.testing.assert_allclose(found, [0.2, -0.4, 0.4, 0.8], rtol=1e-15)
+
+
+def test_the_default_loss_scale_is_exceeded_by_five_percent():
+    """Quantiles of the chi distribution with one, two and three degrees of freedom."""
+    for prior, count in (
+        (HeadingPrior(1, 0, 1), 1),
+        (GravityPrior(1, (0, 0, -1), 1), 2),
+        (OrientationPrior(1, (0, 0, 0, 1), 1), 3),
+    ):
+        assert prior.loss_scale == pytest.approx(chi.ppf(0.95, count), abs=0.01)
+        assert prior.num_residuals == count
+        assert dataclasses.replace(prior, loss_scale=1e-3).loss_scale == 1e-3
+        with pytest.raises(InputError, match="loss_scale"):
+            dataclasses.replace(prior, loss_scale=0)
+
+
+def test_gravity_and_headings_together_undo_any_turn():
+    truth, _ = upright_and_turned()
+    turned = moved(truth, Similarity(1.0, Rotation.random(random_state=3).as_matrix(), np.ones(3)))
+    priors = ProblemAttitudes.make(turned, [*gravity_of(truth, 1e-9), *headings_of(truth, 0.0)])
+    back = moved(turned, priors.placement(turned))
+    apart = (rotations(back).inv() * rotations(truth)).magnitude()
+    np.testing.assert_allclose(apart, 0, atol=1e-7)
 
 
 def test_headings_do_not_turn_a_world_that_positions_place():

@@ -224,9 +224,8 @@ def lower_start(
 def _costs_up_to(
     graph: PoseGraph, held: Flags, start: Start, options: PoseGraphOptions, limit: float
 ) -> dict[str, float]:
-    """Return the costs of the other starts without a loss; above ``limit`` a lower bound."""
+    """Return the costs of starts without a loss; above ``limit`` a lower bound."""
     costs = dict(start.costs or {})
-    costs.pop(start.init, None)
     for init in ("odometry", "spanning_tree"):
         costs[init] = _core.start_cost(graph, held, init, options.error, limit)
     return costs

@@ -212,6 +212,22 @@ def test_isotropic_information_in_space_has_the_chi2_of_g2o_and_ceres():
         assert found.initial_cost == pytest.approx(found.chi2, rel=1e-10)
 
 
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_isotropic_information_is_that_of_the_means_of_the_diagonals(dimension):
+    graph = _random_graph(np.random.default_rng(4), dimension, size=6)
+    half = 2 if dimension == 2 else 3
+    means = np.diagonal(graph.information, axis1=1, axis2=2).copy()
+    for part in (means[:, :half], means[:, half:]):
+        part[:] = part.mean(axis=1, keepdims=True)
+    means = means[:, :, None] * np.eye(means.shape[1])
+    expected = bundle.certify(graph.replace(information=means))
+    found = bundle.certify(graph, information="isotropic")
+    assert found.is_isotropic and not bundle.certify(graph).is_isotropic
+    for name in ("cost", "initial_cost", "lower_bound", "chi2", "chi2_lower_bound"):
+        assert getattr(found, name) == pytest.approx(getattr(expected, name), rel=1e-9), name
+    np.testing.assert_array_equal(found.problem.information, graph.information)
+
+
 def test_certificate_does_not_depend_on_order_frame_or_units():
     rng = np.random.default_rng(5)
     for dimension in (2, 3):

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 import bundle
-from bundle.graphs.pose_graphs.edge_weights import densest_set
+from bundle import _core
+from bundle.graphs.pose_graphs.edge_weights import densest_set, weighted_graph
 from tests.graphs.pose_graphs import graphs
 
 ASYMMETRIC = [[1, 0.5, 0], [0.4, 1, 0], [0, 0, 1]]
@@ -34,7 +35,14 @@ def test_bad_information_is_refused_by_its_edge(matrix, found):
         with pytest.raises(bundle.InputError) as caught:
             call(with_information(matrix))
         assert str(caught.value).startswith("x.g2o:17: edge 4 5: information: expected ")
-        assert found in str(caught.value)
+        assert found in str(caught.value) and "information=isotropic" in str(caught.value)
+
+
+@pytest.mark.parametrize(("asked", "used"), [(1, 1), (2, 2), (3, 2), (0, 2)])
+def test_threads_are_those_asked_for_up_to_the_cores(monkeypatch, asked, used):
+    monkeypatch.setattr(_core, "hardware_threads", lambda: 2)
+    found = weighted_graph(graphs.loop(2), None, {"num_threads": asked}, "covariance")
+    assert found.options.num_threads == used
 
 
 def test_several_are_counted():

@@ -144,6 +144,9 @@ def test_a_start_below_the_end_of_the_default_start_is_named(init, monkeypatch):
     )
     far = bundle.solve(graph, max_num_iterations=1, init="lower").summary
     assert far.warning_kinds == ("better_start",) and init.split("_")[0] in far.warnings[0]
+    for number in (2 * far.final_cost, 2 * end):
+        assert f" {number:.4g}" in far.warnings[0]
+    assert "{" not in far.warnings[0]
 
 
 @pytest.mark.parametrize("dimension", [2, 3])
