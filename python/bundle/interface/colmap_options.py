@@ -53,6 +53,11 @@ _DEFAULTS: dict[str, Any] = {
 }
 """COLMAP's defaults of the options that are translated."""
 
+ROUNDING = 1e-13
+"""Least relative change of the cost that is no rounding error. At COLMAP's tolerance of 0, a solver
+whose gradient is above its tolerance rejects such steps at random, often more than it took.
+"""
+
 _WITHOUT_INFLUENCE = frozenset(
     {
         *("gpu_index", "min_num_images_gpu_solver"),
@@ -173,6 +178,8 @@ def _solve_options(known: Mapping[str, Any]) -> SolveOptions:
             *("function_tolerance", "gradient_tolerance", "parameter_tolerance"),
         )
     }
+    if 0 <= values["function_tolerance"] < ROUNDING:
+        values["function_tolerance"] = ROUNDING
     strategy = known["trust_region_strategy_type"]
     if strategy == "dogleg" and known["dogleg_type"] == "subspace_dogleg":
         strategy = "subspace_dogleg"

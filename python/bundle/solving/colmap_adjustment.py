@@ -58,11 +58,12 @@ def bundle_adjustment(
     pycolmap. With ``config``, the function does what
     ``pycolmap.create_default_bundle_adjuster(options, config, reconstruction).solve()`` does.
 
-    Three differences remain. The gauge of two cameras fixes only the degrees of freedom that are
+    Four differences remain. The gauge of two cameras fixes only the degrees of freedom that are
     free: with a metric rig, constant points or constant images, the cost is lower than pycolmap's,
     which fixes 7 in any case. The gauge of three points takes other points than pycolmap, and
-    therefore reaches another cost. A solution that is invalid is discarded; the reconstruction
-    then keeps its values, and ``termination_type`` is FAILURE.
+    therefore reaches another cost. A solve ends when the relative change of the cost is 1e-13,
+    which is rounding, where COLMAP's tolerance is 0. A solution that is invalid is discarded; the
+    reconstruction then keeps its values, and ``termination_type`` is FAILURE.
 
     Args:
         reconstruction: the reconstruction to change.

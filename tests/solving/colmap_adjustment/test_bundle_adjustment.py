@@ -205,6 +205,18 @@ def test_accuracy_of_iterative_solvers_is_refused_only_if_one_is_requested():
     assert summary.ceres_summary.linear_solver_type_used == solver_type
 
 
+@pytest.mark.parametrize("kind", MODELS)
+def test_a_solve_at_the_minimum_rejects_no_steps_for_rounding(kind):
+    reconstruction = MODELS[kind](0)
+    options, config = request(reconstruction, (), 0)
+    options.ceres.solver_options.gradient_tolerance = 1e-30  # out of reach
+    for _ in range(2):
+        summary = bundle.bundle_adjustment(reconstruction, options, config).ceres_summary
+        assert summary.termination_type == pycolmap.pyceres.TerminationType.CONVERGENCE
+        assert summary.num_unsuccessful_steps == 0
+    assert summary.num_successful_steps <= 3
+
+
 def test_ids_that_do_not_exist_and_wrong_types_are_named():
     reconstruction = images_alone()
     options, config = request(reconstruction, ())
