@@ -89,7 +89,8 @@ format: $(READY)  ## rewrite the sources in the house format
 	$(VENV)/bin/ruff format .
 	$(VENV)/bin/clang-format -i $(CPP_SOURCES)
 
-docs: $(READY_TO_DOCUMENT)  ## build the documentation, build/site/index.html; a warning is an error
+docs: $(READY_TO_DOCUMENT)  ## build the documentation, build/site/index.html, and manual pages; a warning is an error
+	$(VENV)/bin/python tools/man_pages.py
 	$(VENV)/bin/python -m sphinx --quiet --fail-on-warning --keep-going \
 	  -c tools/site -d build/doctrees docs build/site
 	@echo "build/site/index.html"

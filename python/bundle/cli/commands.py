@@ -52,6 +52,8 @@ class Way(Row):
         code: exit code by the result; None: 0.
         run: function of this room that gets the run and returns the report.
         main: function of this room that gets the arguments and returns the exit code.
+        plan: function of this room that does the work of --dry-run: it gets the run, checks and
+            reads as ``run`` or ``main`` would, and returns sentences on the predicted cost.
     """
 
     call: Name = ""
@@ -69,6 +71,7 @@ class Way(Row):
     code: Callable[[Any], int] | None = None
     run: Name = ""
     main: Name = ""
+    plan: Name = ""
 
 
 def _detected(arguments: argparse.Namespace) -> str:
@@ -206,9 +209,12 @@ COMMANDS: dict[str, Command] = {
             a.CHECK_GRADIENTS,
         ),
         ways={
-            Kind.RECONSTRUCTION: Way(main="cli.refine:run"),
+            Kind.RECONSTRUCTION: Way(main="cli.refine:run", plan="cli.refine:plan"),
             Kind.POSE_GRAPH: Way(
-                run="cli.models:refine_pose_graph", options="PoseGraphOptions", accepts="html"
+                run="cli.models:refine_pose_graph",
+                plan="cli.models:plan_pose_graph",
+                options="PoseGraphOptions",
+                accepts="html",
             ),
         },
     ),

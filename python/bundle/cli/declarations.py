@@ -71,6 +71,19 @@ COMMON = (
         help="show all tables and findings after the headline (default: off)",
         use=92,
     ),
+    argument(
+        "--dry-run",
+        action="store_true",
+        help="check the command line, read INPUT, and report what would be read, solved and "
+        "written; write nothing (default: off)",
+    ),
+    argument(
+        "--config",
+        metavar="FILE.toml",
+        type=a_path,
+        help="take flags from a TOML file whose keys are their names, such as rounds = 3, at the "
+        "top or in the table of a command, such as [refine]; flags replace them (default: none)",
+    ),
 )
 
 

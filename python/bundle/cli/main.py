@@ -27,7 +27,7 @@ from bundle.cli.error_lines import (
     open_missing_streams,
     release_broken_streams,
 )
-from bundle.cli.parser import HelpAll, Parser, unknown_flag
+from bundle.cli.parser import HelpAll, Parser, naming_config, unknown_flag
 from bundle.errors import InputError, end_in_one_line
 from bundle.io.atomic.replaced_paths import NoteWarning, recording
 
@@ -69,9 +69,10 @@ def _run(words: list[str]) -> int:
             arguments = parser.parse_args(words)
             from bundle.cli.run import prepare  # late, for fast --version and --help
 
-            run = prepare(arguments)
-            startup.done()
-            code = run()
+            with naming_config(arguments.config):
+                run = prepare(arguments)
+                startup.done()
+                code = run()
         else:
             startup.done()
             parser.print_help()

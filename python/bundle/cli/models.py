@@ -183,6 +183,22 @@ def refine_pose_graph(run: Run) -> Report:
     return refined_graph(run.source, solved, wall, written, waiting)
 
 
+def plan_pose_graph(run: Run) -> list[str]:
+    """Check and read a pose graph for --dry-run; return its predicted cost."""
+    from bundle.interface.pose_graph_options import PoseGraphOptions
+    from bundle.io.g2o_files import check_g2o_target
+    from bundle.planning.inspection.problem_inspection import inspect
+    from bundle.reports.terminal.graph_costs import inspected_graph
+
+    options = run.given(PoseGraphOptions)
+    check_g2o_target(run.target)
+    graph = run.load()
+    _check_graph_replaced(run, graph)
+    run.progress.stage("inspecting")
+    found = inspect(graph, num_threads=options.num_threads)
+    return [*inspected_graph(run.source, graph, found, run.wall).headline]
+
+
 def _timed(work: Any) -> tuple[float, Any]:
     """Return the seconds of some work, and its result."""
     begun = perf_counter()

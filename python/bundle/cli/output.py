@@ -6,6 +6,7 @@ Progress on standard error is one updating line on a terminal, and plain lines e
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import os
 import sys
 import time
@@ -20,13 +21,14 @@ from bundle.errors import InputError, shown
 from bundle.io.atomic import atomic_write as atomic
 from bundle.io.open import has_same_images
 from bundle.io.recognition import reconstruction_at, sequence_at
-from bundle.reports.sections import Report, dumps
+from bundle.reports.sections import Report, Section, dumps
 from bundle.reports.terminal.screen import fitted, laid_out
 
 if TYPE_CHECKING:
     from rich.live import Live
     from rich.text import Text
 
+    from bundle.cli.parser import Config
     from bundle.model.problem import Problem
 
 
@@ -92,13 +94,21 @@ class Request(Protocol):
     def verbose(self) -> bool:
         """True to print details."""
 
+    @property
+    def config(self) -> Config | None:
+        """File of --config."""
+
 
 def publish(report: Report, asked: argparse.Namespace | Request) -> None:
     """Write the page of a report; print it; write its JSON, always complete, or print that ("-").
 
     Reports without a title have no page of their own.
     """
-    page = getattr(asked, "html", None)
+    page, config = getattr(asked, "html", None), asked.config
+    if config is not None:
+        section = Section(facts=[("config", config.fact)])
+        data = {**report.data, "config": config._asdict()}
+        report = dataclasses.replace(report, sections=[*report.sections, section], data=data)
     if report.title and page is not None:
         from bundle.reports.page.result_pages import write_reported  # for --html only
 

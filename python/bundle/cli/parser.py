@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import argparse
+import re
 import sys
 import textwrap
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from typing import Any, NoReturn
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import Any, NamedTuple, NoReturn
 
 from bundle.cli.error_lines import print_out
-from bundle.errors import InputError, nearest, shown
+from bundle.errors import InputError, brief, nearest, shown
 
 HELP_COLUMN, WIDEST = 28, 100
 MOST_FLAGS = 30
@@ -58,6 +60,7 @@ class Parser(argparse.ArgumentParser):
 
     Attributes:
         taken: arguments in the order of the words, each with the words that were its values.
+        config: file of --config in the last command line, or None.
     """
 
     def __init__(
@@ -74,6 +77,7 @@ class Parser(argparse.ArgumentParser):
         self.taken: list[tuple[argparse.Action, list[str]]] = []
         self.check: Callable[[Sequence[argparse.Action], argparse.Namespace], None] | None = None
         self.explain = explain or (lambda found: f"unrecognized arguments: {found}")
+        self.config: Config | None = None
 
     def declared(self) -> Parser:
         """Return this parser with all its arguments."""
@@ -105,7 +109,8 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Raise the error as one line that also refers to the help."""
-        raise InputError(f"{shown(message)} (see {self.prog} --help)")
+        with naming_config(self.config):
+            raise InputError(f"{shown(message)} (see {self.prog} --help)")
 
     def _print_message(self, message: str, file: Any = None) -> None:
         """Print help and versions; unlike the base class, raise an error if printing fails."""
@@ -125,12 +130,45 @@ class Parser(argparse.ArgumentParser):
                 break  # the following words are no flags, or flags of a command
             if word.startswith("--") and word.partition("=")[0] not in flags:
                 self.error(self.explain(word))
-        parsed, rest = super().parse_known_args(args, namespace)
+        self.config = None
+        parsed, rest = super().parse_known_args(self._with_config(list(args or ())), namespace)
         if rest:
             self.error(self.explain(rest[0]))
         if self.check is not None:
-            self.check(self._actions, parsed)
+            with naming_config(self.config):
+                self.check(self._actions, parsed)
+        if "--config" in self._option_string_actions:
+            parsed.config = self.config
         return parsed, rest
+
+    def _with_config(self, words: list[str]) -> list[str]:
+        """Return the words after those of the file of --config; flags replace its entries."""
+        end = words.index("--") if "--" in words else len(words)
+        flags = [word.partition("=") for word in words[:end]]
+        at = max((k for k, (flag, _, _) in enumerate(flags) if flag == "--config"), default=-1)
+        actions = self._option_string_actions
+        if at < 0 or "--config" not in actions:
+            return words
+        path = flags[at][2] if flags[at][1] else "".join(words[at + 1 : at + 2])
+        if not path:
+            return words
+        given = {actions[flag].dest for flag, _, _ in flags if flag in actions}
+        lines, replaced, found = dict[str, int](), [], []
+        for key, value, line in entries(path, self.prog.rpartition(" ")[2]):
+            flag = f"--{key}"
+            action = actions.get(flag)
+            place = f"{shown(path)}:{line}"
+            if action is None or action.dest in ("help", "help_all", "config"):
+                keys = [name[2:] for name in actions if name.startswith("--")]
+                raise InputError(f"{place}: there is no key {brief(key)}{nearest(key, keys)}")
+            as_words = _as_words(action, flag, value, place)
+            if action.dest in given:
+                replaced.append(flag)
+            else:
+                lines[flag] = line
+                found += as_words
+        self.config = Config(path, lines, tuple(replaced))
+        return [*found, *words]
 
     def _get_values(self, action: argparse.Action, arg_strings: list[str]) -> Any:
         """Convert the words of an argument, and record them."""
@@ -161,6 +199,101 @@ class Parser(argparse.ArgumentParser):
         if isinstance(action, argparse._SubParsersAction):
             self.error(unknown_command(value, action.choices, self.spellings))
         raise argparse.ArgumentError(action, unknown_value(str(value), map(str, action.choices)))
+
+
+# Config files: TOML whose keys are the flags of a command without their hyphens.
+#
+# Keys at the top are for any command; the table [refine] is for `bundle refine` alone. The entries
+# become words before those of the command line, so that every check, report and next command treats
+# them as flags.
+
+
+class Config(NamedTuple):
+    """Config file of a command line.
+
+    Attributes:
+        path: path of the file.
+        lines: line of each flag that it gives.
+        replaced: flags of the file that the command line replaces.
+    """
+
+    path: str
+    lines: Mapping[str, int]
+    replaced: tuple[str, ...]
+
+    @property
+    def fact(self) -> str:
+        """Flags that come from the file, and those that the command line replaces."""
+        given = ", ".join(self.lines) or "no flag"
+        replaced = f"; {', '.join(self.replaced)} replaced by flags" if self.replaced else ""
+        return f"{given} from {shown(self.path)}{replaced}"
+
+
+@contextmanager
+def naming_config(config: Config | None) -> Iterator[None]:
+    """Put file and line before an error about a flag that a config file gives."""
+    try:
+        yield
+    except InputError as error:
+        for flag, line in config.lines.items() if config is not None else ():
+            if config is not None and re.search(rf"(?<![\w-]){flag}(?![\w-])", str(error)):
+                raise InputError(f"{shown(config.path)}:{line}: {error}") from None
+        raise
+
+
+def entries(path: str, command: str) -> Iterator[tuple[str, Any, int]]:
+    """Yield key, value and line of the entries of a config file for a command.
+
+    Raises:
+        InputError: the file is not TOML.
+        OSError: the file cannot be read.
+    """
+    import tomllib  # for --config only
+
+    from bundle.base.paths import numbered_lines
+    from bundle.cli.commands import COMMANDS
+
+    lines = numbered_lines(path)
+    try:
+        content = tomllib.loads("\n".join(line.rstrip("\r") for _, line in lines))
+    except tomllib.TOMLDecodeError as error:
+        place = re.search(r" \(at line (\d+)", str(error))
+        found = f"{shown(path)}:{place[1] if place else len(lines)}"
+        reason = str(error).partition(" (at ")[0]
+        raise InputError(f"{found}: expected TOML, found an error: {reason}") from None
+    table, places = "", dict[tuple[str, str], int]()
+    for number, line in lines:
+        if header := re.match(r"\s*\[([\w-]+)\]", line):
+            table = header[1]
+            places.setdefault(("", table), number)
+        elif entry := re.match(r"""\s*["']?([\w-]+)["']?\s*[=.]""", line):
+            places.setdefault((table, entry[1]), number)
+    for key, value in content.items():
+        if key in COMMANDS and isinstance(value, dict):
+            own = value.items() if key == command else ()
+            yield from ((name, one, places.get((key, name), 1)) for name, one in own)
+        else:
+            yield key, value, places.get(("", key), 1)
+
+
+def _as_words(action: argparse.Action, flag: str, value: Any, place: str) -> list[str]:
+    """Return an entry of a config file as words of the command line."""
+    is_switch = action.nargs == 0 or isinstance(action, argparse.BooleanOptionalAction)
+    values = value if isinstance(value, list) and not is_switch else [value]
+    kinds: tuple[type, ...] = (int, float) if action.type in (int, float) else (int, float, str)
+    expected = "true or false" if is_switch else "text" if str in kinds else "numbers"
+    for one in values:
+        if not isinstance(one, kinds) or isinstance(one, bool) != is_switch:
+            raise InputError(f"{place}: {flag[2:]}: expected {expected}, found {brief(one)}")
+    if isinstance(action, argparse.BooleanOptionalAction):
+        return [action.option_strings[0 if value == (flag == action.option_strings[0]) else -1]]
+    if is_switch:
+        return [flag] if value is True else []
+    if isinstance(action, argparse._AppendAction):
+        return [f"{flag}={one}" for one in values]
+    if action.nargs is not None:
+        return [flag, *map(str, values)]
+    return [f"{flag}={','.join(map(str, values))}"]
 
 
 def unknown_command(found: str, commands: Collection[str], spellings: Mapping[str, str]) -> str:

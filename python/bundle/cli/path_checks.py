@@ -111,7 +111,7 @@ def check_paths(actions: Iterable[argparse.Action], arguments: argparse.Namespac
 
     A suffix of another format, a folder in place of a file, and a reconstruction are refused, too.
     """
-    given = list(_given(actions, arguments))
+    arguments.paths = given = list(_given(actions, arguments))
     known = [one for one in given if not one.kind.written]
     written = [one for one in given if one.kind.written and not is_stream(one.path)]
     for one in sorted(written, key=lambda one: not one.kind.is_data):

@@ -43,6 +43,7 @@ if TYPE_CHECKING:
 
     from bundle.cli.refine_input import Opened
     from bundle.cli.refinement import Refinement
+    from bundle.cli.run import Run
     from bundle.georeference.measurements import MeasurementErrors
     from bundle.graphs.loops.loop_closing import LoopClosing
     from bundle.inertial.offline.inertial_result import InertialAdjustment
@@ -96,10 +97,42 @@ def run(arguments: argparse.Namespace) -> int:
     return EXIT_NO_SOLUTION
 
 
+def plan(run: Run) -> list[str]:
+    """Check a refinement and read INPUT for --dry-run; return its predicted cost."""
+    from bundle.planning.inspection.problem_inspection import inspect
+    from bundle.reports.terminal.inspect import predicted
+    from bundle.solving.prepare import prepare
+
+    asked = Refinement.of(run.arguments)
+    with on_disk(asked):
+        opened = open_input(asked, run.progress)
+    run.input = opened.loaded
+    if opened.sliced or asked.inertial:
+        return ["The cost of this kind of run is not predicted."]
+    run.progress.stage("inspecting")
+    with asked.naming_flags():
+        ready = prepare(_request(asked, opened, None))
+        inspection = inspect(ready.start, ready.options)
+    adjustments = asked.rounds.num_rounds + 1 if asked.rounds.num_rounds else 1
+    return predicted(inspection, ready.options, adjustments)
+
+
 def _close_loops(given: LoopOptions, opened: Opened, progress: Progress) -> LoopClosing | None:
     if given.loops is not None:
         progress.stage(f"closing the loops of {shown(given.loops)}")
     return loops_closed(given, opened.problem)
+
+
+def _request(asked: Refinement, opened: Opened, closed: LoopClosing | None) -> SolveRequest:
+    return SolveRequest(
+        problem=opened.problem if closed is None else closed.problem,
+        options=opened.options,
+        factors=() if closed is None else closed.factors,
+        priors=opened.known.priors,
+        align=opened.align,
+        constraints=asked.constraints,
+        part=PartRequest.of(asked.local.only_images, asked.local.rest),
+    )
 
 
 def _solve(
@@ -110,15 +143,7 @@ def _solve(
     with asked.naming_flags():
         if opened.sliced is not None:
             return opened.sliced.solve(opened.options, progress.iteration, asked.plan)
-        request = SolveRequest(
-            problem=opened.problem if closed is None else closed.problem,
-            options=opened.options,
-            factors=() if closed is None else closed.factors,
-            priors=opened.known.priors,
-            align=opened.align,
-            constraints=asked.constraints,
-            part=PartRequest.of(asked.local.only_images, asked.local.rest),
-        )
+        request = _request(asked, opened, closed)
         if asked.plan.database is None:
             return run_plan(request, asked.plan, progress.iteration)
         from bundle.solving import refine_tracks  # for --database only

@@ -38,10 +38,17 @@ from bundle.io.formats.read_options import ReadOptions
 from bundle.solving.rounds.plan import RunPlan
 
 if TYPE_CHECKING:
+    from bundle.cli.parser import Config
     from bundle.solving.constraints.rule_list import Constraints
 
 OF_PLAIN = {"source", "target", "format", "overwrite", "json", "given", "verbose", "checkpoints"}
-OF_PLAIN |= {"options", "fixed_images", "constraints", "disk"}  # constraints: parsed rules
+OF_PLAIN |= {
+    "options",
+    "fixed_images",
+    "constraints",
+    "disk",
+    "config",
+}  # constraints: parsed rules
 """Fields that a refinement in slices serves, too; any other makes it more than plain."""
 
 
@@ -75,6 +82,7 @@ class Refinement:
         checkpoints: checkpoint files, for a run that may be killed.
         disk: folder for observations and points on disk.
         given: flags that the next command of a finding repeats.
+        config: file of --config, or None.
     """
 
     source: str
@@ -102,6 +110,7 @@ class Refinement:
     checkpoints: CheckpointOptions
     disk: OutOfCoreOptions
     given: tuple[str, ...]
+    config: Config | None
 
     @staticmethod
     def of(arguments: argparse.Namespace) -> Refinement:
@@ -154,6 +163,7 @@ class Refinement:
             checkpoints=_checkpoints_given(arguments),
             disk=options_given(arguments, OutOfCoreOptions),
             given=repeated_flags(arguments),
+            config=arguments.config,
         )
 
     @property

@@ -10,6 +10,7 @@ import argparse
 import shlex
 from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -31,7 +32,7 @@ from bundle.georeference.measurements import ROWS
 from bundle.interface.camera_edit_options import RuleOptions
 from bundle.interface.option_class import Options, option_class
 from bundle.io.recognition import Kind, recognize
-from bundle.reports.sections import Report, several
+from bundle.reports.sections import Report, Section, several
 
 if TYPE_CHECKING:
     from bundle.georeference.measurements import Prior
@@ -42,7 +43,7 @@ AnyOptions = TypeVar("AnyOptions", bound=Options)
 
 _OF_ALL = {
     *("input", "inputs", "output", "json", "quiet", "verbose", "overwrite"),
-    *("command", "flags", "taken"),
+    *("command", "flags", "taken", "config", "dry_run", "paths"),
 }
 
 
@@ -58,7 +59,7 @@ def prepare(arguments: argparse.Namespace) -> Callable[[], int]:
         for name in (way.call, way.run, way.main, way.report):
             if name:
                 resolve(name)
-    if ways[0].main:
+    if ways[0].main and not arguments.dry_run:
         refuse_others(command, kinds[0][1], arguments)
         return lambda: int(resolve(ways[0].main)(arguments))
     return lambda: _run(command, kinds, arguments)
@@ -69,7 +70,9 @@ def _run(command: Command, kinds: list[tuple[Any, str]], arguments: argparse.Nam
     with Progress(quiet=arguments.quiet) as progress:
         for path, kind in kinds:
             runs.append(Run(command, kind, arguments, progress, path))
-            reports.append(runs[-1].report())
+            reports.append(runs[-1].plan() if arguments.dry_run else runs[-1].report())
+    if arguments.dry_run:
+        arguments.html, arguments.json = None, "-" if arguments.json == "-" else None
     publish(reports[0] if len(reports) == 1 else several(arguments.command, reports), arguments)
     run = next((run for run in runs if run.code), runs[0])
     if run.code and run.complaint and arguments.json == "-":  # standard output has only the JSON
@@ -84,6 +87,7 @@ class Run:
         arguments: parsed command line.
         progress: display of the stages.
         source: path of INPUT, or the paths that the API reads.
+        detected: kind of INPUT.
         target: path of OUTPUT, if the command has one.
         options: options of the call, or None.
         rules: rules as given.
@@ -107,7 +111,7 @@ class Run:
     ) -> None:
         self._started = perf_counter()
         self._command, self._kind = command, kind if kind in command.ways else Kind.RECONSTRUCTION
-        self._way = command.way(kind)
+        self._way, self.detected = command.way(kind), kind
         self.arguments, self.progress, self.source = arguments, progress, source
         self.target: str = getattr(arguments, "output", None) or ""
         self.options: Any = None
@@ -145,6 +149,24 @@ class Run:
             self.code = way.code(self.found)
         made: Report = resolve(way.report)(*(getattr(self, name) for name in way.tells.split()))
         return made
+
+    def plan(self) -> Report:
+        """Check the command line and read INPUT; return the report on what a run would do."""
+        way, arguments = self._way, self.arguments
+        refuse_others(self._command, self._kind, arguments)
+        predicted: list[str] = []
+        is_plain = not (way.run or way.main)
+        if is_plain:
+            if way.keywords:
+                self.given(_class(way.keywords))
+            if way.options:
+                self.options = self.given(_class(way.options), _names(way))
+            self.check_knowledge(getattr(self.options, "refine", ()))
+        if way.plan:
+            predicted = resolve(way.plan)(self)
+        elif self.source is not None and self.detected in (Kind.RECONSTRUCTION, Kind.POSE_GRAPH):
+            (self.open if is_plain else self.load)()
+        return planned(self, predicted)
 
     # Check
 
@@ -326,6 +348,34 @@ def refuse_recording_flags(arguments: argparse.Namespace) -> None:
         )
 
 
+def planned(run: Run, predicted: list[str]) -> Report:
+    """Return the report of --dry-run, with sentences on the predicted cost."""
+    from bundle.reports.terminal.inputs import about_input, input_facts  # for --dry-run only
+
+    paths: dict[bool, list[str]] = {False: [], True: []}
+    for one in run.arguments.paths:
+        is_written = bool(one.kind.written) or one.argument == "output"
+        if not is_written and run.detected != Kind.PYTHON:
+            Path(one.path).stat()
+        if one.path != run.source or is_written:
+            paths[is_written].append(f"{one.name} {shown(one.path)}")
+    options = shlex.join(repeated_flags(run.arguments))
+    facts = [("reads", paths[False]), ("writes", paths[True]), ("flags", [options])]
+    known = [] if run.input is None else input_facts(run.source, run.input)
+    return Report(
+        command="dry-run",
+        input=None if run.input is None else about_input(run.source, run.input),
+        headline=["Dry run: nothing was solved or written.", *predicted],
+        sections=[Section(facts=[*known, *((name, "; ".join(x)) for name, x in facts if any(x))])],
+        data={
+            "run": run.arguments.command,
+            "reads": paths[False],
+            "writes": paths[True],
+            "flags": options,
+        },
+    )
+
+
 # Flags of this run that the next command of a finding repeats.
 #
 # The parser records the words that are values of a flag (``Parser.taken``), so no word is guessed
@@ -333,7 +383,7 @@ def refuse_recording_flags(arguments: argparse.Namespace) -> None:
 
 DROPPED = (
     *("output", "json", "html", "quiet", "verbose", "check_gradients"),
-    *("reliability", "delta0"),
+    *("reliability", "delta0", "config", "dry_run"),
 )
 """Arguments about the files and the output of a run, which do not affect the model."""
 CHECKPOINTS = {"resume": "--checkpoint"}

@@ -77,6 +77,7 @@ _REPORTS = {
     "wall_time",
     "diagnose": "analysis.diagnosis.diagnosis_result.Diagnosis.* options ok rank_gap digits:dict "
     "wall_time",
+    "dry-run": "run:str reads:list writes:list flags:str",
     "evaluate": "judging.evaluation.evaluation_result.Evaluation reference:dict "
     "options:EvaluateOptions verdict num_shared images notes num_pairs:int "
     "num_pairs_at_one_place:int unit alignment auc_definition auc_description:str "
@@ -166,7 +167,7 @@ _REQUIRED = {
 
 def described_entries() -> dict[str, set[str]]:
     """Return the names of the described entries of each command's reports."""
-    return {name: {*COMMON, "input", *_entries(name)} for name in _REPORTS}
+    return {name: {*COMMON, "input", "config", *_entries(name)} for name in _REPORTS}
 
 
 def report_schema() -> Schema:
@@ -184,7 +185,7 @@ def report_schema() -> Schema:
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "Report of bundle (--json FILE)",
         "type": "object",
-        "properties": COMMON | {"input": _OBJECT},
+        "properties": COMMON | {"input": _OBJECT, "config": _OBJECT},
         "required": list(COMMON),
         "allOf": branches,
         "$defs": {name: record_schema(_class(path)) for name, path in _DEFINED.items()},

@@ -74,13 +74,37 @@ def inspected(
 def _headline(inspection: Inspection) -> list[str]:
     if inspection.recommended < 0:
         return [inspection.recommendation, *_out_of_core(inspection)]
-    best = _best(inspection)
-    cost = (
-        f"Predicted: {duration(best.time_per_step_in_seconds)} per step and "
-        f"{format_size(best.memory_in_bytes)} on {plural(inspection.num_threads, 'thread')}, for "
-        f"{plural(best.num_unknowns, 'unknown', grouped=True)}."
+    return [f"Recommended: {inspection.recommendation}", _cost_of(inspection, _best(inspection))]
+
+
+def _cost_of(inspection: Inspection, method: MethodInspection) -> str:
+    return (
+        f"Predicted: {duration(method.time_per_step_in_seconds)} per step and "
+        f"{format_size(method.memory_in_bytes)} on {plural(inspection.num_threads, 'thread')}, for "
+        f"{plural(method.num_unknowns, 'unknown', grouped=True)}."
     )
-    return [f"Recommended: {inspection.recommendation}", cost]
+
+
+def predicted(inspection: Inspection, options: SolveOptions, adjustments: int) -> list[str]:
+    """Return the predicted cost of adjustments with the solver of the options, in sentences."""
+    backend, solver = options.backend.upper(), options.linear_solver_type.upper()
+    backend = backend if backend != "AUTO" else "FUSED" if inspection.auto_choice else "CERES"
+    solver = inspection.auto_choice if (solver, backend) == ("AUTO", "FUSED") else solver
+    methods = [
+        method
+        for method in inspection.methods
+        if method.backend == backend and solver in ("AUTO", method.linear_solver_type)
+    ]
+    if not methods:
+        return ["The cost of this solver is not predicted."]
+    method = min(methods, key=lambda one: one.time_per_step_in_seconds)
+    steps = adjustments * options.max_num_iterations
+    longest = duration(steps * method.time_per_step_in_seconds)
+    fits = "" if method.fits_in_memory else " This does not fit into the free memory."
+    return [
+        f"{_cost_of(inspection, method)}{fits}",
+        f"At most {plural(steps, 'step')}: {longest}, in addition to reading and writing.",
+    ]
 
 
 def size_facts(inspection: Inspection) -> list[tuple[str, str]]:
