@@ -7,6 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from bundle.model.rigid_motions import (
+    center_jacobians,
     cross_rows,
     inverse_jacobian_coefficient,
     inverse_poses,
@@ -75,3 +76,16 @@ def test_products_as_colmap_are_colmaps_to_the_last_bit():
     products = [rigid(one) * rigid(other) for one, other in zip(a, b, strict=True)]
     expected = [np.append(product.rotation.quat, product.translation) for product in products]
     np.testing.assert_array_equal(multiply_as_colmap(a, b), expected)
+
+
+def test_centers_move_as_their_derivatives_say():
+    poses, step = random_poses(4), 1e-6 * np.random.default_rng(5).normal(size=(9, 6))
+
+    def centers(rotation, translation):
+        return -rotation.inv().apply(translation)
+
+    before = Rotation.from_quat(poses[:, :4])
+    after = Rotation.from_rotvec(step[:, :3]) * before
+    moved = centers(after, poses[:, 4:] + step[:, 3:]) - centers(before, poses[:, 4:])
+    expected = np.einsum("nij,nj->ni", center_jacobians(poses), step)
+    np.testing.assert_allclose(moved, expected, atol=1e-11)

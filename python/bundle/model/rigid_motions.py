@@ -187,3 +187,12 @@ def cross_matrices(vectors: Array) -> Array:
     zero = np.zeros_like(x)
     rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
     return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
+
+
+def center_jacobians(poses: Array) -> Array:
+    """Return the derivatives (N, 3, 6) of the centres -R^T t of poses (N, 7) by (w, t).
+
+    For the pose (Exp(w) R, t + dt), the centre moves by -R^T (dt - w x t) = -R^T (dt + [t]_x w).
+    """
+    back = np.swapaxes(rotation_matrices(poses[:, :4]), 1, 2)
+    return -np.concatenate([back @ cross_matrices(poses[:, 4:]), back], axis=2)

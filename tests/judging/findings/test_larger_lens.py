@@ -161,8 +161,8 @@ class Scripted:
         self.decrease, self.variance, self.num_residuals = 0.0, 1.0, 100
         self.moves, self._sigma = np.array([[moved, 0.0, 0.0]]), sigma
 
-    def without_gauge(self, moves):
-        return moves
+    def moves_beyond(self, other):
+        return self.moves - other.moves
 
     def position_sigma(self):
         return self._sigma

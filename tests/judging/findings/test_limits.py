@@ -151,7 +151,7 @@ def moving(
 ):
     monkeypatch.setattr(images, "between_images", lambda *_: (ratio, tau * scale, excess))
     monkeypatch.setattr(images, "direction", lambda _: read)
-    monkeypatch.setattr(images, "shutter_movement", lambda *_: 3.0)
+    monkeypatch.setattr(images, "gain_of_shutter", lambda *_: 3.0)
     monkeypatch.setattr(images, "_is_lens", lambda *_: is_lens)
     fits = SimpleNamespace(
         coefficients=np.zeros((7, 3)), variances=np.ones((7, 3)), sizes=np.arange(7.0)
@@ -277,7 +277,7 @@ def absorbed(monkeypatch, statistic, moved, *, present=0.0):
     def step(decrease, parameters, by):
         return SimpleNamespace(
             decrease=decrease, variance=1.0, squared_distance=decrease, num_residuals=100,
-            num_parameters=parameters, moves=by, without_gauge=lambda moves: moves,
+            num_parameters=parameters, moves=by, moves_beyond=lambda other: by - other.moves,
             position_sigma=lambda: 1.0,
         )  # fmt: skip
 

@@ -20,7 +20,7 @@ from bundle.errors import InputError, brief
 from bundle.interface.option_fields import choice
 from bundle.io.atomic import atomic_write as atomic
 from bundle.model.problem import Problem
-from bundle.model.rigid_motions import cross_matrices, rotation_matrices
+from bundle.model.rigid_motions import center_jacobians
 
 if TYPE_CHECKING:
     import pandas
@@ -304,9 +304,7 @@ class Certainty:
     @cached_property
     def centers(self) -> _Floats:
         """Covariances (n, 3, 3) of their centres [length unit squared]."""
-        poses = self.problem.cam_from_world[self.images]
-        back = np.swapaxes(rotation_matrices(poses[:, :4]), 1, 2)
-        jacobian = -np.concatenate([back @ cross_matrices(poses[:, 4:]), back], axis=2)
+        jacobian = center_jacobians(self.problem.cam_from_world[self.images])
         found: _Floats = jacobian @ self.covariance.pose_covariance @ np.swapaxes(jacobian, 1, 2)
         return found
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from bundle.base.records import dataclass
 from bundle.errors import InputError, brief
 from bundle.model.problem_keys import parameter_names
-from bundle.model.rigid_motions import cross_matrices, rotation_matrices
+from bundle.model.rigid_motions import center_jacobians, rotation_matrices
 
 if TYPE_CHECKING:
     from bundle.model.problem import Problem
@@ -101,14 +101,10 @@ def _plain(words: Sequence[str], problem: Problem, markers: Mapping[str, int]) -
         raise InputError(f"on: expected places apart, found {brief(' '.join(words))} at one place")
     quantity = _empty(problem, " ".join(words), "degrees" if name == "angle" else "", value)
     for (is_image, row), by in zip(owners, by_place, strict=True):
-        if not is_image:
+        if is_image:
+            quantity.images[row] += by @ center_jacobians(problem.cam_from_world[row, None])[0]
+        else:
             quantity.points[row] += by
-            continue
-        pose = problem.cam_from_world[row]
-        back = rotation_matrices(pose[None, :4])[0].T
-        quantity.images[row] += np.append(
-            -by @ back @ cross_matrices(pose[None, 4:])[0], -by @ back
-        )
     return quantity
 
 

@@ -25,13 +25,19 @@ S(x, y) - S(x) beyond columns, and columns S(x, y) - S(y) beyond rows. A directi
 part is 1.5 times the other. A rolling shutter is proposed if these velocities explain at least half
 of what the linear fields explain; it is read by rows unless columns are named.
 
-Price. Velocities make the cameras less certain. Let D be the movement of the centres (rms) in the
-first step of the model with velocities beyond that of the present one, and s1 and s0 the standard
-deviations of the centres in both, for the same noise. Without motion, D^2 is s1^2 - s0^2 on average
-(Hausman 1978). Motion has moved the present centres by b, b^2 about D^2 - (s1^2 - s0^2), so that
-their mean square error is b^2 + s0^2. It exceeds s1^2, that with velocities, if D^2 > 2 (s1^2 -
-s0^2). D varies: a shutter is advised if D > 2 sqrt(s1^2 - s0^2). The command does not share lenses
-that differ: ``shared_lens`` decides on that once the shutter is known.
+Price. Velocities make the cameras less certain. Let C0 and C1 be the covariances of the centres in
+the present model and in that with velocities, for the same noise, D = C1 - C0, and d the movement
+of the centres in the first step with velocities beyond that of the present model. Motion has moved
+the present centres by b: their error is b + e, that with velocities u + e, and d = u - b. u is
+independent of e and has the covariance D (Hausman 1978). So velocities change the sum of squares by
+
+    L = |u + e|^2 - |b + e|^2 = 2 (u + e)^T d - |d|^2,    E L = E (2 tr D - |d|^2).
+
+This estimate of L has an error of zero mean and of the variance E 4 (d^T C1 d + tr D^2), for any b.
+A shutter is advised if L is negative by 1.28 of these standard deviations, the normal quantile of
+90 %. (Few directions make most of tr D, so that |d|^2 exceeds tr D by far without motion, too.)
+Advice harms if L > 0 beside that: in simulations of 1 to 41 directions, at most 4.8 % for any b.
+The command does not share lenses that differ: ``shared_lens`` decides on that afterwards.
 
 Single images. Without motion in general, an image has systematic residuals if b_i^T V_i^-1 b_i >
 3 + 6 sqrt(6) + 20 + 2 log m and its field has an rms of half a scale. It is weak if its scale is
@@ -59,7 +65,7 @@ from bundle.base.records import dataclass
 from bundle.base.words import noun, number
 from bundle.errors import InputError, shown
 from bundle.interface.finding import Finding
-from bundle.judging.findings.larger_lens import Step, explains_more, is_cheap, rms
+from bundle.judging.findings.larger_lens import Step, explains_more, is_cheap
 from bundle.judging.findings.lens_terms import LensField
 from bundle.judging.findings.measured import Measured, median_by_group
 from bundle.judging.findings.systematic import SystematicResiduals
@@ -73,8 +79,8 @@ FEWEST_IMAGES = 6
 FIELD = 0.5
 WEAK, WEAK_WITHOUT_FIELD = 1.75, 1.5
 WEAK_SPREADS, WEAK_ERRORS = 3.0, 5.0
-GAIN = 2.0
-"""Movement of the cameras, by what noise alone moves them, from which a shutter is advised."""
+GAIN = 1.28
+"""Fall of the squared errors, in its standard deviations, from which a shutter is advised."""
 MOST_SQUARES = 2 / 3
 """Share of weak images in the sum of squares, from which a loss is advised."""
 HUBER = 2.5
@@ -118,7 +124,7 @@ def motion(
     worst = max(ratios, key=lambda name: ratios[name])
     if _is_lens(measured, order):
         return None
-    gain = shutter_movement(measured, order) if explained > EXPLAINED else 0.0
+    gain = gain_of_shutter(measured, order) if explained > EXPLAINED else np.nan
     shutter = order if gain > GAIN else ""
     return Finding(
         kind="motion",
@@ -162,10 +168,10 @@ def named_order(rows: float, columns: float) -> str:
 
 
 def price_of(gain: float) -> str:
-    """Return a sentence if a rolling shutter can be added, but gains too little."""
-    if not GAIN >= gain > 0:
+    """Return a sentence if a rolling shutter can be added, but hardly pays."""
+    if not gain <= GAIN:
         return ""
-    return " A rolling shutter would increase standard deviations more than it removes errors."
+    return " It is uncertain that a rolling shutter removes more errors than it adds."
 
 
 def image_residuals(
@@ -290,40 +296,46 @@ def _weak(
     return np.flatnonzero(is_weak), ratio
 
 
-def shutter_movement(measured: Measured, order: str) -> float:
-    """Return D / sqrt(s1^2 - s0^2) of a rolling shutter; see the top of this file.
+def gain_of_shutter(measured: Measured, order: str) -> float:
+    """Return -L of a rolling shutter in its standard deviations; see the top.
 
-    It is 0 if no shutter can be added, infinite if the model is too large for the step.
+    It is NaN if no shutter can be added, infinite if the model is too large for the step.
     """
-    problem, options = measured.whole, measured.options
-    if not can_roll(problem):
-        return 0.0
-    if not is_cheap(problem) or "poses" not in options.refine:
+    if can_roll(measured.whole) and not _has_step(measured):
         return np.inf
     try:
-        rolling, present = _rolling(measured, order), Step(problem, options)
-        moved = rms(rolling.without_gauge(rolling.moves - present.moves))
-        spread = rolling.position_variance() - present.position_variance()
-    except InputError:  # something is not determined, or the sums overflow
-        return 0.0
-    return moved / float(np.sqrt(spread * rolling.variance)) if spread > 0 else np.inf
+        rolling, present = _rolling(measured, order), Step(measured.whole, measured.options)
+        covariances = [one.position_covariance() * rolling.variance for one in (present, rolling)]
+    except InputError:  # no size of images, something is not determined, or the sums overflow
+        return np.nan
+    return certain_gain(rolling.moves_beyond(present).ravel(), *covariances)
+
+
+def certain_gain(moved: Floats, present: Floats, rolling: Floats) -> float:
+    """Return -L in its standard deviations from d (n,), C0 and C1 (n, n); see the top."""
+    added = rolling - present
+    deviation = 2.0 * np.sqrt(moved @ rolling @ moved + (added**2).sum())
+    return (moved @ moved - 2.0 * np.trace(added)) / deviation if deviation > 0 else np.inf
+
+
+def _has_step(measured: Measured) -> bool:
+    return is_cheap(measured.whole) and "poses" in measured.options.refine
 
 
 def _rolling(measured: Measured, order: str) -> Step:
     from bundle.editing.rolling_shutters import with_shutters  # few models move
     from bundle.interface.camera_edit_options import ShutterOptions
 
+    if not can_roll(measured.whole):
+        raise InputError("problem: expected cameras to which a rolling shutter can be added")
     shutter = ShutterOptions(rolling_shutter=order)
     return Step(*with_shutters(measured.whole, shutter, measured.options))
 
 
 def _is_lens(measured: Measured, order: str) -> bool:
     """Return True if a larger lens explains the residuals better than a shutter."""
-    problem = measured.whole
-    if not (can_roll(problem) and is_cheap(problem) and "poses" in measured.options.refine):
-        return False
     try:
-        return explains_more(measured, _rolling(measured, order))
+        return _has_step(measured) and explains_more(measured, _rolling(measured, order))
     except InputError:
         return False
 

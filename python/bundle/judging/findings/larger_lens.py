@@ -45,7 +45,7 @@ from bundle.judging.findings.measured import SMALLEST_SCALE, Measured, newton_st
 from bundle.model.cameras import camera_models
 from bundle.model.lenses.exact_image import exact_params
 from bundle.model.problem import Problem
-from bundle.model.rigid_motions import cross_matrices, rotation_matrices
+from bundle.model.rigid_motions import center_jacobians, cross_matrices
 
 SIGNIFICANT = 1e-4
 """Probability of so large a T if the lens model is right."""
@@ -121,7 +121,7 @@ def _found(measured: Measured, names: list[str]) -> Finding | None:
         p = chi2_tail(statistic, count)
         if not (p < SIGNIFICANT and statistic > BY_TERM * count):
             continue
-        moved = rms(step.without_gauge(step.moves - present.moves))
+        moved = math.sqrt((step.moves_beyond(present) ** 2).sum(axis=1).mean())
         sigma = step.position_sigma()
         if not moved > sigma:
             continue
@@ -187,21 +187,13 @@ class Step:
         dof = self.num_residuals - self.num_parameters
         left = found["weighted_squares"] - self.decrease
         self.variance: float = left / dof if dof > 0 and left > 0 else 0.0
+        self._center_by_pose = center_jacobians(problem.cam_from_world)
         self.moves: Floats = np.einsum("nij,nj->ni", self._center_by_pose, found["steps"])
 
     @property
     def squared_distance(self) -> float:
         """lambda^2 / s^2, the squared distance to the minimum in standard deviations."""
         return self.decrease / self.variance
-
-    @cached_property
-    def _center_by_pose(self) -> Floats:
-        """(num_images, 3, 6) derivatives of the centre -R^T t by (w, t)."""
-        pose = self._given[0].cam_from_world
-        cross = cross_matrices(pose[:, 4:])
-        both = np.concatenate([cross, np.broadcast_to(np.eye(3), cross.shape)], axis=2)
-        found: Floats = -rotation_matrices(pose[:, :4]).transpose(0, 2, 1) @ both
-        return found
 
     @cached_property
     def _similarities(self) -> Floats:
@@ -217,32 +209,36 @@ class Step:
         found: Floats = kept.reshape(len(centers), 3, -1)
         return found
 
-    def without_gauge(self, moves: Floats) -> Floats:
-        """Return movements (num_images, 3) without the part that a free similarity explains."""
-        basis = self._similarities
+    def moves_beyond(self, other: Step) -> Floats:
+        """Return the movement (num_images, 3) beyond that of another step, similarity removed."""
+        moves, basis = self.moves - other.moves, self._similarities
         left: Floats = moves - basis @ np.einsum("nik,ni->k", basis, moves)
         return left
 
-    def position_sigma(self) -> float:
-        """Return the rms standard deviation of the centres without the free similarity."""
-        return math.sqrt(self.position_variance() * self.variance)
+    def position_covariance(self) -> Floats:
+        """Return the covariance (3 n, 3 n) of the centres, as position_sigma, for noise of 1."""
+        size = self.moves.size
+        basis = self._similarities.reshape(size, -1)
+        moves = (np.eye(size) - basis @ basis.T).reshape(size, -1, 3)
+        found: Floats = newton_step(*self._given, self._functions(moves))["functions"]
+        return found
 
-    def position_variance(self) -> float:
-        """Return the mean variance of the centres without the free similarity, for noise of 1.
+    def position_sigma(self) -> float:
+        """Return the rms standard deviation of the centres without the free similarity.
 
         With P = I - U U^T, the trace of P C P is that of C minus the variances of U^T c.
         """
-        problem = self._given[0]
-        by_pose = self._center_by_pose
-        functions = np.zeros(
-            (self._similarities.shape[2], problem.num_images, 6 + problem.camera_params.shape[1])
+        by_pose, functions = (
+            self._center_by_pose,
+            self._functions(np.moveaxis(self._similarities, 2, 0)),
         )
-        functions[:, :, :6] = np.einsum("nik,nij->knj", self._similarities, by_pose)
         found = newton_step(*self._given, functions, of_poses=True)
-        spread = np.einsum("nij,njk,nik->", by_pose, found["poses"], by_pose)
-        return max(float(spread - np.trace(found["functions"])), 0.0) / problem.num_images
+        trace = np.einsum("nij,njk,nik->", by_pose, found["poses"], by_pose)
+        trace -= np.trace(found["functions"])
+        return math.sqrt(max(float(trace), 0.0) / len(by_pose) * self.variance)
 
-
-def rms(moves: Floats) -> float:
-    """Return the root mean square length of vectors (n, 3)."""
-    return float(np.sqrt((moves**2).sum(axis=1).mean()))
+    def _functions(self, moves: Floats) -> Floats:
+        """Return functions (m, num_images, 3) of the centres as those of poses and lenses."""
+        lenses = np.zeros((*moves.shape[:2], self._given[0].camera_params.shape[1]))
+        by_pose = np.einsum("kni,nij->knj", moves, self._center_by_pose)
+        return np.concatenate([by_pose, lenses], axis=2)

@@ -14,7 +14,7 @@ from bundle.errors import InputError
 from bundle.georeference.pose_alignment import align_centers
 from bundle.interface.finding import Finding
 from bundle.interface.options import SolveOptions
-from bundle.judging.findings.images import GAIN, price_of, shutter_movement
+from bundle.judging.findings.images import GAIN, gain_of_shutter, price_of
 from bundle.judging.validation.candidate_fits import CandidateFit, Fitting
 from bundle.judging.validation.candidates import groups_of, is_shared
 from bundle.judging.validation.decision import Cameras, Decision, DecisionRule, decide
@@ -212,7 +212,7 @@ def _findings(
 ) -> tuple[Finding, ...]:
     if test is None or not test.fires:
         return ()
-    gain = shutter_movement(measured(fit), order)
+    gain = gain_of_shutter(measured(fit), order)
     spread = f"{float(test.deviations[1:].max()):.2g}"
     better = f": one lens predicts {100 * test.gain:.1f} % better with a shutter by {order}"
     return (

@@ -18,7 +18,7 @@ from bundle.judging.findings.larger_lens import Step
 from bundle.model.problem import Problem
 from bundle.model.problem_keys import touched_ids
 from bundle.model.reprojection import residuals
-from bundle.model.rigid_motions import cross_matrices, rotation_matrices
+from bundle.model.rigid_motions import center_jacobians
 from bundle.solving.prepare import Prepared
 from bundle.solving.result import Result
 from bundle.solving.rounds.plan import filter_observations
@@ -59,11 +59,6 @@ def _rms(residuals: np.ndarray) -> float:
 
 # Certainty of camera positions in a fit, and the number of parameters that it determines.
 #
-# The centre of an image is C = -R^T t. For the pose (Exp(w) R, t + dt) it changes by
-#
-#     dC = -R^T (dt - w x t) = -R^T (dt + [t]_x w),
-#
-# so that the covariance of C is A P A^T with A = R^T [[t]_x, I] and the covariance P of (w, dt).
 # The sigma of a position is the root mean square over the three axes, sqrt(trace / 3), in the unit
 # of the model. It is relative to the inner gauge, the mean of cameras and points. A few points of
 # huge uncertainty, far away or from wrong matches, would decide this mean. The covariance therefore
@@ -152,10 +147,7 @@ def _sound(prepared: Prepared, full: Result) -> Problem:
 
 def position_sigmas(problem: Problem, covariances: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the sigma of each image's position from covariances (n, 6, 6) of poses."""
-    rotations = rotation_matrices(problem.cam_from_world[:, :4])
-    cross = cross_matrices(problem.cam_from_world[:, 4:])
-    both = np.concatenate([cross, np.broadcast_to(np.eye(3), cross.shape)], axis=2)
-    jacobians = rotations.transpose(0, 2, 1) @ both
+    jacobians = center_jacobians(problem.cam_from_world)
     spread = jacobians @ covariances @ jacobians.transpose(0, 2, 1)
     sigmas: NDArray[np.float64] = np.sqrt(np.trace(spread, axis1=1, axis2=2) / 3)
     return sigmas

@@ -22,7 +22,7 @@ best one by more than the quantile 0.9995 of Student's t with (images - 1) degre
 has the distribution F(1, images - 1).
 
 Fits, positions and commands do not include it: a separate test compares its gain with the loss of
-certainty (:func:`bundle.judging.findings.images.shutter_movement`).
+certainty (:func:`bundle.judging.findings.images.gain_of_shutter`).
 """
 
 from __future__ import annotations
