@@ -44,6 +44,23 @@ def test_a_repeated_sample_is_frozen_after_five() -> None:
     assert found(gyro, accel) == [("zero", "accel", 700, 899)]
 
 
+def test_a_block_that_is_written_twice_is_no_measurement() -> None:
+    gyro, accel = samples()
+    gyro[600:640] = gyro[560:600]
+    accel[604:608] = accel[600:604]
+    assert found(gyro, accel) == [("repeated", "gyro", 600, 639)]
+    accel[909:914] = accel[904:909]
+    assert found(gyro, accel) == [("repeated", "gyro", 600, 639), ("repeated", "accel", 909, 913)]
+    accel[911, 1] += 1e-9
+    assert found(gyro, accel) == [("repeated", "gyro", 600, 639)]
+
+
+@pytest.mark.parametrize("levels", [1, 2, 3, 6])
+def test_coarse_samples_at_rest_repeat_by_chance(levels: int) -> None:
+    pair = np.random.default_rng(6).integers(0, levels + 1, (2, SIZE, 3)) / 64.0
+    assert found(*pair) == []
+
+
 def test_a_sensor_of_half_the_rate_is_not_frozen() -> None:
     gyro, accel = samples()
     gyro = np.repeat(gyro[::6], 6, axis=0)[:SIZE]

@@ -156,6 +156,13 @@ def test_gross_errors_are_refused(flight, model, columns, words):
     assert "\n" not in str(error.value)
 
 
+def test_degrees_with_several_turns_between_images_are_no_wrong_axes():
+    flight = bundle.synthesize_flight(duration=8.0, num_tracks=30, seed=2)
+    problem, stamps = model_of(flight.sequence, flight.ground_truth, 4, noise=0.02)
+    with pytest.raises(InputError, match="rates of another unit"):
+        adjusted(changed(flight.sequence, gyro=np.degrees), problem, stamps, OPTIONS)
+
+
 def test_millimetres_and_inverted_poses_are_refused(flight, model):
     given = np.array(flight.sequence.calibration.camera_from_imu)
     long = changed(

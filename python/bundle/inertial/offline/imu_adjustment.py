@@ -81,6 +81,8 @@ interval in seconds."""
 LEAST_IMAGES = 5
 MOST_STEPS = 200
 """Least limit of iterations for the images alone, which take milliseconds each."""
+LARGEST_TURN = math.pi / 2
+"""Angle between consecutive images beyond which they have hardly any point in common."""
 MOST_SOLVES = 3
 """Most solves in a row, each with motions that are integrated again."""
 
@@ -325,11 +327,15 @@ def _images_alone(
 
 
 def _rotation_map(case: _Case, video: ImageIntervals, clock: ClockOffset) -> RotationMap:
+    """Return the map; of rates of a hundredth if they turn too far for a rotation vector."""
     intervals = video.at(clock.seconds if clock.is_clear else 0.0)
     rotations = case.rotations
     between = np.swapaxes(rotations[:-1], 1, 2) @ rotations[1:]
-    motions = preintegrated(intervals, case.noise, np.zeros(6), video.rule)
-    return RotationMap.between(between, motions)
+    turns = [np.linalg.norm(one.gyro, axis=1).mean() * one.dt.sum() for one in intervals]
+    unit = 0.01 if np.quantile(turns, 0.9) > LARGEST_TURN else 1.0
+    scaled = [dataclasses.replace(one, gyro=unit * one.gyro) for one in intervals]
+    motions = preintegrated(scaled, case.noise, np.zeros(6), video.rule)
+    return RotationMap.between(between, motions, unit)
 
 
 def _accel_axes(case: _Case, intervals: list[ImuInterval], rule: str) -> str:

@@ -57,11 +57,14 @@ class RotationMap(NamedTuple):
     rms_before: float  # the same for the identity instead of M
 
     @staticmethod
-    def between(between: Array, motions: list[Preintegration]) -> RotationMap:
-        """Return the map of (n, 3, 3) rotations between images and their motions."""
+    def between(between: Array, motions: list[Preintegration], unit: float = 1.0) -> RotationMap:
+        """Return the map of (n, 3, 3) rotations between images and their motions.
+
+        ``unit`` is the factor on the rates of the motions.
+        """
         images = vector_from_quaternion(quaternion_from_matrix(between))
         deltas = np.array([motion.delta_rotation for motion in motions])
-        samples = vector_from_quaternion(quaternion_from_matrix(deltas))
+        samples = vector_from_quaternion(quaternion_from_matrix(deltas)) / unit
         times = np.array([motion.duration for motion in motions])[:, None]
         rows = np.hstack([samples, times])
         found, normal, rms = _fit(rows, images)

@@ -29,8 +29,8 @@ class SequenceFinding:
     """A finding in a sequence.
 
     Attributes:
-        kind: "imu gap", "image gap", "imu rate", "frozen", "zero", "saturated", "spike",
-            "one view", "no samples", "noise", "rate".
+        kind: "imu gap", "image gap", "imu rate", "frozen", "zero", "repeated", "saturated",
+            "spike", "one view", "no samples", "noise", "rate".
         sentence: description with file and line, or with the row.
         count: number of occurrences.
         is_fatal: True if odometry would give a wrong trajectory.
@@ -154,6 +154,7 @@ _NAMES = {"gyro": "gyroscope", "accel": "accelerometer"}
 _BAD = {
     "frozen": "{sensors} repeated one sample for {seconds:.3g} s",
     "zero": "{sensors} was 0 on all axes for {seconds:.3g} s",
+    "repeated": "{sensors} repeated {seconds:.3g} s of earlier samples",
     "saturated": "{samples} of the {sensors} at the end of the sensor's range, the same value "
     "again and again",
     "spike": "{sensors} jumped by {size:.3g} and back",
@@ -241,11 +242,17 @@ def _tracks(sequence: Sequence, place: Place, findings: list[SequenceFinding]) -
         )
 
 
-# Stretches of IMU samples that are no measurements: frozen, zero, clipped, or a spike.
+# Stretches of IMU samples that are no measurements: frozen, zero, repeated, clipped, or a spike.
 #
 # frozen, zero
 #     A sensor repeats all three axes. Noise makes this improbable: with a share p of repeated
 #     samples elsewhere in n samples, a run of r repetitions is expected n p^r times.
+#
+# repeated
+#     Samples equal those of an earlier time, such as a block of rows that was written twice. Two of
+#     n samples are equal with the probability q = sum c (c - 1) / n^2, with the counts c of equal
+#     samples. A run of r samples that equal those at one distance before is expected at most
+#     n^2 q^r times.
 #
 # saturated
 #     The largest or smallest value of an axis, if it occurs in runs and its distribution piles up
@@ -295,6 +302,9 @@ def bad_stretches(gyro: Array, accel: Array) -> tuple[BadStretch, ...]:
             kind = "frozen" if values[first].any() else "zero"
             found.append(BadStretch(kind, sensor, first, last))
             good[first : last + 1] = False
+        for first, last in _repeated(values, good):
+            found.append(BadStretch("repeated", sensor, first, last))
+            good[first : last + 1] = False
         for first, last, size in _spikes(values, good, least):
             found.append(BadStretch("spike", sensor, first, last, size))
             good[first : last + 1] = False
@@ -324,6 +334,21 @@ def _frozen(values: Array) -> list[tuple[int, int]]:
     share = float((length[~long] - 1).sum()) / len(values)
     improbable = len(values) * share ** (length - 1.0) < FROZEN_EXPECTED
     return [(int(a), int(b)) for a, b in runs[long & improbable]]
+
+
+def _repeated(values: Array, good: Array) -> list[tuple[int, int]]:
+    order = np.lexsort(values.T)
+    is_equal = (values[order[1:]] == values[order[:-1]]).all(axis=1)
+    counts = np.diff(np.flatnonzero(np.concatenate([[True], ~is_equal, [True]])))
+    share = float((counts * (counts - 1.0)).sum()) / max(len(values), 1) ** 2
+    before = np.zeros(len(values), np.int64)  # distance to the last equal sample
+    before[order[1:][is_equal]] = np.diff(order)[is_equal]
+    before[~good] = 0
+    runs = _runs((before[1:] == before[:-1]) & (before[1:] >= FROZEN_RUN))
+    runs[:, 1] += 1
+    length = runs[:, 1] - runs[:, 0] + 1.0
+    improbable = len(values) ** 2 * share**length < FROZEN_EXPECTED
+    return [(int(a), int(b)) for a, b in runs[(length >= FROZEN_RUN) & improbable]]
 
 
 def _saturated(values: Array, good: Array) -> list[tuple[int, int]]:
