@@ -107,7 +107,7 @@ class Turned:
 
 
 def scale_of(pairs: Any) -> tuple[float, float]:
-    return scale_of_rates(pairs, np.eye(3))
+    return scale_of_rates(pairs, np.eye(3))[:2]
 
 
 def test_the_scale_has_the_sigma_of_its_tracks() -> None:

@@ -150,6 +150,31 @@ def test_one_reversed_axis_of_the_accelerometer_is_found_afterwards(
     assert explanations(flight.sequence, "S") == ()
 
 
+@pytest.mark.parametrize("factor", [0.9, 1.1])
+def test_a_wrong_focal_length_accuses_rays_and_not_the_accelerometer(
+    flight: SyntheticFlight, factor: float
+) -> None:
+    right = flight.sequence.calibration
+    focal, *center = np.array(right.camera_params)[[0, 2, 3]]
+    params = (factor * focal, factor * focal, *center)
+    wrong = replace(flight.sequence, calibration=replace(right, camera_params=params))
+    (found,) = explanations(wrong, "S")
+    assert (found.kind, found.is_problem) == ("rotation", False)
+    assert found.evidence["variance"] > 4
+    for kind in ("noise", "stamps"):
+        assert explanations(wrong, "S", [replace(found, kind=kind)]) == ()
+
+
+def test_an_axis_that_is_dead_is_named(flight: SyntheticFlight) -> None:
+    wrong = changed(flight, gyro=(1, 1, 0), accel=(0, 1, 1))
+    found = explanations(wrong, "S")
+    assert [each.kind for each in found] == 2 * ["constant axis"]
+    for each, words in zip(
+        found, ("gyro: expected axes that vary, found 0 on z", "0 on x"), strict=True
+    ):
+        assert words in each.sentence
+
+
 def test_an_unknown_cause_does_not_refuse_a_sequence(
     flight: SyntheticFlight, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -9,7 +9,7 @@ late clock by d leave, with the rates w at both images and T between them,
 by least squares with the information on c, Cauchy weights, and weak priors, without which s and b
 are not separable at constant speed. With the right k, only errors of tracks remain. If a larger
 residual remains, or s, a or d exceed their priors, another fault affects the rotations: k is
-unknown.
+unknown. Without more noise of the samples it is in rays or stamps: forces do not affect rotations.
 
 **Change of the bias.** (g - R^T c) / T is the bias b of each pair. The medians before and after a
 time differ by at most 5 deviations in clean flights, by 17 with a turned camera, and by 26 or more
@@ -57,8 +57,10 @@ CHANGE_SIGMAS, CHANGE = 20.0, 0.02  # from which the bias changes: deviations, r
 STEPS, MEDIAN_CHI2 = 20, 2.366  # of the weights; with three degrees of freedom
 
 
-def scale_findings(images: SequenceImages, recording: Recording) -> tuple[Finding, ...]:
-    """Return a finding if the gyroscope's rates are clearly larger or smaller than the tracks'."""
+def scale_findings(
+    images: SequenceImages, recording: Recording, with_rays: bool = False
+) -> tuple[Finding, ...]:
+    """Return a finding on the scale of rates; ``with_rays`` also on what no scale explains."""
     stretches = bad_stretches(recording.gyro, recording.accel)
     if any((each.kind, each.sensor) == ("saturated", "gyro") for each in stretches):
         return ()
@@ -66,7 +68,14 @@ def scale_findings(images: SequenceImages, recording: Recording) -> tuple[Findin
     pairs = RotationPairs(recording, turns, least_turn=0.0)
     if len(pairs.camera) < FEWEST:
         return ()
-    ratio, sigma = scale_of_rates(pairs, _lens(recording))
+    ratio, sigma, variance = scale_of_rates(pairs, _lens(recording))
+    if with_rays and variance > MOST_VARIANCE:
+        sentence = (
+            f"{recording.name}: rotations of tracks and gyroscope differ by {variance**0.5:.2g} "
+            "times the errors of tracks, whatever scale, angle and time offset: the focal length, "
+            "the lens, a rolling shutter, single stamps or a loose camera"
+        )
+        return (Finding(kind="rotation", sentence=sentence, evidence={"variance": variance}),)
     if not abs(ratio - 1) > max(SCALE, SIGMAS * sigma):  # nan: nothing follows
         return ()
     sentence = (
@@ -78,8 +87,8 @@ def scale_findings(images: SequenceImages, recording: Recording) -> tuple[Findin
     return (Finding(kind="gyro scale", sentence=sentence, evidence=evidence, is_problem=True),)
 
 
-def scale_of_rates(pairs: RotationPairs, lens: Array) -> tuple[float, float]:
-    """Return k with its standard deviation; nan if another fault affects the rotations."""
+def scale_of_rates(pairs: RotationPairs, lens: Array) -> tuple[float, float, float]:
+    """Return k and its standard deviation, nan beside another fault, and the variance factor."""
     step = float(SHIFTS[1] - SHIFTS[0])
     turned = pairs.imu(0.0) @ lens.T
     change = (pairs.imu(step) - pairs.imu(-step)) @ lens.T / (2 * step)
@@ -97,9 +106,9 @@ def scale_of_rates(pairs: RotationPairs, lens: Array) -> tuple[float, float]:
         variance = max(float(np.median(squares)) / MEDIAN_CHI2, 1e-12)
         weights = 1 / (1 + squares / (3 * variance))
     if variance > MOST_VARIANCE or (np.abs(found) > PRIOR)[:5].any():
-        return math.nan, math.nan
+        return math.nan, math.nan, variance
     ratio = 1 / (1 + float(found[0]))
-    return ratio, ratio**2 * math.sqrt(float(covariance[0, 0]))
+    return ratio, ratio**2 * math.sqrt(float(covariance[0, 0])), variance
 
 
 def bias_findings(recording: Recording, turns: list[Turn]) -> tuple[Finding, ...]:

@@ -30,12 +30,7 @@ from bundle.inertial.vio.linear_start import ACCEL_BIAS_SIGMA
 from bundle.inertial.vio.sequence_images import SequenceImages
 from bundle.interface.finding import Finding
 from bundle.model.sequence.sequence import Recording, Sequence
-from bundle.model.sequence.sequence_findings import (
-    SequenceFinding,
-    bad_stretches,
-    is_bridged,
-    sequence_findings,
-)
+from bundle.model.sequence.sequence_findings import SequenceFinding, bad_stretches, is_bridged
 
 FEW, MANY = 40, 200  # pairs of images
 SUSPICIOUS = 0.3  # share of the rotation that the gyroscope does not explain; 0.2 if clean
@@ -83,18 +78,25 @@ def _motion_findings(images: SequenceImages, recording: Recording) -> tuple[Find
 def explanations(
     sequence: Sequence, path: str, known: Iterable[Finding | SequenceFinding] = ()
 ) -> tuple[Finding, ...]:
-    """Return causes, not ``known``, of a failed odometry or its alarms; takes a second or two."""
+    """Return causes, not ``known``, of a failed odometry or its alarms; takes a second or two.
+
+    Beside more noise than stated, or wrong stamps, errors of tracks decide nothing.
+    """
     if not _measures(sequence):
         return ()
     images, recording = SequenceImages(sequence), _recording(sequence, path)
+    if constant := _constant_axes(recording):
+        return constant
     turns = turns_of_tracks(images, MANY)
     found = tracking_findings(recording, check_rotations(recording, turns))
     if all(each.kind == "time offset" for each in found):  # a jump looks like an offset
         found = bias_findings(recording, turns) or found
-    signs = None if found or _is_noisier(sequence) else right_signs(images)
-    if signs is not None:
-        found = (_reversed(recording, signs, is_problem=False),)
     kinds = {each.kind for each in known}
+    if not found and not {"noise", "stamps"} & kinds:
+        found = scale_findings(images, recording, with_rays=True)
+        signs = None if found else right_signs(images)
+        if signs is not None:
+            found = (_reversed(recording, signs, is_problem=False),)
     return tuple(each for each in found if each.kind not in kinds)
 
 
@@ -115,9 +117,16 @@ def _measures(sequence: Sequence) -> bool:
     return all(is_bridged(each, sequence.imu_timestamps_ns) for each in stretches)
 
 
-def _is_noisier(sequence: Sequence) -> bool:
-    """Return True for more noise than stated, with which the errors of tracks decide nothing."""
-    return any(each.kind == "noise" for each in sequence_findings(sequence, str, str))
+def _constant_axes(recording: Recording) -> tuple[Finding, ...]:
+    place, sentence = (
+        recording.imu_place(0),
+        "{}: {}: expected axes that vary, found {:g} on {} in all samples",
+    )
+    return tuple(
+        Finding(kind="constant axis", sentence=sentence.format(place, name, values[0, k], "xyz"[k]))
+        for name, values in (("gyro", recording.gyro), ("accel", recording.accel))
+        for k in np.flatnonzero(np.ptp(values, axis=0) == 0).tolist()
+    )
 
 
 def _recording(sequence: Sequence, path: str) -> Recording:

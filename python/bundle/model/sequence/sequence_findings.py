@@ -339,7 +339,7 @@ def _frozen(values: Array) -> list[tuple[int, int]]:
 def _repeated(values: Array, good: Array) -> list[tuple[int, int]]:
     order = np.lexsort(values.T)
     is_equal = (values[order[1:]] == values[order[:-1]]).all(axis=1)
-    counts = np.diff(np.flatnonzero(np.concatenate([[True], ~is_equal, [True]])))
+    counts = np.diff(np.flatnonzero(np.concatenate([[True], np.logical_not(is_equal), [True]])))
     share = float((counts * (counts - 1.0)).sum()) / max(len(values), 1) ** 2
     before = np.zeros(len(values), np.int64)  # distance to the last equal sample
     before[order[1:][is_equal]] = np.diff(order)[is_equal]
