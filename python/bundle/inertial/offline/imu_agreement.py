@@ -64,9 +64,8 @@ class Agreement(NamedTuple):
     ) -> Agreement:
         """Return the agreement.
 
-        Args:
-            costs: costs of the factors: motions, then walks and first prior of each bias.
-            alone: C_0, and the variance factor of the images alone.
+        ``costs`` are those of motions, then walks and first prior of each bias; ``alone`` is C_0
+        and the variance factor of the images alone.
         """
         motions, gyro, accel = (costs[first : first + count] for first in (0, count, 2 * count + 1))
         intervals = 2 * (motions + gyro + accel)
@@ -115,14 +114,7 @@ class ClockErrors(NamedTuple):
 
     @staticmethod
     def of(errors: Array, rates: Array, deltas: Array, times: Array) -> ClockErrors:
-        """Return the errors of n images.
-
-        Args:
-            errors: (n - 1, 3) Log(dR^T B) between images.
-            rates: (n, 3) rates at the images.
-            deltas: (n - 1, 3, 3) dR.
-            times: (n,) times in seconds.
-        """
+        """Return the errors of n images from (n - 1, 3) Log(dR^T B), n rates, dR, and seconds."""
         n = len(rates)
         rows = np.zeros((n - 1, 3, n))
         k = np.arange(n - 1)
@@ -209,10 +201,8 @@ def clock_offset(
 ) -> ClockOffset:
     """Return the offset of n images; without one that is determined, its sigma is infinite.
 
-    Args:
-        between: (n - 1, 3, 3) rotations of the IMU between the images, R_k^T R_(k+1).
-        motions_at: motions between the images at an offset and a gyroscope's bias.
-        rates_at: (n, 3) measured rates at the images, at an offset.
+    ``between`` are (n - 1, 3, 3) R_k^T R_(k+1) of the IMU; ``motions_at`` returns motions at an
+    offset and a gyroscope's bias, ``rates_at`` measured rates (n, 3) at an offset.
     """
     offset, bias = 0.0, np.zeros(3)
     for _ in range(STEPS):

@@ -80,14 +80,7 @@ def arm_error(
     motions: list[Preintegration],
     noise: ImuNoise,
 ) -> ArmError:
-    """Return the error.
-
-    Args:
-        rotations: (n, 3, 3) world_from_imu.
-        centers: (n, 3) projection centres in units of the model.
-        arms: (n, 3) vectors from the camera to the IMU along the axes of the model, metres.
-        axes: (n, 3, 3) world_from_body.
-    """
+    """Return the error; arguments as in ``inertial_start``, then world_from_body (n, 3, 3)."""
     times = np.cumsum([0.0, *(motion.duration for motion in motions)])
     rows, freedom = [], -10
     for part in segments(times):

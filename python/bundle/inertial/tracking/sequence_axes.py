@@ -118,12 +118,12 @@ def _measures(sequence: Sequence) -> bool:
 
 
 def _constant_axes(recording: Recording) -> tuple[Finding, ...]:
-    place, sentence = (
-        recording.imu_place(0),
-        "{}: {}: expected axes that vary, found {:g} on {} in all samples",
-    )
     return tuple(
-        Finding(kind="constant axis", sentence=sentence.format(place, name, values[0, k], "xyz"[k]))
+        Finding(
+            kind="constant axis",
+            sentence=f"{recording.imu_place(0)}: {name}: expected axes that vary, found "
+            f"{values[0, k]:g} on {'xyz'[k]} in all samples",
+        )
         for name, values in (("gyro", recording.gyro), ("accel", recording.accel))
         for k in np.flatnonzero(np.ptp(values, axis=0) == 0).tolist()
     )

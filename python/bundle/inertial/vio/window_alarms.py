@@ -78,13 +78,7 @@ class WindowAlarms:
         verdict: str,
         yaw: tuple[float | None, float],
     ) -> tuple[str, ...]:
-        """Return the alarms of a keyframe.
-
-        Args:
-            state: newest state (16,).
-            nullity: nullity and expected nullity.
-            yaw: sigma, and accumulated rotation.
-        """
+        """Return the alarms of a keyframe; ``nullity``: found, expected; ``yaw``: sigma, turned."""
         if self._start is None:
             self._start = stamp, state
         alarms = [*self._of_prior(nullity, prior, prior_cost), *self._of_biases(stamp, state)]
