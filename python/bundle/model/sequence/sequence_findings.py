@@ -343,7 +343,7 @@ def _repeated(values: Array, good: Array) -> list[tuple[int, int]]:
     share = float((counts * (counts - 1.0)).sum()) / max(len(values), 1) ** 2
     before = np.zeros(len(values), np.int64)  # distance to the last equal sample
     before[order[1:][is_equal]] = np.diff(order)[is_equal]
-    before[~good] = 0
+    before[np.logical_not(good)] = 0
     runs = _runs((before[1:] == before[:-1]) & (before[1:] >= FROZEN_RUN))
     runs[:, 1] += 1
     length = runs[:, 1] - runs[:, 0] + 1.0
