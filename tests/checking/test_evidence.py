@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 import bundle
 from bundle.checking import classify, column_signatures, row_signatures
-from bundle.checking.evidence import Evidence
+from bundle.checking.evidence import Evidence, join_names
 from bundle.checking.jacobian_deviation import JacobianDeviation
 from bundle.checking.residual_blocks import Block, Column
 
@@ -27,6 +27,18 @@ def evidence(analytic, reference, uncertainty=None, points=None):
         list(range(width)),
         TOLERANCE,
     )
+
+
+@pytest.mark.parametrize(
+    ("names", "phrase"),
+    [
+        (["f"], "f"),
+        (["x 0", "x 1"], "x 0 and 1"),
+        (["x 0", "x 2", "y", "x 1"], "x 0, 2, y and x 1"),
+    ],
+)
+def test_names_are_joined_without_repetition(names, phrase):
+    assert join_names(names) == phrase
 
 
 @pytest.mark.parametrize(("left", "is_explained"), [(0.99e-5, True), (1.01e-5, False)])

@@ -104,9 +104,12 @@ def test_the_motion_is_that_from_the_first_to_the_last_row():
 
 
 def test_global_shutters_are_refused():
-    problem = scene_of().replace(rolling_shutter=None)
-    with pytest.raises(bundle.InputError, match="global shutters only"):
-        bundle.to_global_shutter(problem)
+    problem = scene_of()
+    direction = ("global",) * len(problem.camera_models)
+    twist = np.zeros((problem.num_images, 6))
+    for shutter in (None, bundle.RollingShutter(direction=direction, twist=twist)):
+        with pytest.raises(bundle.InputError, match="global shutters only"):
+            bundle.to_global_shutter(problem.replace(rolling_shutter=shutter))
 
 
 def test_residuals_stay_under_a_similarity():

@@ -126,6 +126,19 @@ def test_readouts_are_parallel_within_fifteen_degrees_of_a_line(off, is_parallel
     assert module._is_parallel(turned, np.arange(2)) == is_parallel
 
 
+@pytest.mark.parametrize(("ratio", "is_pure"), [(0.0199, True), (0.0201, False)])
+def test_a_camera_that_only_translates_turns_by_a_fiftieth_of_its_shift(ratio, is_pure):
+    problem = film(options("orbit", num_images=3, num_points=20)).ground_truth
+    image, point = problem.observation_image, problem.observation_point
+    away = np.linalg.norm(problem.points[point] - problem.projection_centers[image], axis=1)
+    twist = np.zeros((3, 6))
+    twist[0, 0], twist[1, 0] = ratio * 0.4 / np.median(away[image != 1]), 1.0
+    twist[2, 4] = 0.4
+    shutter = problem.rolling_shutter.replace(twist=twist)
+    moved = problem.replace(rolling_shutter=shutter)
+    assert module._only_translates(moved, np.array([0, 2])) == is_pure
+
+
 def test_global_shutters_and_single_images_have_no_modes():
     problem = film(options("orbit", num_images=4)).ground_truth
     assert shutter_modes(problem.replace(rolling_shutter=None)) == []

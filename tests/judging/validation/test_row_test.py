@@ -52,6 +52,25 @@ def test_slopes_and_errors_are_those_of_a_regression_of_an_image():
         assert found.errors[index] == pytest.approx(np.sqrt(np.diag(variance)[3:]), rel=1e-9)
 
 
+def test_slopes_vary_about_the_mean_of_their_camera():
+    """Moments of DerSimonian and Laird (1986), one mean per camera."""
+    rng = np.random.default_rng(0)
+    camera = np.array([1, 0, 0, 1, 0, 3, 3], np.int32)
+    slopes, variances = rng.normal(0, 3, (7, 3)), rng.uniform(0.5, 2, (7, 3))
+    chi_squares, squares, freedom = module._variation(camera, slopes, variances)
+    assert freedom == 4
+    for k in range(3):
+        found = scale = 0.0
+        for one in (0, 1, 3):
+            w, b = 1 / variances[camera == one, k], slopes[camera == one, k]
+            found += (w * (b - np.average(b, weights=w)) ** 2).sum()
+            scale += w.sum() - (w**2).sum() / w.sum()
+        assert chi_squares[k] == pytest.approx(found) and found > freedom
+        assert squares[k] == pytest.approx((found - freedom) / scale)
+    calm = module._variation(camera, 1e-3 * slopes, variances)
+    assert (calm[0] < 1e-4).all() and not calm[1].any()
+
+
 def test_noise_alone_has_a_chi_square_and_does_not_fire():
     problem = scene(num_images=60)
     found = [row_test(problem, noise(problem, seed=seed)) for seed in range(20)]
