@@ -120,3 +120,5 @@ def test_an_option_that_ends_a_solve_early_is_named_with_it():
     old = replace(GRAPH, options={"max_num_iterations": 50})
     two = between(old, options={"max_num_iterations": 3}, steps=3.0, is_converged=False)
     assert named(two) == ["options", "convergence"]
+    evidence = next(iter(causes_of(two))).evidence
+    assert evidence == {"max_num_iterations": {"old": 50, "new": 3}}
