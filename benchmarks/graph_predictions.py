@@ -28,8 +28,7 @@ from pathlib import Path
 
 import bundle
 from benchmarks.problems import data_folder
-from bundle.planning.inspection.graph_rates import made_graph, step_time
-from bundle.planning.inspection.machine_rates import graph_rates
+from bundle.planning.inspection.pose_graph_time import made_graph, pose_graph_rates, step_time
 
 SHARED = (
     *("tinyGrid3D", "smallGrid3D", "parking-garage", "sphere2500"),
@@ -140,7 +139,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     rows = []
     if given.resume and given.json.exists():
         rows = [Row(**row) for row in json.loads(given.json.read_text())]
-    graph_rates(given.threads, recalibrate=not rows)
+    pose_graph_rates(given.threads, recalibrate=not rows)
     known = {row.graph for row in rows}
     left = 0
     for name, make in graphs(few=given.few, known=known):

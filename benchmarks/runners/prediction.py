@@ -27,9 +27,9 @@ SHORT = 1.0  # seconds
 
 def calibrate(threads: int) -> dict[str, Any]:
     """Measure this machine's rates anew."""
-    from bundle.planning.inspection.machine_rates import machine_rates
+    from bundle.planning.inspection.problem_time import problem_rates
 
-    machine_rates(threads, recalibrate=True)
+    problem_rates(threads, recalibrate=True)
     return {}
 
 

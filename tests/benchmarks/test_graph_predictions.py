@@ -5,8 +5,8 @@ import math
 from benchmarks.graph_predictions import Row, verdict
 
 from benchmarks import graph_predictions
-from bundle.planning.inspection import machine_rates
-from bundle.planning.inspection.graph_rates import FEATURES, made_graph
+from bundle.planning.inspection.pose_graph_time import made_graph
+from tests.made_up_machine import predict_for_it
 
 
 def row(predicted, measured):
@@ -22,8 +22,7 @@ def test_the_share_within_the_factor_decides():
 
 
 def test_a_graph_has_a_row_per_order(monkeypatch):
-    rates = {"seconds": dict.fromkeys(FEATURES, 1e-9), "efficiency": 1.0}
-    monkeypatch.setattr(machine_rates, "_fitted", lambda *_: rates)
+    predict_for_it(monkeypatch)
     rows = graph_predictions.rows_of("loops", made_graph("loops", 150, 3, seed=4), 1)
     assert [one.ordering for one in rows] == ["natural", "amd", "metis"]
     assert all(one.predicted > 0 and one.measured > 0 for one in rows)
@@ -35,7 +34,9 @@ def test_a_graph_has_a_row_per_order(monkeypatch):
 
 def test_slices_continue_after_the_rows_of_a_file(tmp_path, monkeypatch, capsys):
     measured = []
-    monkeypatch.setattr(graph_predictions, "graph_rates", lambda *_, **how: measured.append(how))
+    monkeypatch.setattr(
+        graph_predictions, "pose_graph_rates", lambda *_, **how: measured.append(how)
+    )
     monkeypatch.setattr(
         graph_predictions,
         "graphs",

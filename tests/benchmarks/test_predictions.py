@@ -62,7 +62,7 @@ def test_a_small_problem_from_start_to_end(tmp_path, monkeypatch):
     from benchmarks.problems import BenchmarkProblem
 
     import bundle
-    from bundle.planning.inspection.machine_rates import make_scene
+    from bundle.planning.inspection.problem_time import make_scene
 
     path = tmp_path / "scene.txt"
     bundle.save(make_scene(8, 60, 4), path)

@@ -25,7 +25,7 @@ def rates(monkeypatch):
         asked.append(recalibrate)
         return RATES
 
-    monkeypatch.setattr(problem_inspection, "machine_rates", made_up)
+    monkeypatch.setattr(problem_inspection, "problem_rates", made_up)
     return asked
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 import bundle
-from bundle.planning.inspection.machine_rates import make_scene
+from bundle.planning.inspection.problem_time import make_scene
 
 
 def jacobian_pattern(problem, sizes, image_block, camera_block, is_free):

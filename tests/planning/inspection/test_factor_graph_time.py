@@ -1,15 +1,15 @@
 """Predicted steps of factor graphs: work of the factors, terms of a step, failures, the cache."""
 
-import json
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import bundle
-from bundle.planning.inspection import factor_graph_time, machine_rates
+from bundle.planning.inspection import factor_graph_time
 from bundle.planning.inspection.factor_graph_time import FEATURES, factor_work, step_terms
-from tests.made_up_machine import FACTOR_GRAPH_SECONDS
+from bundle.planning.inspection.machine_rates import Rates
+from tests.made_up_machine import FACTOR_GRAPH_RATES
 
 
 def landmarks(values):
@@ -137,17 +137,17 @@ def test_terms_add_up_and_functions_in_python_take_one_thread():
     graph = mixed_graph()
     work = factor_work(graph)
     counts = {"entries": 100, "cholmod_flops": 1000}
-    one, two = (step_terms(FACTOR_GRAPH_SECONDS, work, counts, n) for n in (1, 2))
+    one, two = (step_terms(FACTOR_GRAPH_RATES, work, counts, n) for n in (1, 2))
     assert one == two and one["factors"] == work.evaluation
-    plain = step_terms(FACTOR_GRAPH_SECONDS, work._replace(in_python=0.0), counts, 2)
+    plain = step_terms(FACTOR_GRAPH_RATES, work._replace(in_python=0.0), counts, 2)
     assert plain["factors"] == work.evaluation / 2
-    seconds = FACTOR_GRAPH_SECONDS
+    seconds = FACTOR_GRAPH_RATES.seconds
     assert one["factorisation"] == pytest.approx(100 * seconds["value"] + 1000 * seconds["flop"])
-    panels = step_terms(seconds, work, {"entries": 100, "cholmod_flops": 4000}, 1)
+    panels = step_terms(FACTOR_GRAPH_RATES, work, {"entries": 100, "cholmod_flops": 4000}, 1)
     assert panels["factorisation"] == pytest.approx(
         100 * seconds["panel_value"] + 4000 * seconds["panel_flop"]
     )
-    dense = step_terms(seconds, work, {"columns": 30}, 1)
+    dense = step_terms(FACTOR_GRAPH_RATES, work, {"columns": 30}, 1)
     assert dense["factorisation"] == pytest.approx(seconds["dense_flop"] * (work.rows * 900 + 9000))
     assert dense["normal equations"] == pytest.approx(
         seconds["dense_entry"] * (work.rows + 30) * 30
@@ -175,14 +175,14 @@ def test_a_function_that_fails_leaves_the_structure_without_times():
 def test_a_calibration_has_all_rates(monkeypatch):
     cases = [("chain", 12, 3), ("grid", 40, 3), ("grid", 100, 6)]
     monkeypatch.setattr(factor_graph_time, "CASES", cases)
-    seconds = factor_graph_time.calibrate_factor_graphs()
+    seconds = factor_graph_time.calibrate(1).seconds
     assert set(seconds) == set(FEATURES)
     assert all(np.isfinite(value) and value >= 0 for value in seconds.values())
     assert max(seconds.values()) > 0
 
 
 def test_a_calibration_fits_the_counts_of_each_system(monkeypatch):
-    """Sparse and, if small, dense; times that the clock does not resolve are left out."""
+    """Sparse and, if small, dense."""
     fitted = []
     monkeypatch.setattr(factor_graph_time, "CASES", [("chain", 5, 3), ("chain", 9, 6)])
     monkeypatch.setattr(factor_graph_time, "MOST_DENSE_COLUMNS", 12)
@@ -195,33 +195,17 @@ def test_a_calibration_fits_the_counts_of_each_system(monkeypatch):
     )
     monkeypatch.setattr(
         factor_graph_time,
-        "fit_rates",
-        lambda rows, times: fitted.append((rows, times)) or np.zeros(len(FEATURES)),
+        "fitted",
+        lambda _features, count, solves: (
+            fitted.append(solves) or Rates(num_threads=count, seconds={})
+        ),
     )
-    factor_graph_time.calibrate_factor_graphs()
-    ((rows, times),) = fitted
-    assert times.tolist() == [7.0, 4.0]  # dense, 5 poses; sparse, 9 poses
-    of_dense, of_sparse = (dict(zip(FEATURES, row, strict=True)) for row in rows.tolist())
-    assert (of_dense["dense_step"], of_dense["step"]) == (1, 0)
-    assert (of_sparse["dense_step"], of_sparse["step"]) == (0, 1)
+    factor_graph_time.calibrate(1)
+    (((_, small_time), (of_dense, dense_time), (of_sparse, sparse_time)),) = fitted
+    assert (small_time, dense_time, sparse_time) == (0.0, 7.0, 4.0)  # 5, 5 and 9 poses
+    assert (of_dense["other"], of_sparse["other"]) == ({"dense_step": 1}, {"step": 1})
     n, m = 3 * 4, 3 * 4  # free coordinates, residuals
-    assert of_dense["dense_flop"] == m * n**2 + n**3 / 3
-
-
-def test_rates_are_cached_apart_from_those_of_pose_graphs(tmp_path, monkeypatch):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    calls = []
-    seconds = dict.fromkeys(FEATURES, 1e-9)
-    monkeypatch.setattr(
-        machine_rates, "calibrate_factor_graphs", lambda: calls.append(1) or seconds
-    )
-    assert machine_rates.factor_graph_rates() == machine_rates.factor_graph_rates() == seconds
-    assert calls == [1]
-    (path,) = (tmp_path / "bundle").glob("factor-graph-rates-*.json")
-    path.write_text(json.dumps({"seconds": {"step": 1.0}, "efficiency": 1.0}))
-    assert machine_rates.factor_graph_rates() == seconds
-    machine_rates.factor_graph_rates(recalibrate=True)
-    assert calls == [1] * 3
+    assert of_dense["factorisation"]["dense_flop"] == m * n**2 + n**3 / 3
 
 
 def test_a_comparison_states_the_predicted_steps():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import nnls
 
-from bundle.planning.inspection.rates import fit_rates
+from bundle.planning.inspection.machine_rates import fit_rates
 
 UNITS = np.array([1, 1e-12, 1e3, 1e6, 1, 1])
 

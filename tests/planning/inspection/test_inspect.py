@@ -12,8 +12,8 @@ import pytest
 
 import bundle
 from bundle import _core
-from bundle.planning.inspection.machine_rates import make_scene
 from bundle.planning.inspection.peak_memory import total
+from bundle.planning.inspection.problem_time import make_scene
 from tests.planning.inspection.dense_oracle import drive
 from tests.printed import in_order
 
@@ -169,7 +169,7 @@ _MEASURE = """
 import ctypes, json, sys
 from pathlib import Path
 import bundle
-from bundle.planning.inspection.machine_rates import make_scene
+from bundle.planning.inspection.problem_time import make_scene
 
 def status(field):
     return 1024 * int(Path("/proc/self/status").read_text().split(field + ":")[1].split()[0])

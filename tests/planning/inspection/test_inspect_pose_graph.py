@@ -119,16 +119,3 @@ def test_a_pose_graph_is_counted_as_the_factor_graph_that_it_is():
     assert found.manifolds == {"se2": 6} and found.kinds == {"BetweenFactor": 7}
     assert (found.num_columns, found.num_free_variables, found.largest_clique) == (15, 5, 2)
     assert bundle.inspect(chain(2, 0)).largest_clique == 1
-
-
-def test_pickles_of_the_former_class_are_read():
-    found = bundle.inspect(chain(6, 2, dimension=2))
-    state = dict(vars(found))
-    state["num_poses"] = state.pop("num_variables")
-    state["num_free_poses"] = state.pop("num_free_variables")
-    for name in ("num_factors", "manifolds", "kinds", "num_columns", "largest_clique"):
-        del state[name]
-    old = object.__new__(bundle.PoseGraphInspection)
-    old.__setstate__(state)
-    assert repr(old) == repr(found) and (old.num_poses, old.num_free_poses) == (6, 5)
-    assert (old.num_columns, old.largest_clique, old.nnz_free) == (15, 2, found.nnz_free)

@@ -7,8 +7,8 @@ import pytest
 
 from bundle import _core
 from bundle.interface.options import SolveOptions
-from bundle.planning.inspection.machine_rates import make_scene
 from bundle.planning.inspection.problem_pattern import count_dense, count_factor, find_pattern
+from bundle.planning.inspection.problem_time import make_scene
 from bundle.solving.layout import resolve_defaults
 from tests.planning.inspection.dense_oracle import (
     eliminate_first,

@@ -1,4 +1,4 @@
-"""The terms of predicted memory and time, each from counts that are made up."""
+"""The terms of predicted memory and work, each from counts that are made up."""
 
 from __future__ import annotations
 
@@ -7,9 +7,13 @@ from types import SimpleNamespace
 import pytest
 
 from bundle.planning.inspection.peak_memory import FactorizedSystem, ceres_memory, fused_memory
-from bundle.planning.inspection.problem_inspection import ceres_time, factor_rate, fused_time
 from bundle.planning.inspection.problem_pattern import FactorCount, PlanSize
-from tests.made_up_machine import RATES
+from bundle.planning.inspection.problem_time import (
+    ceres_work,
+    factor_work,
+    fused_work,
+    products_per_step,
+)
 
 PLAN = PlanSize(
     num_points=100,
@@ -84,44 +88,59 @@ def test_memory_of_ceres():
     ("preconditioner", "products"),
     [("SCHUR_JACOBI", 200), ("SCHUR_POWER_SERIES_EXPANSION", 1200), ("TWO_LEVEL", 80)],
 )
-def test_time_of_conjugate_gradients(preconditioner, products):
+def test_work_of_conjugate_gradients(preconditioner, products):
     coarse = 500 if preconditioner == "TWO_LEVEL" else 0
-    fused = fused_time(PATTERN, "ITERATIVE_SCHUR", preconditioner, None, RATES, coarse)
+    assert products_per_step(preconditioner) == products
+    fused = fused_work(PATTERN, "ITERATIVE_SCHUR", None, 1, products, coarse)
     # Each reads S and, to and fro, the coarse factor.
-    assert fused["conjugate gradients"] == pytest.approx(products * 8 * (9000 + 2 * coarse) / 1e10)
-    assert fused.get("coarse system", 0) == pytest.approx(10e-9 * 9000 if coarse else 0)
-    ceres = ceres_time(PATTERN, "ITERATIVE_SCHUR", preconditioner, None, RATES)
-    assert ceres["conjugate gradients"] == pytest.approx(products * 3e-8 * 1000)  # 9 + 3 columns
+    assert fused["conjugate gradients"] == {"reduced_byte": products * 8 * (9000 + 2 * coarse)}
+    ceres = ceres_work(PATTERN, "ITERATIVE_SCHUR", None, 1, products)
+    assert ceres["conjugate gradients"] == {"ceres_product": products * 1000}  # 9 + 3 columns
 
 
-def test_time_of_a_direct_step():
-    fused = fused_time(PATTERN, "SPARSE_SCHUR", "", COUNTED, RATES)
-    expected = {
-        "observations": 1e-7 * 1000,
-        "pairs of observations": 1e-8 * 5000,
-        "other": 1e-5,
-        "factorisation": 4e6 / 1e10 + 6000 * 1e-8,
+def test_work_of_a_direct_step():
+    assert fused_work(PATTERN, "SPARSE_SCHUR", COUNTED, 1) == {
+        "observations": {"fused_observation": 1000},
+        "pairs of observations": {"fused_pair": 5000},
+        "other": {"fused_step": 1},
+        "factorisation": {"flop": 4e6, "sparse_entry": 6000},
     }
-    assert fused == pytest.approx(expected)
-    normal = ceres_time(PATTERN, "SPARSE_NORMAL_CHOLESKY", "", COUNTED, RATES)
-    assert normal["normal equations"] == pytest.approx(1e-8 * 70_000)
-    assert normal["factorisation"] == pytest.approx((4e6 - 6 * 70_000) / 1e10)
+    of_evaluation = {"evaluation": {"ceres_evaluation": 1000}, "other": {"ceres_step": 1}}
+    assert ceres_work(PATTERN, "SPARSE_NORMAL_CHOLESKY", COUNTED, 1) == of_evaluation | {
+        "normal equations": {"ceres_normal_entry": 70_000},
+        "factorisation": {"flop": 4e6 - 6 * 70_000},
+    }
+    assert ceres_work(PATTERN, "SPARSE_SCHUR", COUNTED, 1) == of_evaluation | {
+        "elimination": {"ceres_elimination": 1000, "ceres_pair": 3000},
+        "reduced system": {"ceres_reduced_value": 3600},
+        "factorisation": {"flop": 4e6, "sparse_entry": 6000},
+    }
+    dynamic = SimpleNamespace(**{**vars(PATTERN), "has_equal_blocks": False})
+    found = ceres_work(dynamic, "DENSE_SCHUR", COUNTED, 1)
+    assert found["elimination"] == {"ceres_elimination": 1000, "ceres_dynamic_pair": 3000}
+    assert found["factorisation"] == {"flop": 4e6, "dense_entry": 6000}
 
 
 @pytest.mark.parametrize(("megabytes", "is_scattered"), [(7.9, False), (8.1, True)])
 def test_beyond_the_caches_pairs_are_scattered(megabytes, is_scattered):
     counted = COUNTED._replace(panel_values=megabytes * 1e6 / 8)
-    terms = fused_time(PATTERN, "SPARSE_SCHUR", "", counted, RATES)
-    assert ("adding to S" in terms) == is_scattered
-    if is_scattered:
-        assert terms["adding to S"] == pytest.approx(3e-7 * 40 + megabytes * 1e6 / 1e10)
+    work = fused_work(PATTERN, "SPARSE_SCHUR", counted, 1)
+    expected = {"fused_scattered_pair": 40, "reduced_byte": pytest.approx(megabytes * 1e6)}
+    assert work.get("adding to S") == (expected if is_scattered else None)
 
 
-@pytest.mark.parametrize(("columns", "rate"), [(999, RATES.dense), (1000, RATES.dense_threaded)])
-def test_blas_threads_pay_from_a_thousand_columns(columns, rate):
-    assert factor_rate(RATES, True, columns, FACTOR) == rate
+@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize("columns", [999, 1000])
+def test_blas_threads_pay_from_a_thousand_columns(columns, threads):
+    dense = {"flop": 4e6, "dense_entry": 6000}
+    threaded = {"threaded_flop": 4e6, "threaded_entry": 6000}
+    is_threaded = columns == 1000 and threads == 2
+    assert factor_work(True, columns, FACTOR, threads) == (threaded if is_threaded else dense)
     # Of a sparse factor the average column counts.
     wide = FactorCount(
         nnz=10, fill=0, flops=10.0 * columns, cholmod_flops=0, tree_height=1, profile=()
     )
-    assert factor_rate(RATES, False, 1, wide) == (RATES.sparse if columns < 1000 else rate)
+    entries = "threaded_entry" if is_threaded else "dense_entry"
+    found = factor_work(False, 1, wide, threads)
+    assert found[entries if columns == 1000 else "sparse_entry"] == 10
+    assert found["threaded_flop" if is_threaded else "flop"] == 10 * columns

@@ -33,12 +33,16 @@ from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
 from bundle.interface.tabular import Tabular
 from bundle.io.g2o_files import load_g2o
 from bundle.model.pose_graph_arrays import PoseGraph
-from bundle.planning.inspection.factor_graph_time import factor_work
+from bundle.planning.inspection.factor_graph_time import factor_graph_rates, factor_work
 from bundle.planning.inspection.factor_graph_time import step_terms as factor_step_terms
-from bundle.planning.inspection.graph_rates import free_pattern, panel_work, step_terms
 from bundle.planning.inspection.inspection_result import EliminationCost
-from bundle.planning.inspection.machine_rates import factor_graph_rates, graph_rates
 from bundle.planning.inspection.peak_memory import Terms, total
+from bundle.planning.inspection.pose_graph_time import (
+    free_pattern,
+    panel_work,
+    pose_graph_rates,
+    step_terms,
+)
 from bundle.planning.inspection.problem_pattern import BlockPattern, count_dense
 
 CONVENTION = (
@@ -167,15 +171,6 @@ class FactorGraphInspection(Displayed, Tabular):
     auto_ordering: str
     num_threads: int
 
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        # Pickles of pose graphs once had names of their own.
-        poses, free = state.pop("num_poses", 0), state.pop("num_free_poses", 0)
-        if poses:
-            sizes = {"num_columns": state["block_size"] * free, "largest_clique": min(free, 2)}
-            self.__dict__.update(num_variables=poses, num_free_variables=free, **sizes)
-            self.__dict__.update(num_factors=state["num_edges"], manifolds={}, kinds={})
-        self.__dict__.update({"nnz_free": state["nnz"], **state})
-
     @property
     def num_poses(self) -> int:
         """Number of poses of a pose graph."""
@@ -237,7 +232,7 @@ def inspect_pose_graph(
     num_edges = len(np.unique(np.sort(graph.edges, axis=1), axis=0))
     pattern = free_pattern(graph)
     threads = min(num_threads or _core.hardware_threads(), _core.hardware_threads())
-    rates = graph_rates(threads, recalibrate=recalibrate)
+    rates = pose_graph_rates(threads, recalibrate=recalibrate)
     nnz = d * d * (graph.num_poses + 2 * num_edges)
     return FactorGraphInspection(
         num_variables=graph.num_poses,

@@ -29,22 +29,15 @@ from bundle.graphs.factors.factor_check import choose, kind_of
 from bundle.graphs.factors.factor_graph import FactorGraph, free_pattern
 from bundle.graphs.factors.factors import BetweenFactor, Factor
 from bundle.interface.options import GraphOptions
-from bundle.planning.inspection.graph_rates import made_graph
+from bundle.planning.inspection.machine_rates import Rates, Work, cached_rates, fitted
 from bundle.planning.inspection.peak_memory import Terms
-from bundle.planning.inspection.rates import fit_rates
+from bundle.planning.inspection.pose_graph_time import made_graph
 
 FEATURES = (
     *("step", "entry", "block_product", "product_flop"),
     *("value", "flop", "panel_value", "panel_flop"),
     *("dense_step", "dense_entry", "dense_flop"),
 )
-
-SHOWN = {
-    "normal equations": ("entry", "block_product", "product_flop", "dense_entry"),
-    "factorisation": ("value", "flop", "panel_value", "panel_flop", "dense_flop"),
-    "other": ("step", "dense_step"),
-}
-"""Terms of a time, with the features that they add up; the evaluation of the factors is another."""
 
 FLOPS_OF_PANELS = 40.0
 """Flops per nonzero of L from which CHOLMOD factorises by panels."""
@@ -130,25 +123,25 @@ def factor_work(graph: FactorGraph) -> FactorWork:
     return _sum(graph, found)
 
 
+def factor_graph_rates(*, recalibrate: bool = False) -> Rates:
+    """Return the rates of factor graphs that Ceres solves; measure them unless cached."""
+    return cached_rates("factor-graph", FEATURES, 1, calibrate, recalibrate=recalibrate)
+
+
 def step_terms(
-    seconds: Mapping[str, float], work: FactorWork, counts: Mapping[str, Any], num_threads: int
+    rates: Rates, work: FactorWork, counts: Mapping[str, Any], num_threads: int
 ) -> Terms:
     """Return the predicted time of a step, by its parts.
 
-    ``seconds``: seconds per feature on this machine. ``counts``: ``_core.count_factor`` of the free
-    variables, or {"columns": n} for dense matrices.
+    ``counts``: ``_core.count_factor`` of the free variables, or {"columns": n} for dense matrices.
     """
-    features = dict(zip(FEATURES, _features(work, counts), strict=True))
     threads = 1 if work.in_python > 0 else num_threads  # a function takes all factors to one thread
-    return {"factors": work.evaluation / threads} | {
-        name: sum(seconds[feature] * features[feature] for feature in names)
-        for name, names in SHOWN.items()
-    }
+    return {"factors": work.evaluation / threads} | rates.terms(step_work(work, counts))
 
 
-def calibrate_factor_graphs() -> dict[str, float]:
-    """Measure the seconds per feature by solves of small graphs, about a second in total."""
-    rows, times = [], []
+def calibrate(num_threads: int) -> Rates:
+    """Measure the rates by solves of small graphs on one thread, about a second in total."""
+    solves = []
     for seed, (kind, count, size) in enumerate(CASES):
         graph = _made(kind, count, size, seed)
         pattern = free_pattern(graph.variables, graph.factors)
@@ -157,14 +150,10 @@ def calibrate_factor_graphs() -> dict[str, float]:
         for dense in (False, True) if columns <= MOST_DENSE_COLUMNS else (False,):
             tried = [_step(graph, graph.factors, steps=3, dense=dense) for _ in range(REPEATS)]
             step = min(tried, key=lambda step: step.rest)
-            if not step.rest > 0:  # the clock is too coarse
-                continue
             each = step.rows / len(graph.factors)
             work = _sum(graph, [_Kind(graph.factors, step.evaluation / len(graph.factors), each)])
-            rows.append(_features(work, {"columns": columns} if dense else counts))
-            times.append(step.rest)
-    found = fit_rates(np.array(rows), np.array(times))
-    return dict(zip(FEATURES, found.tolist(), strict=True))
+            solves.append((step_work(work, {"columns": columns} if dense else counts), step.rest))
+    return fitted(FEATURES, num_threads, solves)
 
 
 def _made(kind: str, num_poses: int, tangent_size: int, seed: int) -> FactorGraph:
@@ -242,24 +231,23 @@ def _sum(graph: FactorGraph, kinds: Sequence[_Kind]) -> FactorWork:
     return FactorWork(*work.tolist())
 
 
-def _features(work: FactorWork, counts: Mapping[str, Any]) -> list[float]:
-    """Return the counts of a step in the order of ``FEATURES``."""
+def step_work(work: FactorWork, counts: Mapping[str, Any]) -> Work:
+    """Return the work of a step without the evaluation of the factors."""
     if "columns" in counts:
         n = float(counts["columns"])
-        values = {
-            "dense_step": 1.0,
-            "dense_entry": (work.rows + n) * n,
-            "dense_flop": work.rows * n**2 + n**3 / 3,
+        return {
+            "normal equations": {"dense_entry": (work.rows + n) * n},
+            "factorisation": {"dense_flop": work.rows * n**2 + n**3 / 3},
+            "other": {"dense_step": 1.0},
         }
-    else:
-        by_panels = counts["cholmod_flops"] >= FLOPS_OF_PANELS * counts["entries"]
-        prefix = "panel_" if by_panels else ""
-        values = {
-            "step": 1.0,
+    by_panels = counts["cholmod_flops"] >= FLOPS_OF_PANELS * counts["entries"]
+    value, flop = ("panel_value", "panel_flop") if by_panels else ("value", "flop")
+    return {
+        "normal equations": {
             "entry": work.entries,
             "block_product": work.block_products,
             "product_flop": work.product_flops,
-            f"{prefix}value": counts["entries"],
-            f"{prefix}flop": counts["cholmod_flops"],
-        }
-    return [float(values.get(name, 0.0)) for name in FEATURES]
+        },
+        "factorisation": {value: counts["entries"], flop: counts["cholmod_flops"]},
+        "other": {"step": 1.0},
+    }

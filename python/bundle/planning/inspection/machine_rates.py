@@ -1,10 +1,18 @@
-"""Rates of this machine, measured once and cached.
+"""Rates of this machine: seconds per unit of a solver's work, fitted to timed solves and cached.
 
-Each rate is measured on real solves of small problems by the solver that it predicts. It therefore
-includes the instruction set, caches, BLAS and threads of the machine. Calibration takes about a
-second. (Pose graphs: ``graph_rates``; other factor graphs: ``factor_graph_time``.)
+The time of a step is a sum of counts, known before any solve, multiplied by seconds per unit. There
+are three tables of such work: of problems (``problem_time``), of pose graphs (``pose_graph_time``)
+and of the factor graphs that Ceres solves (``factor_graph_time``). Each table calibrates itself by
+small solves of the solver that it predicts: rates include the instruction set, caches, BLAS and
+threads of the machine.
 
-The cache folder has one file per version and number of threads.
+With the counts a_ij of solve i and its time t_i, the rates x minimise the squares of the relative
+errors, sum_i (sum_j a_ij x_j / t_i - 1)^2, under the condition that no rate is negative: a time
+that the solves cannot separate from others becomes 0, instead of the difference of two large ones.
+
+Other processes distort times. Rates that do not reproduce the times of their solves are therefore
+measured again, and never cached. The cache folder has one file per table, version and number of
+threads.
 """
 
 from __future__ import annotations
@@ -16,103 +24,136 @@ import json
 import math
 import os
 import platform
-import statistics
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from time import perf_counter
-from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 import bundle._core as _core
 from bundle.base.paths import cache_folder, write_cached
-from bundle.errors import InputError
-from bundle.interface.options import SolveOptions
-from bundle.model.problem import Problem
-from bundle.planning.inspection.factor_graph_time import FEATURES as FACTOR_GRAPH_FEATURES
-from bundle.planning.inspection.factor_graph_time import calibrate_factor_graphs
-from bundle.planning.inspection.graph_rates import FEATURES, GraphRates, calibrate_graphs
-from bundle.planning.inspection.problem_pattern import (
-    ProblemPattern,
-    count_dense,
-    count_factor,
-    find_pattern,
-)
-from bundle.planning.inspection.rates import FactorRate, Rates, implausible
-
-RATE_NAMES = tuple(field.name for field in dataclasses.fields(Rates))
+from bundle.base.records import dataclass
+from bundle.planning.inspection.peak_memory import Terms
 
 KERNELS = 4
 """Number of the generation of kernels; rates of earlier ones are measured anew."""
 
 ATTEMPTS = 3
-"""Number of calibrations after which implausible rates are used once, without caching them."""
+"""Calibrations after which rates that do not fit are used once, without caching them."""
+
+LARGEST_MISFIT = 0.6
+"""Root mean square of the relative errors, above which rates do not fit their solves."""
+
+Work = Mapping[str, Mapping[str, float]]
+"""Counts of a step: for each term of its time, the units of each kind of work."""
 
 
-def machine_rates(num_threads: int, *, recalibrate: bool = False) -> Rates:
-    """Return the rates for solves on ``num_threads`` threads; measure them unless cached."""
-    path = cache_path(num_threads)
-    rates = None if recalibrate else _read(path)
+@dataclass(frozen=True, kw_only=True)
+class Rates:
+    """Seconds per unit of work on this machine.
+
+    Attributes:
+        num_threads: threads of the timed solves.
+        seconds: seconds per unit, by kind of work.
+        misfit: root mean square of the relative errors of the times that they reproduce.
+        efficiency: share of the time saved by ideal threads that those of the machine save.
+    """
+
+    num_threads: int
+    seconds: Mapping[str, float]
+    misfit: float = 0.0
+    efficiency: float = 1.0
+
+    def terms(self, work: Work) -> Terms:
+        """Return the terms of the time of this work, in seconds."""
+        return {
+            term: sum(self.seconds[name] * count for name, count in counts.items())
+            for term, counts in work.items()
+        }
+
+
+def cached_rates(
+    table: str,
+    features: Sequence[str],
+    num_threads: int,
+    calibrate: Callable[[int], Rates],
+    *,
+    recalibrate: bool = False,
+) -> Rates:
+    """Return the rates of a table of work, which has these features; measure them unless cached."""
+    path = cache_path(table, num_threads)
+    rates = None if recalibrate else _read(path, features)
     if rates is None:
-        rates = _measure(num_threads)
-        if implausible(rates):  # used once, not cached
-            return rates
-        with contextlib.suppress(OSError):  # if they cannot be cached, the next call measures again
-            _write(path, dataclasses.asdict(rates))
+        attempts: list[Rates] = []
+        while len(attempts) < ATTEMPTS:
+            attempts.append(calibrate(num_threads))
+            if attempts[-1].misfit <= LARGEST_MISFIT:
+                break
+        rates = min(attempts, key=lambda rates: rates.misfit)
+        if rates.misfit <= LARGEST_MISFIT:
+            # If they cannot be cached, the next call measures again.
+            with contextlib.suppress(OSError):
+                write_cached(path, json.dumps(dataclasses.asdict(rates), indent=2) + "\n")
     return rates
 
 
-def graph_rates(num_threads: int, *, recalibrate: bool = False) -> GraphRates:
-    """Return the rates of pose graphs on ``num_threads`` threads; measure them unless cached."""
+def fitted(
+    features: Sequence[str], num_threads: int, solves: Iterable[tuple[Work, float]]
+) -> Rates:
+    """Return the rates that fit best to the work and the seconds of some solves.
 
-    def measure() -> dict[str, Any]:
-        found = calibrate_graphs(num_threads)
-        return {"seconds": dict(found.seconds), "efficiency": found.efficiency}
-
-    path = cache_path(num_threads, "graph-rates", FEATURES)
-    return GraphRates(num_threads=num_threads, **_fitted(path, FEATURES, measure, recalibrate))
-
-
-def factor_graph_rates(*, recalibrate: bool = False) -> dict[str, float]:
-    """Return the rates of factor graphs that Ceres solves; measure them unless cached."""
-    path = cache_path(1, "factor-graph-rates", FACTOR_GRAPH_FEATURES)
-
-    def measure() -> dict[str, Any]:
-        return {"seconds": calibrate_factor_graphs(), "efficiency": 1.0}
-
-    return dict(_fitted(path, FACTOR_GRAPH_FEATURES, measure, recalibrate)["seconds"])
-
-
-def _fitted(
-    path: Path, names: Sequence[str], measure: Callable[[], dict[str, Any]], recalibrate: bool
-) -> dict[str, Any]:
-    """Return seconds per unit of these names and the efficiency of threads, cached in a file."""
-    try:
-        given = {} if recalibrate else json.loads(path.read_text(encoding="ascii"))
-        numbers = [given["efficiency"], *given["seconds"].values()]
-        is_complete = set(given) == {"seconds", "efficiency"} and set(given["seconds"]) == {*names}
-        if is_complete and all(map(math.isfinite, numbers)):
-            return given
-    except (OSError, ValueError, TypeError, KeyError):
-        pass
-    found = measure()
-    with contextlib.suppress(OSError):
-        _write(path, found)
-    return found
+    Solves without a time are left out: no step was whole, or the clock is too coarse for it.
+    """
+    rows, times = [], []
+    for work, time in solves:
+        if not 0 < time < math.inf:
+            continue
+        counts = dict.fromkeys(features, 0.0)
+        for name, count in (one for units in work.values() for one in units.items()):
+            counts[name] += count
+        rows.append(list(counts.values()))
+        times.append(time)
+    matrix, measured = np.array(rows), np.array(times)
+    seconds = fit_rates(matrix, measured)
+    errors = matrix @ seconds / measured - 1
+    return Rates(
+        num_threads=num_threads,
+        seconds=dict(zip(features, seconds.tolist(), strict=True)),
+        misfit=math.sqrt(np.square(errors).mean()),
+    )
 
 
-def _measure(num_threads: int) -> Rates:
-    """Calibrate until the rates are plausible; return the least implausible of ATTEMPTS."""
-    attempts: list[Rates] = []
-    while len(attempts) < ATTEMPTS:
-        attempts.append(calibrate(num_threads))
-        if not implausible(attempts[-1]):
-            return attempts[-1]
-    return min(attempts, key=lambda rates: len(implausible(rates)))
+Floats = NDArray[np.float64]
 
 
-def cache_path(num_threads: int, kind: str = "rates", names: Sequence[str] = RATE_NAMES) -> Path:
-    """Return the path of the cached rates of a kind, which have these names."""
+def fit_rates(rows: Floats, times: Floats) -> Floats:
+    """Return the nonnegative times per feature with the least squares of the relative errors.
+
+    Cyclic coordinate descent: each time in turn takes its best value, at least 0, with all others
+    unchanged.
+    """
+    relative = rows / times[:, None]
+    scale = np.linalg.norm(relative, axis=0)
+    used = scale > 0
+    matrix = relative[:, used] / scale[used]
+    found = np.zeros(matrix.shape[1])
+    residual = np.ones(len(times))
+    for _ in range(20_000):
+        change = 0.0
+        for k in range(len(found)):
+            new = max(0.0, found[k] + float(matrix[:, k] @ residual))
+            residual -= (new - found[k]) * matrix[:, k]
+            change = max(change, abs(new - found[k]))
+            found[k] = new
+        if change < 1e-10:
+            break
+    result = np.zeros(rows.shape[1])
+    result[used] = found / scale[used]
+    return result
+
+
+def cache_path(table: str, num_threads: int) -> Path:
+    """Return the path of the cached rates of a table of work."""
     # Machines may share a home folder, and one processor may offer several instruction sets.
     machine = (
         _core.__version__,
@@ -124,10 +165,9 @@ def cache_path(num_threads: int, kind: str = "rates", names: Sequence[str] = RAT
         _blas(),
         os.environ.get("BUNDLE_INSTRUCTION_SET", ""),
         _core.hardware_threads(),
-        list(names),
     )
     digest = hashlib.sha256(repr(machine).encode()).hexdigest()[:12]
-    return cache_folder() / f"{kind}-{digest}-{num_threads}.json"
+    return cache_folder() / f"{table}-rates-{digest}-{num_threads}.json"
 
 
 def _processor() -> tuple[str, ...]:
@@ -156,289 +196,13 @@ def _blas() -> tuple[str, ...]:
     return (choice, *sorted(found))
 
 
-def _read(path: Path) -> Rates | None:
+def _read(path: Path, features: Sequence[str]) -> Rates | None:
     """Return the rates of a file; None if it is missing, incomplete or of another version."""
     try:
-        fields = json.loads(path.read_text(encoding="ascii"))
-        for name in ("dense", "dense_threaded", "sparse"):
-            fields[name] = FactorRate(**fields[name])
-        rates = Rates(**fields)
-        numbers = [
-            number
-            for value in dataclasses.asdict(rates).values()
-            for number in (value.values() if isinstance(value, dict) else (value,))
-        ]
-        sound = all(math.isfinite(number) and number >= 0 for number in numbers)
-    except (OSError, ValueError, TypeError, KeyError):
+        rates = Rates(**json.loads(path.read_text(encoding="ascii")))
+        numbers = [rates.num_threads, rates.misfit, rates.efficiency, *rates.seconds.values()]
+        is_whole = set(rates.seconds) == {*features}
+        is_sound = all(math.isfinite(number) and number >= 0 for number in numbers)
+    except (OSError, ValueError, TypeError, AttributeError):
         return None
-    return rates if sound and not implausible(rates) else None
-
-
-def _write(path: Path, rates: dict[str, Any]) -> None:
-    write_cached(path, json.dumps(rates, indent=2) + "\n")
-
-
-_FOCAL, _DEPTH, _NOISE = 500.0, 10.0, 0.5
-
-
-def make_scene(
-    num_images: int,
-    num_points: int,
-    track_length: int,
-    *,
-    scattered: bool = False,
-    shared_camera: bool = False,
-    seed: int = 0,
-) -> Problem:
-    """Return a synthetic scene: images along a line, points in front of them, 0.5 px of noise.
-
-    ``track_length``: number of images that observe a point: neighbours, or spread over all images
-    if ``scattered``. ``scattered``: True if each image shares points with most other images, in
-    random order. ``shared_camera``: True for one camera for all images, instead of one per image.
-    """
-    rng = np.random.default_rng(seed)
-    if scattered:
-        # Random steps around the ring of images: distinct while their sum is below its length.
-        steps = rng.integers(1, max(num_images // track_length, 2), (num_points, track_length))
-        images = (rng.integers(num_images, size=(num_points, 1)) + steps.cumsum(1)) % num_images
-    else:
-        # Draw from 1.5 times as many neighbours; the order of the points is random.
-        reach = min(track_length + track_length // 2, num_images)
-        chosen = rng.random((num_points, reach)).argsort(axis=1)[:, :track_length]
-        images = rng.integers(num_images - reach + 1, size=(num_points, 1)) + chosen
-    images = np.sort(images, axis=1)
-    position = np.zeros((num_images, 3))
-    position[:, 0] = np.linspace(0.0, 2.0, num_images) if scattered else np.arange(num_images)
-    points = np.empty((num_points, 3))
-    points[:, 0] = position[images, 0].mean(1) + rng.uniform(-1.0, 1.0, num_points)
-    points[:, 1] = rng.uniform(-2.0, 2.0, num_points)
-    points[:, 2] = rng.uniform(_DEPTH, 2.0 * _DEPTH, num_points)
-    image, point = images.ravel(), np.repeat(np.arange(num_points, dtype=np.int32), track_length)
-    seen = points[point] - position[image]
-    xy = _FOCAL * seen[:, :2] / seen[:, 2:] + rng.normal(0.0, _NOISE, (len(image), 2))
-    poses = np.zeros((num_images, 7))
-    poses[:, 3] = 1.0
-    poses[:, 4:] = -position
-    num_cameras = 1 if shared_camera else num_images
-    return Problem(
-        cam_from_world=poses,
-        image_ids=np.arange(num_images),
-        image_names=("",) * num_images,
-        image_camera=np.zeros(num_images, np.int32)
-        if shared_camera
-        else np.arange(num_images, dtype=np.int32),
-        camera_ids=np.arange(num_cameras),
-        camera_models=("RADIAL",) * num_cameras,
-        camera_params=np.tile([_FOCAL, 0.0, 0.0, 0.0, 0.0], (num_cameras, 1)),
-        camera_sizes=np.zeros((num_cameras, 2), int),
-        points=points,
-        point_ids=np.arange(num_points),
-        observation_image=image,
-        observation_point=point,
-        observation_xy=xy,
-        observation_keypoint=np.full(len(image), -1),
-    )
-
-
-STEPS = 3
-LEAST_REPEATS, MOST_REPEATS, ENOUGH_SECONDS = 2, 12, 0.06
-LEAST = 1e-12  # lower bound of a rate whose time vanishes in the noise
-
-
-class Timing(NamedTuple):
-    """Seconds of a step and of its linear solve, and conjugate gradient iterations per step."""
-
-    step: float
-    linear_solver: float
-    iterations: float
-
-
-def calibrate(num_threads: int) -> Rates:
-    """Measure the rates for solves on ``num_threads`` threads."""
-    try:
-        return _Calibration(num_threads).run()
-    except InputError as error:  # scenes and options are valid: memory is the cause
-        raise MemoryError(
-            "the solves that measure this machine's rates do not fit into the free memory"
-        ) from error
-
-
-class _Calibration:
-    """Scenes, their timings, and the equations for the rates."""
-
-    def __init__(self, num_threads: int) -> None:
-        self.num_threads = num_threads
-        self.tiny = make_scene(5, 60, 4)
-        self.short = make_scene(40, 2500, 4)
-        self.long = make_scene(40, 500, 20)
-        self.long_few = make_scene(30, 150, 15)
-        self.shared = make_scene(40, 500, 20, shared_camera=True)
-        self.banded = make_scene(300, 1800, 8)
-        self.scattered = make_scene(360, 5000, 6, scattered=True)
-
-    def run(self) -> Rates:
-        dense = self._factor_rate((50, 105))
-        threaded = self._factor_rate((115, 175)) if self.num_threads > 1 else dense
-        sparse = FactorRate(
-            flops_per_second=dense.flops_per_second,
-            seconds_per_entry=self._sparse_entry(dense),
-        )
-        return Rates(
-            num_threads=self.num_threads,
-            dense=dense,
-            dense_threaded=threaded,
-            sparse=sparse,
-            **self._fused(),
-            **self._ceres(dense, sparse),
-        )
-
-    def _time(self, problem: Problem, solver: str, backend: str = "fused") -> Timing:
-        """Return the shortest of several solves' median step times; other load only adds time."""
-        options = self._options(solver, backend)
-        timings: list[Timing] = []
-        begun = perf_counter()
-        while len(timings) < LEAST_REPEATS or (
-            len(timings) < MOST_REPEATS and perf_counter() - begun < ENOUGH_SECONDS
-        ):
-            output = _core.solve(problem, options.asdict(), None)
-            summary, iterations = output["summary"], output["iterations"]
-            timings.append(
-                Timing(
-                    statistics.median(iterations["iteration_time_in_seconds"][1:].tolist()),
-                    summary["linear_solver_time_in_seconds"] / summary["num_linear_solves"],
-                    statistics.fmean(iterations["linear_solver_iterations"][1:].tolist()),
-                )
-            )
-        return Timing(*map(min, zip(*timings, strict=True)))
-
-    def _options(self, solver: str, backend: str = "fused") -> SolveOptions:
-        return SolveOptions(
-            backend=backend,
-            linear_solver_type=solver,
-            num_threads=self.num_threads,
-            max_num_iterations=STEPS,
-            function_tolerance=0.0,
-            gradient_tolerance=0.0,
-            parameter_tolerance=0.0,
-            gauge="none",
-            cheirality="algebraic",
-        )
-
-    def _pattern(self, problem: Problem) -> ProblemPattern:
-        return find_pattern(problem, self._options("dense_schur"))
-
-    def _factor_rate(self, num_images: tuple[int, int]) -> FactorRate:
-        """Solve for flops and entries with two dense systems of 9 columns per image."""
-        counts, times = [], []
-        for images in num_images:
-            scene = make_scene(images, 4 * images, 4)
-            counts.append(count_dense(9 * images, 0, images))
-            times.append(self._time(scene, "dense_schur").linear_solver)
-        (small, large), (quick, slow) = counts, times
-        # The entries take between 0 and 100 % of the small system's time.
-        ratio = large.nnz / small.nnz
-        by_flops = slow - ratio * quick
-        flops = large.flops - ratio * small.flops
-        rate = max(flops / max(by_flops, LEAST), LEAST)
-        rate = min(rate, 1.5 * large.flops / slow)
-        rate = max(rate, large.flops / slow)
-        entry = max(quick - small.flops / rate, 0.0) / small.nnz
-        return FactorRate(flops_per_second=rate, seconds_per_entry=entry)
-
-    def _sparse_entry(self, dense: FactorRate) -> float:
-        pattern = self._pattern(self.banded).reduced
-        count = count_factor(pattern, _core.order_blocks(*pattern, "amd"))
-        taken = self._time(self.banded, "sparse_schur").linear_solver
-        return max(taken - count.flops / dense.flops_per_second, LEAST) / count.nnz
-
-    def _fused(self) -> dict[str, float]:
-        def passes(problem: Problem) -> float:
-            timing = self._time(problem, "dense_schur")
-            return timing.step - timing.linear_solver
-
-        step = passes(self.tiny)
-        observation, pair = self._observation_and_pair(
-            passes(self.short) - step,
-            passes(self.long) - step,
-            lambda pattern: pattern.plan.num_pairs,
-        )
-        pattern = self._pattern(self.scattered)
-        timing = self._time(self.scattered, "iterative_schur")
-        plan = pattern.plan
-        known = step + observation * plan.num_observations + pair * plan.num_pairs
-        scattered = timing.step - timing.linear_solver - known
-        # Every tenth iteration recomputes the residual.
-        products = max(1.1 * timing.iterations, 1.0)
-        return {
-            "fused_step": step,
-            "fused_observation": observation,
-            "fused_pair": pair,
-            "fused_scattered_pair": max(scattered, 0.0) / plan.num_chunk_pairs,
-            "reduced_bytes_per_second": (
-                8 * pattern.num_reduced_values * products / timing.linear_solver
-            ),
-        }
-
-    def _ceres(self, dense: FactorRate, sparse: FactorRate) -> dict[str, float]:
-        def elimination(problem: Problem, timing: Timing) -> float:
-            count = count_dense(self._pattern(problem).num_camera_columns, 0, 0)
-            return timing.linear_solver - dense.seconds(count.flops, count.nnz)
-
-        tiny = self._time(self.tiny, "dense_schur", "ceres")
-        short = self._time(self.short, "dense_schur", "ceres")
-        observations = self._pattern(self.short).num_observations
-        evaluation = (short.step - short.linear_solver - tiny.step) / observations
-        quick = elimination(self.short, short)
-        long = self._time(self.long, "dense_schur", "ceres")
-        eliminated, pair = self._observation_and_pair(
-            quick, elimination(self.long, long), lambda pattern: pattern.block_pairs
-        )
-        implicit = self._time(self.short, "iterative_schur", "ceres")
-        products = observations * max(implicit.iterations, 1.0)
-        return {
-            "ceres_step": tiny.step,
-            "ceres_evaluation": max(evaluation, LEAST),
-            "ceres_elimination": eliminated,
-            "ceres_pair": pair,
-            "ceres_dynamic_pair": max(self._dynamic_pair(elimination, eliminated), pair),
-            "ceres_reduced_value": self._reduced_value(sparse, eliminated, pair),
-            "ceres_product": max(implicit.linear_solver - quick, LEAST) / products,
-            "ceres_normal_entry": self._normal_entry(tiny.step, max(evaluation, LEAST)),
-        }
-
-    def _dynamic_pair(
-        self, elimination: Callable[[Problem, Timing], float], eliminated: float
-    ) -> float:
-        pattern = self._pattern(self.shared)
-        timing = self._time(self.shared, "dense_schur", "ceres")
-        seconds = elimination(self.shared, timing) - eliminated * pattern.num_observations
-        return seconds / pattern.block_pairs
-
-    def _normal_entry(self, step: float, evaluation: float) -> float:
-        """Return seconds per normal equation entry; on these long tracks CHOLMOD is supernodal."""
-        pattern = self._pattern(self.long_few)
-        seconds = self._time(self.long_few, "sparse_normal_cholesky", "ceres").step
-        seconds -= step + evaluation * pattern.num_observations
-        return max(seconds, LEAST) / pattern.pair_entries
-
-    def _reduced_value(self, sparse: FactorRate, eliminated: float, pair: float) -> float:
-        pattern = self._pattern(self.banded)
-        count = count_factor(pattern.reduced, _core.order_blocks(*pattern.reduced, "amd"))
-        known = eliminated * pattern.num_observations + pair * pattern.block_pairs
-        known += sparse.seconds(count.flops, count.nnz)
-        timing = self._time(self.banded, "sparse_schur", "ceres")
-        return max(timing.linear_solver - known, 0.0) / pattern.num_reduced_values
-
-    def _observation_and_pair(
-        self, quick: float, slow: float, pairs: Callable[[ProblemPattern], int]
-    ) -> tuple[float, float]:
-        """Solve for seconds per observation and per pair.
-
-        Both scenes have equally many observations: in short tracks (quick) and in long ones (slow).
-        """
-        short, long = self._pattern(self.short), self._pattern(self.long)
-        pair = max((slow - quick) / (pairs(long) - pairs(short)), 0.0)
-        # Noise must not reduce the observations' share to zero.
-        pair = min(pair, 0.8 * max(quick, LEAST) / pairs(short))
-        observation = (quick - pair * pairs(short)) / short.num_observations
-        return max(observation, LEAST), pair
+    return rates if is_whole and is_sound and rates.misfit <= LARGEST_MISFIT else None

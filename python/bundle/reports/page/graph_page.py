@@ -18,7 +18,7 @@ from bundle.figures.matplotlib.matrix_pattern import MatrixPattern
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.planning.inspection.elimination_costs import ORDERINGS, FactorGraphInspection
 from bundle.planning.inspection.graph_inspection import inspect_graph
-from bundle.planning.inspection.graph_rates import free_pattern
+from bundle.planning.inspection.pose_graph_time import free_pattern
 from bundle.reports.page.elimination_player import (
     MOST_VARIABLES,
     elimination_data,

@@ -32,13 +32,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 import bundle._core as _core
-from bundle.base.records import dataclass
 from bundle.graphs.pose_graphs.lie_groups import compose, inverse
 from bundle.graphs.pose_graphs.solve_pose_graph import solve_pose_graph
 from bundle.model.pose_graph_arrays import PoseGraph
+from bundle.planning.inspection.machine_rates import Rates, Work, cached_rates, fitted
 from bundle.planning.inspection.peak_memory import Terms
 from bundle.planning.inspection.problem_pattern import BlockPattern, pattern_of_edges
-from bundle.planning.inspection.rates import fit_rates
 
 NEAR_CACHE, FAR_CACHE = 1e6, 24e6
 """Bytes from which data leave the second-level cache, and the share of a third-level cache of 32 MB
@@ -57,16 +56,6 @@ FEATURES = (
     *("step", "edge_3", "edge_6", "pose_3", "pose_6", "update", "row_block"),
     *("update_flop", "factor_flop", "value", "near_byte", "far_byte", "near_value", "far_value"),
 )
-
-SHOWN = {
-    "edges": ("edge_3", "edge_6", "near_byte", "far_byte"),
-    "poses": ("pose_3", "pose_6"),
-    "updates of panels": ("update", "row_block"),
-    "flops": ("update_flop", "factor_flop"),
-    "values of the factor": ("value", "near_value", "far_value"),
-    "other": ("step",),
-}
-"""Terms of a time, with the features that they add up."""
 
 PARALLEL = {
     "edges": (1.0, False),
@@ -110,23 +99,6 @@ CASES = (
 )
 """Graphs and orders of the calibration: kind, poses, tangent size, order."""
 
-Floats = NDArray[np.float64]
-
-
-@dataclass(frozen=True, kw_only=True)
-class GraphRates:
-    """Seconds per feature on this machine.
-
-    Attributes:
-        num_threads: threads of the timed solves.
-        seconds: seconds per unit, by the names of ``FEATURES``.
-        efficiency: share of the time saved by ideal threads that those of the machine save.
-    """
-
-    num_threads: int
-    seconds: Mapping[str, float]
-    efficiency: float = 1.0
-
 
 def free_pattern(graph: PoseGraph) -> BlockPattern:
     """Return the pattern of the normal equations over the free poses."""
@@ -137,37 +109,35 @@ def free_pattern(graph: PoseGraph) -> BlockPattern:
     return pattern_of_edges(sizes, number[pairs[~held[pairs].any(axis=1)]])
 
 
-def step_terms(rates: GraphRates, graph: PoseGraph, work: Mapping[str, float]) -> Terms:
+def pose_graph_rates(num_threads: int, *, recalibrate: bool = False) -> Rates:
+    """Return the rates of pose graphs on ``num_threads`` threads; measure them unless cached."""
+    return cached_rates("pose-graph", FEATURES, num_threads, calibrate, recalibrate=recalibrate)
+
+
+def step_terms(rates: Rates, graph: PoseGraph, work: Mapping[str, float]) -> Terms:
     """Return the predicted time of a step, by its parts."""
-    counts = dict(zip(FEATURES, _features(graph, work).tolist(), strict=True))
     size = graph.num_edges * graph.tangent_size**2
     threads = min(rates.num_threads, max(1, size // EDGES_OF_A_THREAD))
-    saved = {
-        name: parallel * (1 - (work["busiest_share"] if of_factor else 1 / threads))
-        for name, (parallel, of_factor) in PARALLEL.items()
-    }
-    return {
-        name: sum(rates.seconds[feature] * counts[feature] for feature in features)
-        * (1 - (rates.efficiency * saved.get(name, 0.0) if threads > 1 else 0.0))
-        for name, features in SHOWN.items()
-    }
+    terms = rates.terms(step_work(graph, work))
+    if threads == 1:
+        return terms
+    for name, (parallel, of_factor) in PARALLEL.items():
+        saved = parallel * (1 - (work["busiest_share"] if of_factor else 1 / threads))
+        terms[name] *= 1 - rates.efficiency * saved
+    return terms
 
 
-def calibrate_graphs(num_threads: int) -> GraphRates:
+def calibrate(num_threads: int) -> Rates:
     """Measure the rates by solves of small graphs, about two seconds in total."""
-    rows, times = [], []
+    solves = []
     for k, (kind, count, size, ordering) in enumerate(CASES):
         graph = made_graph(kind, count, size, seed=k)
-        time = step_time(graph, ordering, 1)
-        if np.isfinite(time):
-            rows.append(_features(graph, _work(graph, ordering)))
-            times.append(time)
-    seconds = dict(zip(FEATURES, fit_rates(np.array(rows), np.array(times)).tolist(), strict=True))
-    rates = GraphRates(num_threads=num_threads, seconds=seconds)
+        solves.append((step_work(graph, _work(graph, ordering)), step_time(graph, ordering, 1)))
+    rates = fitted(FEATURES, num_threads, solves)
     return rates if num_threads == 1 else _with_efficiency(rates)
 
 
-def _with_efficiency(rates: GraphRates) -> GraphRates:
+def _with_efficiency(rates: Rates) -> Rates:
     """Measure how much of the time saved by ideal threads those of the machine save."""
     found = []
     for kind, poses, ordering in (("near", 5000, "amd"), ("loops", 3000, "metis")):
@@ -249,8 +219,8 @@ def _work(graph: PoseGraph, ordering: str, num_threads: int = 1) -> dict[str, fl
     return panel_work(pattern, _core.order_blocks(*pattern, ordering), num_threads)
 
 
-def _features(graph: PoseGraph, work: Mapping[str, float]) -> Floats:
-    """Return the counts of a step in the order of ``FEATURES``."""
+def step_work(graph: PoseGraph, work: Mapping[str, float]) -> Work:
+    """Return the work of a step; ``work``: that of its factor, from :func:`panel_work`."""
     d, edges, poses = graph.tangent_size, graph.num_edges, graph.num_poses
     of_graph = EDGE_BYTES[d] * edges + POSE_BYTES[d] * poses
     total = of_graph + 8 * work["stored"]
@@ -259,21 +229,19 @@ def _features(graph: PoseGraph, work: Mapping[str, float]) -> Floats:
         """Return the share of the data that a cache does not hold, from 0 to 1."""
         return float(np.clip((total - cache) / cache, 0, 1))
 
-    values = {
-        "step": 1.0,
-        f"edge_{d}": edges,
-        f"pose_{d}": poses,
-        "update": work["updates"],
-        "row_block": work["row_blocks"],
-        "update_flop": work["update_flops"],
-        "factor_flop": work["factor_flops"],
-        "near_byte": of_graph * beyond(NEAR_CACHE),
-        "far_byte": of_graph * beyond(FAR_CACHE),
-        "value": work["stored"],
-        "near_value": PASSES * work["stored"] * beyond(NEAR_CACHE) + work["near_misses"],
-        "far_value": PASSES * work["stored"] * beyond(FAR_CACHE) + work["far_misses"],
+    near, far = beyond(NEAR_CACHE), beyond(FAR_CACHE)
+    return {
+        "edges": {f"edge_{d}": edges, "near_byte": of_graph * near, "far_byte": of_graph * far},
+        "poses": {f"pose_{d}": poses},
+        "updates of panels": {"update": work["updates"], "row_block": work["row_blocks"]},
+        "flops": {"update_flop": work["update_flops"], "factor_flop": work["factor_flops"]},
+        "values of the factor": {
+            "value": work["stored"],
+            "near_value": PASSES * work["stored"] * near + work["near_misses"],
+            "far_value": PASSES * work["stored"] * far + work["far_misses"],
+        },
+        "other": {"step": 1.0},
     }
-    return np.array([float(values.get(name, 0.0)) for name in FEATURES])
 
 
 def step_time(graph: PoseGraph, ordering: str, num_threads: int) -> float:

@@ -1,6 +1,5 @@
 """Predicted steps of pose graphs: the counts of panels, the cache, measured steps."""
 
-import json
 from types import SimpleNamespace
 
 import numpy as np
@@ -8,7 +7,8 @@ import pytest
 
 import bundle
 from bundle import _core
-from bundle.planning.inspection import elimination_costs, graph_rates, machine_rates
+from bundle.planning.inspection import elimination_costs, pose_graph_time
+from bundle.planning.inspection.machine_rates import Rates
 from bundle.planning.inspection.problem_pattern import pattern_of_edges
 
 
@@ -116,22 +116,26 @@ def test_threads_divide_a_wide_panel_by_slices_of_48_columns():
         assert work["busiest_share"] == pytest.approx(expected)
 
 
+def total(work):
+    return sum(sum(units.values()) for units in work.values())
+
+
 def test_terms_add_up_and_threads_divide_large_graphs_only():
-    seconds = dict.fromkeys(graph_rates.FEATURES, 1e-09)
-    small = graph_rates.made_graph("near", 200, 3, seed=0)
-    large = graph_rates.made_graph("near", 9000, 6, seed=0)
+    seconds = dict.fromkeys(pose_graph_time.FEATURES, 1e-09)
+    small = pose_graph_time.made_graph("near", 200, 3, seed=0)
+    large = pose_graph_time.made_graph("near", 9000, 6, seed=0)
     for graph, is_divided in ((small, False), (large, True)):
         one, two, half = (
-            graph_rates.step_terms(
-                graph_rates.GraphRates(num_threads=n, seconds=seconds, efficiency=efficiency),
+            pose_graph_time.step_terms(
+                Rates(num_threads=n, seconds=seconds, efficiency=efficiency),
                 graph,
-                graph_rates._work(graph, "amd", n),
+                pose_graph_time._work(graph, "amd", n),
             )
             for n, efficiency in ((1, 1.0), (2, 1.0), (2, 0.5))
         )
-        work = graph_rates._work(graph, "amd", 2)
+        work = pose_graph_time._work(graph, "amd", 2)
         np.testing.assert_allclose(
-            sum(one.values()), 1e-9 * graph_rates._features(graph, work).sum(), rtol=1e-12
+            sum(one.values()), 1e-9 * total(pose_graph_time.step_work(graph, work)), rtol=1e-12
         )
         assert one["other"] == two["other"] == 1e-9
         left = {name: two[name] / one[name] for name in one}
@@ -155,15 +159,15 @@ def test_terms_add_up_and_threads_divide_large_graphs_only():
 
 
 def test_edges_are_divided_by_the_threads_that_they_are_worth():
-    seconds = dict.fromkeys(graph_rates.FEATURES, 1e-09)
-    graph = graph_rates.made_graph("near", 4000, 6, seed=0)
-    worth = graph.num_edges * 36 // graph_rates.EDGES_OF_A_THREAD
+    seconds = dict.fromkeys(pose_graph_time.FEATURES, 1e-09)
+    graph = pose_graph_time.made_graph("near", 4000, 6, seed=0)
+    worth = graph.num_edges * 36 // pose_graph_time.EDGES_OF_A_THREAD
     assert worth == 2
     one, eight = (
-        graph_rates.step_terms(
-            graph_rates.GraphRates(num_threads=n, seconds=seconds),
+        pose_graph_time.step_terms(
+            Rates(num_threads=n, seconds=seconds),
             graph,
-            graph_rates._work(graph, "amd", n),
+            pose_graph_time._work(graph, "amd", n),
         )
         for n in (1, 8)
     )
@@ -171,8 +175,8 @@ def test_edges_are_divided_by_the_threads_that_they_are_worth():
 
 
 def test_the_efficiency_is_the_measured_part_of_the_ideal_saving(monkeypatch):
-    seconds = dict.fromkeys(graph_rates.FEATURES, 1e-09)
-    rates = graph_rates.GraphRates(num_threads=2, seconds=seconds)
+    seconds = dict.fromkeys(pose_graph_time.FEATURES, 1e-09)
+    rates = Rates(num_threads=2, seconds=seconds)
 
     def found(share):
         calls = []
@@ -180,10 +184,10 @@ def test_the_efficiency_is_the_measured_part_of_the_ideal_saving(monkeypatch):
         def measured(graph, ordering, threads):
             one, ideal = (
                 sum(
-                    graph_rates.step_terms(
-                        graph_rates.GraphRates(num_threads=n, seconds=seconds),
+                    pose_graph_time.step_terms(
+                        Rates(num_threads=n, seconds=seconds),
                         graph,
-                        graph_rates._work(graph, ordering, n),
+                        pose_graph_time._work(graph, ordering, n),
                     ).values()
                 )
                 for n in (1, 2)
@@ -192,8 +196,8 @@ def test_the_efficiency_is_the_measured_part_of_the_ideal_saving(monkeypatch):
             disturbed = 1.5 if len(calls) % 6 == 3 else 1.0  # other load lengthens some steps
             return disturbed * (one if threads == 1 else one - share * (one - ideal))
 
-        monkeypatch.setattr(graph_rates, "step_time", measured)
-        return graph_rates._with_efficiency(rates).efficiency
+        monkeypatch.setattr(pose_graph_time, "step_time", measured)
+        return pose_graph_time._with_efficiency(rates).efficiency
 
     assert found(0.7) == pytest.approx(0.7)
     assert (found(1.5), found(-0.3), found(np.nan)) == (1.0, 0.0, 0.0)
@@ -202,37 +206,18 @@ def test_the_efficiency_is_the_measured_part_of_the_ideal_saving(monkeypatch):
 @pytest.mark.parametrize("kind", ["chain", "grid", "near", "loops", "hubs"])
 @pytest.mark.parametrize("size", [3, 6])
 def test_a_calibration_graph_takes_a_step(kind, size):
-    graph = graph_rates.made_graph(kind, 120, size, seed=1)
-    assert graph.tangent_size == size and np.isfinite(graph_rates.step_time(graph, "amd", 1))
-
-
-def test_rates_are_cached_and_broken_files_are_measured_again(tmp_path, monkeypatch):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    calls = []
-    rates = graph_rates.GraphRates(
-        num_threads=1, seconds=dict.fromkeys(graph_rates.FEATURES, 1e-09)
-    )
-    monkeypatch.setattr(
-        machine_rates, "calibrate_graphs", lambda count: calls.append(count) or rates
-    )
-    assert machine_rates.graph_rates(1) == machine_rates.graph_rates(1) == rates
-    assert calls == [1]
-    (path,) = (tmp_path / "bundle").glob("graph-rates-*.json")
-    for broken in ("{", "{}", json.dumps({"seconds": {"step": 1.0}, "efficiency": 1.0})):
-        path.write_text(broken)
-        assert machine_rates.graph_rates(1) == rates
-    machine_rates.graph_rates(1, recalibrate=True)
-    assert calls == [1] * 5
+    graph = pose_graph_time.made_graph(kind, 120, size, seed=1)
+    assert graph.tangent_size == size and np.isfinite(pose_graph_time.step_time(graph, "amd", 1))
 
 
 def test_a_prediction_has_the_size_of_a_measured_step(monkeypatch):
-    monkeypatch.setattr(elimination_costs, "graph_rates", machine_rates.graph_rates)
-    graph = graph_rates.made_graph("near", 3000, 6, seed=5)
+    monkeypatch.setattr(elimination_costs, "pose_graph_rates", pose_graph_time.pose_graph_rates)
+    graph = pose_graph_time.made_graph("near", 3000, 6, seed=5)
     found = bundle.inspect(graph, num_threads=1)
     for cost in found.costs:
         if cost.is_taken:
             assert sum(cost.time_terms.values()) == cost.time_per_step_in_seconds
-            measured = min(graph_rates.step_time(graph, cost.ordering, 1) for _ in range(3))
+            measured = min(pose_graph_time.step_time(graph, cost.ordering, 1) for _ in range(3))
             # a loaded machine; benchmarks/graph_predictions.py measures how close they are
             assert 0.1 < cost.time_per_step_in_seconds / measured < 10
     by_order = {cost.ordering: cost.time_per_step_in_seconds for cost in found.costs}
@@ -246,8 +231,8 @@ def test_a_step_is_timed_if_it_linearises_once(monkeypatch):
         "iteration_time_in_seconds": [9.0, 5.0, 1.0, 4.0, 0.5, 6.0],
     }
     solved = SimpleNamespace(iterations=iterations)
-    monkeypatch.setattr(graph_rates, "solve_pose_graph", lambda *_, **__: solved)
-    monkeypatch.setattr(graph_rates, "LONG_ENOUGH", 0.01)
-    monkeypatch.setattr(graph_rates, "ENOUGH_SECONDS", 0.01)
-    graph = graph_rates.made_graph("chain", 20, 3, seed=1)
-    assert graph_rates.step_time(graph, "amd", 2) == 4.0
+    monkeypatch.setattr(pose_graph_time, "solve_pose_graph", lambda *_, **__: solved)
+    monkeypatch.setattr(pose_graph_time, "LONG_ENOUGH", 0.01)
+    monkeypatch.setattr(pose_graph_time, "ENOUGH_SECONDS", 0.01)
+    graph = pose_graph_time.made_graph("chain", 20, 3, seed=1)
+    assert pose_graph_time.step_time(graph, "amd", 2) == 4.0
