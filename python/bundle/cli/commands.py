@@ -420,7 +420,7 @@ COMMANDS: dict[str, Command] = {
         ),
         ways={
             Kind.RECONSTRUCTION: Way(
-                call="analysis.uncertainty.influence:influence_of",
+                call="analysis.uncertainty.influence:influence",
                 stage="differentiating",
                 options="SolveOptions",
                 names="interface.options:INFORMATION",

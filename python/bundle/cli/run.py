@@ -221,14 +221,14 @@ class Run:
         for word in way.gives.split():
             name, _, attribute = word.partition("=")
             keywords[name] = getattr(self, attribute or name)
+        keywords["options"] = self.options
         keywords = {name: value for name, value in keywords.items() if value is not None}
         inputs = list(self.source) if way.reads else [self.input]
         if way.stage:
             paths = f" {' with '.join(map(shown, self.source))}" if way.reads else ""
             self.progress.stage(f"{way.stage}{paths}")
-        options = [] if self.options is None else [self.options]
         with self.naming():
-            self.found = resolve(way.call)(*inputs, *options, **keywords)
+            self.found = resolve(way.call)(*inputs, **keywords)
 
     @contextmanager
     def naming(self) -> Iterator[None]:

@@ -281,6 +281,33 @@ def refuse_rounding(problem: Problem, out: dict[str, Any]) -> None:
             )
 
 
+def request_at(
+    problem: Any,
+    options: Any,
+    changes: dict[str, Any],
+    function: str,
+    gauge: str = "none",
+    *,
+    constraints: Constraints | Iterable[str | Rule],
+    **given: Any,
+) -> SolveRequest:
+    """Return the request whose normal equations an analysis of a problem or a result takes.
+
+    ``given``: factors, priors, align and bounds, as in :func:`bundle.solve`; ``function``: name in
+    messages about ``changes``.
+    """
+    if isinstance(problem, Result):
+        check_same_factors(problem, given["factors"], given["priors"], constraints)
+        options = problem.options if options is None else options
+        problem = problem.problem
+    return SolveRequest(
+        problem=as_problem(problem),
+        options=SolveOptions.of(options, changes, function).replace(gauge=gauge),
+        constraints=constraints if not isinstance(constraints, Iterable) else tuple(constraints),
+        **given,
+    )
+
+
 def check_same_factors(result: Result, *given: Iterable[Any]) -> None:
     """Refuse a result without the factors of its solve: it is a minimum with them only."""
     count = len(result.factor_costs_after)
@@ -453,24 +480,20 @@ def covariance(
 
         refuse_for_graphs(of=of)
         return graph_covariance(problem, options, **given, **changes)  # type: ignore[arg-type]
-    if isinstance(problem, Result):
-        check_same_factors(problem, factors, priors, constraints)
-        options = problem.options if options is None else options
-        problem = problem.problem
-    problem = as_problem(problem)  # type: ignore[arg-type]
-    options = SolveOptions.of(options, changes, "covariance")
     gauge = one_of("gauge", "inner" if gauge is None else gauge, GAUGES)
-    request = SolveRequest(
-        problem=problem,
-        options=options.replace(gauge="none" if gauge == "inner" else gauge),
-        factors=factors,
-        priors=priors,
-        align=None,
-        bounds=bounds,
-        constraints=constraints if not isinstance(constraints, Iterable) else tuple(constraints),
-    )
     recipe = Recipe(
-        request=request if not request.priors else replace(request, align=False),
+        request=request_at(
+            problem,
+            options,
+            changes,
+            "covariance",
+            "none" if gauge == "inner" else gauge,
+            factors=factors,
+            priors=priors,
+            align=False,
+            bounds=bounds,
+            constraints=constraints,
+        ),
         of=parts_of("of", of),  # type: ignore[arg-type]
         gauge=gauge,
         scale=one_of("scale", scale, SCALES),

@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 import bundle._core as _core
-from bundle.analysis.uncertainty.covariance_by_input import refuse_huge
+from bundle.analysis.uncertainty.covariance_by_input import refuse_huge, request_at
 from bundle.analysis.uncertainty.quantity import Quantity, lacking, quantity_of
-from bundle.analysis.uncertainty.reliability import directions_of, notes_of, prepared_at
+from bundle.analysis.uncertainty.reliability import directions_of, notes_of
 from bundle.analysis.uncertainty.reliability_result import NOT_CHECKABLE
 from bundle.base.arrays import FrozenArrays, filled, freeze
 from bundle.base.display import Display, Displayed
@@ -32,7 +32,7 @@ from bundle.interface.option_class import takes_options
 from bundle.interface.options import SolveOptions
 from bundle.interface.tabular import Tabular
 from bundle.io.files import Source
-from bundle.solving.prepare import Prepared
+from bundle.solving.prepare import Prepared, prepare
 from bundle.solving.result import Result
 
 if TYPE_CHECKING:
@@ -196,39 +196,12 @@ def influence(
         >>> found = bundle.influence("sparse/0", "distance 12 87 / baseline 1 8")
         >>> found.sigma, found.hangs_on
     """
-    return influence_of(
-        problem,
-        options,
-        on=on,
-        without=without,
-        factors=factors,
-        priors=priors,
-        align=align,
-        bounds=bounds,
-        constraints=constraints,
-        **changes,
-    )
-
-
-def influence_of(
-    problem: Source | Result,
-    options: SolveOptions | None = None,
-    *,
-    on: str,
-    without: str = WITHOUT[0],
-    factors: Iterable[Factor] = (),
-    priors: Iterable[Prior] = (),
-    constraints: Constraints | Iterable[str | Rule] = (),
-    align: bool | None = None,
-    bounds: Mapping[tuple[str, int], tuple[ArrayLike, ArrayLike]] | None = None,
-    **changes: Any,
-) -> Influence:
-    """Find what a quantity hangs on; see :func:`influence`."""
     without = one_of("without", without, WITHOUT)
-    prepared = prepared_at(
+    request = request_at(
         problem, options, changes, "influence", factors=factors, priors=priors, align=align,
         bounds=bounds, constraints=constraints,
     )  # fmt: skip
+    prepared = prepare(request)
     if not prepared.request.problem.num_observations:
         raise InputError("problem: expected observations, found 0")
     refuse_huge(prepared.start)

@@ -29,11 +29,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 import bundle._core as _core
-from bundle.analysis.uncertainty.covariance_by_input import (
-    AT_MINIMUM,
-    check_same_factors,
-    refuse_huge,
-)
+from bundle.analysis.uncertainty.covariance_by_input import AT_MINIMUM, refuse_huge, request_at
 from bundle.analysis.uncertainty.reliability_result import (
     CONTROL_POINT,
     DOWNWEIGHTED,
@@ -53,10 +49,9 @@ from bundle.interface.analysis_options import DELTA0, SCALES, one_of
 from bundle.interface.finding import Finding
 from bundle.interface.option_class import takes_options
 from bundle.interface.options import SolveOptions
-from bundle.io.files import Source, as_problem
+from bundle.io.files import Source
 from bundle.model.problem import Problem
 from bundle.solving.prepare import Prepared, prepare
-from bundle.solving.request import SolveRequest
 from bundle.solving.result import Result
 
 if TYPE_CHECKING:
@@ -112,40 +107,11 @@ def reliability(
         >>> found = bundle.reliability("sparse/0")
         >>> found.images[0].share, found.worst[0].minimal_detectable_error
     """
-    prepared = prepared_at(
+    request = request_at(
         problem, options, changes, "reliability", factors=factors, priors=priors, align=align,
         bounds=bounds, constraints=constraints,
     )  # fmt: skip
-    return reliability_of(prepared, delta0, scale)
-
-
-def prepared_at(
-    problem: Source | Result,
-    options: SolveOptions | None,
-    changes: dict[str, Any],
-    function: str,
-    *,
-    constraints: Constraints | Iterable[str | Rule],
-    **given: Any,
-) -> Prepared:
-    """Prepare the normal equations at a problem or a result, for numbers that need no gauge.
-
-    ``given``: factors, priors, align and bounds, as in :func:`bundle.solve`; ``function``: name in
-    messages about ``changes``.
-    """
-    if isinstance(problem, Result):
-        check_same_factors(problem, given["factors"], given["priors"], constraints)
-        options = problem.options if options is None else options
-        problem = problem.problem
-    problem = as_problem(problem)
-    options = SolveOptions.of(options, changes, function)
-    request = SolveRequest(
-        problem=problem,
-        options=options.replace(gauge="none"),
-        constraints=constraints if not isinstance(constraints, Iterable) else tuple(constraints),
-        **given,
-    )
-    return prepare(request)
+    return reliability_of(prepare(request), delta0, scale)
 
 
 def reliability_of(prepared: Prepared, delta0: float = DELTA0, scale: str = "unit") -> Reliability:
