@@ -12,6 +12,7 @@ import pytest
 
 import bundle
 from bundle.solving import refine_tracks as chapter
+from bundle.solving.rounds import solve_rounds
 from tests.track_scenes import DAMAGES, damaged, synthesize
 
 
@@ -191,10 +192,12 @@ def test_the_second_run_has_as_many_rounds_as_the_first(scene):
     limits = chapter.RoundOptions(num_rounds=4, max_error=10.0)
     for are_counted, count in ((True, 2), (False, 4)):
         request = chapter.SolveRequest(problem=truth)
-        rounds = chapter._Rounds(
-            request, limits, matches, None, lambda _: None, are_counted=are_counted
+        seen: list[bundle.Problem] = []
+        tracks = chapter._Tracks(
+            request, limits, matches, lambda _: None, seen.append, are_counted=are_counted
         )
-        assert len(list(rounds)) == len(rounds.tracks) == count
+        result = tracks.run(truth)
+        assert len(seen) == len(result.tracks) == len(result.rounds) == count
 
 
 def test_predictions_are_at_the_point_of_most_observations(scene):
@@ -315,7 +318,7 @@ def test_interrupts_of_the_second_run_leave_the_first(scene, monkeypatch):
 
 def test_an_unusable_adjustment_ends_the_rounds(scene, monkeypatch):
     truth, database = scene
-    solve, count = chapter.solve_prepared, [0]
+    solve, count = solve_rounds.solve_prepared, [0]
 
     def unusable(*args: Any) -> bundle.Result:
         import dataclasses
@@ -325,7 +328,7 @@ def test_an_unusable_adjustment_ends_the_rounds(scene, monkeypatch):
         summary = dataclasses.replace(result.summary, is_solution_usable=count[0] < 2)
         return dataclasses.replace(result, summary=summary)
 
-    monkeypatch.setattr(chapter, "solve_prepared", unusable)
+    monkeypatch.setattr(solve_rounds, "solve_prepared", unusable)
     result = bundle.refine_tracks(damaged(truth, "observations"), database)
     assert not result.summary.is_solution_usable
     assert count == [2]

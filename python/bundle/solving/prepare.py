@@ -116,7 +116,7 @@ class Prepared:
             factor_costs_before=output["factor_costs_before"],
             factor_costs_after=output["factor_costs_after"],
             active_bounds=() if limits is None else limits.active(refined),
-            constraints=_rule_ends(self.applied, before, refined),
+            constraints=rule_ends(self.applied, before, refined),
             **record_fields(output),
         )
 
@@ -127,7 +127,7 @@ class Prepared:
             state: state of the run before this result; None: nothing was filtered.
         """
         last, given, placed = result.problem, self.request.problem, self.placed
-        ends = _rule_ends(self.applied, placed.problem, last)
+        ends = rule_ends(self.applied, placed.problem, last)
         if self.part is not None:
             record = self.part.record
             if self.rest is not None:
@@ -154,13 +154,13 @@ class Prepared:
             constraints=ends,
             similarity=placed.similarity,
             control_points=placed.control_points(refined),
-            edits=self._edits(),
+            edits=self.edits(),
             observation_mask=None if mask is None or mask.all() else mask,
             factors=self.request.factors,
             priors=self.request.priors,
         )
 
-    def _edits(self) -> tuple[Edit, ...]:
+    def edits(self) -> tuple[Edit, ...]:
         """Return the changes of the entire problem before the solve."""
         last, edits, placed = self.request.problem, [], self.placed
         if placed.similarity is not None:
@@ -293,12 +293,13 @@ def _without_tracks(problem: Problem, options: SolveOptions) -> str:
     )
 
 
-def _rule_ends(applied: Applied | None, before: Problem, after: Problem) -> tuple[RuleEnd, ...]:
+def rule_ends(applied: Applied | None, before: Problem, after: Problem) -> tuple[RuleEnd, ...]:
+    """Return the outcome of each rule; see :func:`bundle.solving.constraints.ends.rule_ends`."""
     if applied is None or not applied.rules:
         return ()
-    from bundle.solving.constraints.ends import rule_ends
+    from bundle.solving.constraints import ends
 
-    return rule_ends(applied, before, after)
+    return ends.rule_ends(applied, before, after)
 
 
 def _as_asked(used: SolveOptions, asked: SolveOptions) -> SolveOptions:

@@ -23,8 +23,9 @@ observations; the first is a solve of the input.
 from __future__ import annotations
 
 import dataclasses
+import math
 import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -52,13 +53,13 @@ from bundle.model.estimates import estimates, with_estimates
 from bundle.model.problem_keys import touched_ids
 from bundle.model.reprojection import HeldOut, errors_or_nan, summarize_clipped
 from bundle.model.rolling_shutter import refuse
-from bundle.solving.executors import finished, solve_prepared
+from bundle.solving.executors import finished
 from bundle.solving.hold_out import choose, triangulated
-from bundle.solving.prepare import Prepared, prepare
+from bundle.solving.prepare import Prepared, prepare, rule_ends
 from bundle.solving.request import Bounds, SolveRequest
 from bundle.solving.result import Result
-from bundle.solving.rounds.plan import Filtered, RunPlan, filter_observations
-from bundle.solving.rounds.solve_rounds import SMALLEST_CHANGE, check_left, round_of
+from bundle.solving.rounds.plan import RunPlan, State
+from bundle.solving.rounds.solve_rounds import run_rounds
 
 if TYPE_CHECKING:
     from typing import Unpack
@@ -196,10 +197,8 @@ def run(
     matches = database_matches(path, given.image_names)
     request = request.at(on_keypoints(given, matches.keypoints, shown(path)))
     held = _held_out(request.problem, plan.held_out, is_share_given)
-    rounds = _Rounds(request, plan.rounds, matches, progress, tell)
-    for _ in rounds:
-        pass
-    result = rounds.result(given)
+    tracks = _Tracks(request, plan.rounds, matches, tell)
+    result = tracks.run(given, progress)
     if held is None or not result.summary.is_solution_usable or result.summary.interrupted:
         return result
     try:
@@ -240,10 +239,12 @@ def _check(request: SolveRequest, plan: RunPlan) -> None:
         )
 
 
-class _Rounds:
-    """Rounds of extending tracks, adjusting and filtering; iterate over them, then take the result.
+class _Tracks:
+    """Rounds that extend tracks, adjust and filter.
 
-    Each step of the iteration is a whole round and yields the problem after its filter.
+    Args:
+        each: function of the problem after the filter of each round.
+        are_counted: True if a round with few changes ends the run.
     """
 
     def __init__(
@@ -251,8 +252,8 @@ class _Rounds:
         request: SolveRequest,
         limits: RoundOptions,
         matches: DatabaseMatches,
-        progress: Progress | None,
         tell: Callable[[str], None],
+        each: Callable[[Problem], None] = lambda _: None,
         *,
         are_counted: bool = True,
     ) -> None:
@@ -266,121 +267,82 @@ class _Rounds:
                 f"found point {applied.fixed_point_ids[0]}"
             )
         self._request, self._limits, self._matches = request, limits, matches
-        self._progress, self._tell, self._are_counted = progress, tell, are_counted
-        self._tracks: tuple[TrackRound, ...] = ()
-        self._rounds: tuple[Round, ...] = ()
-        self._start: Result | None = None  # of the first round
-        self._last: Result | None = None  # of the last whole round
-        self._left: Filtered | None = None  # after its filter
-        self._end: Result | None = None
+        self._tell, self._each, self._are_counted = tell, each, are_counted
+        self._counts = (0, 0, 0)
+        self._rounds: tuple[TrackRound, ...] = ()
+        self._prepared = self._first
+        self._whole: tuple[Prepared, Result, State] | None = None  # the last whole round
         self._builder: TrackBuilder | None = None
 
-    def __iter__(self) -> Iterator[Problem]:
-        try:
-            yield from self._whole_rounds()
-        except KeyboardInterrupt:
-            if self._last is None:
-                raise
-            self._end = self._interrupted()
-
-    @property
-    def tracks(self) -> tuple[TrackRound, ...]:
-        """Changes of each whole round."""
-        return self._tracks
-
-    def _whole_rounds(self) -> Iterator[Problem]:
+    def extended(
+        self, prepared: Prepared, result: Result, state: State, is_last: bool
+    ) -> tuple[Prepared, State]:
+        """Record a round, and extend the tracks for the next one; see ``Between``."""
+        placed, done = prepared.placed, state.rounds[-1]
+        left = placed.taken_from(state.problem)
+        track = TrackRound(
+            round=done.round,
+            triangulated=self._counts[0],
+            completed=self._counts[1],
+            merged=self._counts[2],
+            deleted=done.num_observations_removed,
+            num_observations=left.num_observations,
+            num_points=left.num_points,
+        )
+        self._rounds, self._whole = (*self._rounds, track), (prepared, result, state)
+        self._each(left)
+        if is_last:
+            if state.end is None:
+                self._tell("adjusting what is left")
+            return prepared, state
         from bundle.model.pycolmap.tracks import TrackBuilder
 
-        problem, counts = self._request.problem, (0, 0, 0)
-        for count in range(1, self._limits.num_rounds + 1):
-            self._tell(f"round {count} of at most {self._limits.num_rounds}: adjusting")
-            result = self._adjusted(self._first if count == 1 else self._prepared(problem))
-            if not result.summary.is_solution_usable or result.summary.interrupted:
-                if self._last is not None and result.summary.interrupted:
-                    raise KeyboardInterrupt
-                self._start, self._end = self._start or result, result
-                return
-            left = self._filtered(count, result, counts)
-            yield left.problem
-            change = sum(counts) + left.num_observations_removed
-            is_still = count > 1 and change < SMALLEST_CHANGE * result.problem.num_observations
-            if count == self._limits.num_rounds or (is_still and self._are_counted):
-                break
-            self._tell(f"round {count + 1}: extending tracks")
-            if self._builder is None:
-                limits = self._limits.max_error, self._limits.min_angle
-                self._builder = TrackBuilder(left.problem, *self._matches, *limits)
-            else:
-                self._builder.take(result.problem, left.observation_mask)
-            problem, counts = self._builder.extend()
-        self._end = self._last
-        if self._left is not None and self._left.num_observations_removed:
-            self._tell("adjusting what is left")
-            self._end = self._adjusted(self._prepared(self._left.problem))
-            if self._end.summary.interrupted:
+        self._tell(f"round {done.round + 1}: extending tracks")
+        if self._builder is None:
+            limits = self._limits.max_error, self._limits.min_angle
+            self._builder = TrackBuilder(left, *self._matches, *limits)
+        else:
+            adjusted = placed.taken_from(result.problem)
+            self._builder.take(adjusted, state.observation_mask[: adjusted.num_observations])
+        problem, self._counts = self._builder.extend()
+        rules = self._first.applied or ()
+        self._prepared = prepare(self._request.at(problem, align=False, constraints=rules))
+        changed = sum(self._counts) if self._are_counted else math.inf
+        return self._prepared, self._start(state.rounds, changed)
+
+    def _start(self, rounds: tuple[Round, ...] = (), num_extended: float = math.inf) -> State:
+        """Return the state before the adjustment of a round."""
+        self._tell(f"round {len(rounds) + 1} of at most {self._limits.num_rounds}: adjusting")
+        start = State.first(self._prepared.start)
+        return dataclasses.replace(start, rounds=rounds, num_extended=num_extended)
+
+    def run(self, given: Problem, progress: Progress | None = None) -> Result:
+        """Return the result for the given problem; after Ctrl-C that of the last whole round."""
+        try:
+            last, _ = run_rounds(
+                self._first, self._start(), self._limits, None, progress, self.extended
+            )
+            if last.summary.interrupted and self._whole is not None:
                 raise KeyboardInterrupt
-
-    def _prepared(self, problem: Problem) -> Prepared:
-        """Return the solve of a later round: priors and rules as in the first."""
-        request, applied = self._request, self._first.applied
-        rules = () if applied is None else applied
-        return prepare(request.at(problem, align=False, constraints=rules))
-
-    def _adjusted(self, prepared: Prepared) -> Result:
-        return finished(prepared, solve_prepared(prepared, self._progress))
-
-    def _filtered(self, count: int, result: Result, counts: Sequence[int]) -> Filtered:
-        """Filter an adjusted problem, and add the records of the round."""
-        limits = self._limits
-        left = filter_observations(
-            result.problem,
-            limits.max_error,
-            limits.min_angle,
-            limits.min_track_length,
-            num_threads=self._request.options.num_threads,
-        )
-        done = round_of(count, result, left, limits)
-        check_left(left, done, limits)
-        track = TrackRound(
-            round=count,
-            triangulated=counts[0],
-            completed=counts[1],
-            merged=counts[2],
-            deleted=left.num_observations_removed,
-            num_observations=left.problem.num_observations,
-            num_points=left.problem.num_points,
-        )
-        self._rounds, self._tracks = (*self._rounds, done), (*self._tracks, track)
-        self._start, self._last, self._left = self._start or result, result, left
-        return left
-
-    def _interrupted(self) -> Result:
-        """Return the last whole round."""
-        last, left = self._last, self._left
-        assert last is not None and left is not None
-        summary = dataclasses.replace(last.summary, interrupted=True)
-        return dataclasses.replace(last, problem=left.problem, summary=summary)
-
-    def result(self, given: Problem) -> Result:
-        """Return the result for the given problem, after the iteration."""
-        first, end = self._start, self._end
-        assert first is not None and end is not None
-        applied, ends = self._first.applied, end.constraints
-        if applied is not None:
-            from bundle.solving.constraints.ends import rule_ends  # few runs have rules
-
-            ends = rule_ends(applied, self._first.placed.problem, end.problem)
+        except KeyboardInterrupt:
+            if self._whole is None:
+                raise
+            self._prepared, last, state = self._whole
+            summary = dataclasses.replace(last.summary, interrupted=True)
+            last = dataclasses.replace(
+                last, problem=state.problem, summary=summary, rounds=state.rounds
+            )
+        end = finished(self._prepared, last)
         rows = rows_among(_codes(self._request.problem), _codes(end.problem))
         problem = end.problem if self._builder is None else self._builder.colored(end.problem)
         return dataclasses.replace(
             end,
             problem=problem,
             initial_problem=given,
-            similarity=first.similarity,
-            edits=first.edits,
-            constraints=ends,
-            rounds=self._rounds,
-            tracks=self._tracks,
+            similarity=self._first.placed.similarity,
+            edits=self._first.edits(),
+            constraints=rule_ends(self._first.applied, self._first.placed.problem, end.problem),
+            tracks=self._rounds,
             observation_mask=rows >= 0,
             observation_rows=rows[rows >= 0],
         )
@@ -420,17 +382,21 @@ def _with_held_out(
     problem, options = request.problem, request.options
     kept = request.at(problem.select(observations=~held).problem)
     limits = dataclasses.replace(plan.rounds, num_rounds=len(result.tracks))
-    second = _Rounds(
-        kept, limits, _without(matches, problem, held), None,
-        lambda stage: tell(f"without held-out observations: {stage}"), are_counted=False,
-    )  # fmt: skip
 
     def errors(model: Problem) -> NDArray[np.float64]:
         predicted = _predicted(problem, held, model, options)
         return errors_or_nan(predicted, options.cheirality, options.num_threads)[held]
 
-    scores = [summarize_clipped(errors(model)).clipped_rmse for model in second]
-    last = second.result(problem)
+    scores: list[float] = []
+    second = _Tracks(
+        kept,
+        limits,
+        _without(matches, problem, held),
+        lambda stage: tell(f"without held-out observations: {stage}"),
+        lambda model: scores.append(summarize_clipped(errors(model)).clipped_rmse),
+        are_counted=False,
+    )
+    last = second.run(problem)
     if last.summary.interrupted or not last.summary.is_solution_usable:
         return result
     fitted = errors_or_nan(last.problem, options.cheirality, options.num_threads)

@@ -244,6 +244,8 @@ class State:
         observation_mask: mask of the remaining observations of the first round's problem.
         point_mask: mask of the remaining points of the first round's problem.
         rounds: completed rounds.
+        num_extended: observations that extended the tracks of the problem before its solve, for the
+            rule that ends the rounds; infinite: another round follows in any case.
         so_far: result of the current adjustment so far; None at its start.
         end: result of the last adjustment of a complete run; None before.
     """
@@ -252,6 +254,7 @@ class State:
     observation_mask: _Mask
     point_mask: _Mask
     rounds: tuple[Round, ...] = ()
+    num_extended: float = 0
     so_far: Result | None = None
     end: Result | None = None
 
@@ -275,7 +278,8 @@ class State:
             observation_mask=masks[0],
             point_mask=masks[1],
             rounds=tuple(Round(**one) for one in record["rounds"]),
-            **{"end" if record["has_ended"] else "so_far": done},
+            so_far=None if record["has_ended"] else done,
+            end=done if record["has_ended"] else None,
         )
 
     @staticmethod
@@ -289,7 +293,8 @@ class State:
 
     def left(self, filtered: Filtered, done: Round) -> State:
         """Return the state after the filter of a round."""
-        return State(
+        return dataclasses.replace(
+            self,
             problem=filtered.problem,
             observation_mask=_left_of(self.observation_mask, filtered.observation_mask),
             point_mask=_left_of(self.point_mask, filtered.point_mask),

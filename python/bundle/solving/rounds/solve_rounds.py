@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING
 
 from bundle.errors import InputError
@@ -178,9 +178,9 @@ def run(request: SolveRequest, plan: RunPlan, progress: Progress | None = None) 
 
     def fit(prepared: Prepared) -> tuple[Result, State]:
         start = State.first(prepared.start)
-        return _run(prepared, start, plan.rounds, None, progress)
+        return run_rounds(prepared, start, plan.rounds, None, progress)
 
-    last, state = _run(prepared, state, plan.rounds, checkpoint, progress)
+    last, state = run_rounds(prepared, state, plan.rounds, checkpoint, progress)
     result = finished(prepared, last, state)
     return result if held_out is None else held_out.measured(result, last, state, fit)
 
@@ -204,20 +204,36 @@ def _checkpoint(prepared: Prepared, plan: RunPlan) -> Checkpoint | None:
     return Checkpoint.of(plan.file, prepared, plan)
 
 
-def _run(
+Between = Callable[[Prepared, Result, State, bool], "tuple[Prepared, State]"]
+"""Function of a solve, its result, and the state after its filter, that returns the solve and the
+state of the next round; the last argument is True if there is none."""
+
+
+def run_rounds(
     prepared: Prepared,
     state: State,
     limits: RoundOptions,
     checkpoint: Checkpoint | None,
     progress: Progress | None,
+    between: Between | None = None,
 ) -> tuple[Result, State]:
     """Adjust and filter from a state; return the last result for the start, and its state."""
+    is_last = limits.num_rounds == 0 or _is_last(state, limits)  # no filter follows the next solve
     while state.end is None:
         result = _adjust(prepared, state, checkpoint, progress)
         if result.summary.interrupted or not result.summary.is_solution_usable:
             # a checkpoint keeps the earlier state
             return dataclasses.replace(result, rounds=state.rounds), state
-        state = _next(prepared, state, result, limits)
+        state = dataclasses.replace(state, problem=result.problem, so_far=None)
+        if is_last:
+            state = state.ended(result)
+        else:
+            state = _filtered(prepared, state, result, limits)
+            is_last = _is_last(state, limits)
+            if is_last and not state.rounds[-1].num_observations_removed:
+                state = state.ended(result)
+            if between is not None:
+                prepared, state = between(prepared, result, state, is_last)
         if checkpoint is not None:
             checkpoint.write(state)
     return dataclasses.replace(state.end, rounds=state.rounds), state
@@ -248,37 +264,24 @@ def _adjust(
     )
 
 
-def _next(prepared: Prepared, state: State, result: Result, limits: RoundOptions) -> State:
-    """Filter the adjusted problem and return the next state; mark the end of the run."""
-    adjusted = dataclasses.replace(state, problem=result.problem, so_far=None)
-    if limits.num_rounds == 0 or _is_last(state, limits):
-        return adjusted.ended(result)
-    filtered = _filter(prepared, result.problem, limits)
-    done = round_of(len(state.rounds) + 1, result, filtered, limits)
-    check_left(filtered, done, limits)
-    left = adjusted.left(filtered, done)
-    has_ended = _is_last(left, limits) and not filtered.num_observations_removed
-    return left.ended(result) if has_ended else left
-
-
 def _is_last(state: State, limits: RoundOptions) -> bool:
     """Return True if no further round follows."""
     if not state.rounds:
         return False
     done = state.rounds[-1]
-    changed = done.num_observations_removed >= SMALLEST_CHANGE * done.num_observations
-    return done.round >= limits.num_rounds or not changed
+    change = done.num_observations_removed + state.num_extended
+    return done.round >= limits.num_rounds or change < SMALLEST_CHANGE * done.num_observations
 
 
-def _filter(prepared: Prepared, problem: Problem, limits: RoundOptions) -> Filtered:
-    """Filter the adjusted problem of a round.
+def _filtered(prepared: Prepared, state: State, result: Result, limits: RoundOptions) -> State:
+    """Return the state after the filter of a round.
 
     Points that are fixed or named by a factor stay. Control points stay with all observations.
     """
     rules = prepared.applied
     known = touched_ids((*prepared.factors, *(() if rules is None else rules.factors)))["point"]
-    return filter_observations(
-        problem,
+    filtered = filter_observations(
+        state.problem,
         limits.max_error,
         limits.min_angle,
         limits.min_track_length,
@@ -286,9 +289,17 @@ def _filter(prepared: Prepared, problem: Problem, limits: RoundOptions) -> Filte
         kept_track_ids=prepared.placed.control_point_ids,
         num_threads=prepared.options.num_threads,
     )
+    done = _round_of(len(state.rounds) + 1, result, filtered, limits)
+    if filtered.problem.num_observations == 0:
+        raise InputError(
+            f"num_rounds: the filter of round {done.round} removed all {done.num_observations} "
+            f"observations (max_error={limits.max_error:g} min_angle={limits.min_angle:g} "
+            f"min_track_length={limits.min_track_length})"
+        )
+    return state.left(filtered, done)
 
 
-def round_of(number: int, result: Result, filtered: Filtered, limits: RoundOptions) -> Round:
+def _round_of(number: int, result: Result, filtered: Filtered, limits: RoundOptions) -> Round:
     """Return the record of a round."""
     summary, adjusted = result.summary, result.problem
     return Round(
@@ -307,13 +318,3 @@ def round_of(number: int, result: Result, filtered: Filtered, limits: RoundOptio
         max_error=limits.max_error,
         min_angle=limits.min_angle,
     )
-
-
-def check_left(filtered: Filtered, done: Round, limits: RoundOptions) -> None:
-    """Raise an InputError if a filter removed everything."""
-    if filtered.problem.num_observations == 0:
-        raise InputError(
-            f"num_rounds: the filter of round {done.round} removed all {done.num_observations} "
-            f"observations (max_error={limits.max_error:g} min_angle={limits.min_angle:g} "
-            f"min_track_length={limits.min_track_length})"
-        )
