@@ -69,25 +69,15 @@ class SelectedInverse(NamedTuple):
 
 
 class NormalEquations(Protocol):
-    """J^T W J of a graph, with a block of t tangent coordinates for each key.
+    """J^T W J of a graph, with a block of t tangent coordinates for each key."""
 
-    Attributes:
-        words: nouns of the input.
-        num_gauge: null directions in which whole components move.
-        num_floating: components, each with covariances relative to itself.
-        squares: r^T W r of each term.
-        weighted_squares: their sum, with the weights of a loss.
-        cost: 1/2 sum rho.
-        dof: number of residuals minus free coordinates under the gauge.
-    """
-
-    words: Words
-    num_gauge: int
-    num_floating: int
-    squares: Floats
-    weighted_squares: float
-    cost: float
-    dof: int
+    words: Words  # nouns of the input
+    num_gauge: int  # null directions in which whole components move
+    num_floating: int  # components, each with covariances relative to itself
+    squares: Floats  # r^T W r of each term
+    weighted_squares: float  # their sum, with the weights of a loss
+    cost: float  # 1/2 sum rho
+    dof: int  # number of residuals minus free coordinates under the gauge
 
     def name(self, block: int) -> str:
         """Return the name of a block for sentences."""

@@ -16,34 +16,22 @@ from bundle.model.reprojection import ReprojectionError, reprojection_error
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class CameraEdits:
-    """Problem with edited cameras.
+    """Problem with edited cameras."""
 
-    Attributes:
-        problem: the new problem.
-        model: new model of all cameras; None: unchanged.
-        changes: results for the cameras that had another model.
-        shared_camera_id: id of the camera into which others were merged, the first of several;
-            None: no cameras were merged.
-        shared_camera_ids: ids of all merged cameras, including this one.
-        shared_groups: the same ids by the camera that they became; its id comes first.
-        num_copies: number of cameras created for single images; None: no camera was split.
-        before: reprojection errors of the given problem.
-        after: reprojection errors of the new problem.
-        warnings: one sentence for each bad fit.
-        stages: name of each edit and the problem after it, in order.
-    """
-
-    problem: Problem
-    model: str | None
-    changes: tuple[CameraModelChange, ...]
+    problem: Problem  # the new problem
+    model: str | None  # new model of all cameras; None: unchanged
+    changes: tuple[CameraModelChange, ...]  # results for the cameras that had another model
+    # id of the camera into which others were merged, the first of several; None: no cameras were
+    # merged
     shared_camera_id: int | None
-    shared_camera_ids: tuple[int, ...]
+    shared_camera_ids: tuple[int, ...]  # ids of all merged cameras, including this one
+    # the same ids by the camera that they became; its id comes first
     shared_groups: tuple[tuple[int, ...], ...]
-    num_copies: int | None
-    before: ReprojectionError
-    after: ReprojectionError
-    warnings: tuple[str, ...]
-    stages: tuple[tuple[str, Problem], ...]
+    num_copies: int | None  # number of cameras created for single images; None: no camera was split
+    before: ReprojectionError  # reprojection errors of the given problem
+    after: ReprojectionError  # reprojection errors of the new problem
+    warnings: tuple[str, ...]  # one sentence for each bad fit
+    stages: tuple[tuple[str, Problem], ...]  # name of each edit and the problem after it, in order
 
     def asdict(self) -> dict[str, Any]:
         """Return all fields except the problems, for JSON."""

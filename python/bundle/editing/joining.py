@@ -32,28 +32,19 @@ _Indices = NDArray[np.int64]
 
 @dataclass
 class Joined:
-    """Numbers of images, cameras, points and observations of B by outcome.
+    """Numbers of images, cameras, points and observations of B by outcome."""
 
-    Attributes:
-        num_images: images that were added to A.
-        num_cameras: cameras that were added to A.
-        num_points_added: points of B without a meeting.
-        num_points_joined: points of B whose tracks extend tracks of A.
-        num_points_apart: points of B that were added although they meet points of A, because they
-            agree with none of them.
-        num_points_dropped: points of B with fewer than two observations left.
-        num_observations: observations that were added.
-        num_observations_dropped: observations of B that were not added: observations at keypoints
-            of A's points, in images that the track already has, and of dropped points.
-    """
-
-    num_images: int = 0
-    num_cameras: int = 0
-    num_points_added: int = 0
-    num_points_joined: int = 0
+    num_images: int = 0  # images that were added to A
+    num_cameras: int = 0  # cameras that were added to A
+    num_points_added: int = 0  # points of B without a meeting
+    num_points_joined: int = 0  # points of B whose tracks extend tracks of A
+    # points of B that were added although they meet points of A, because they agree with none of
+    # them
     num_points_apart: int = 0
-    num_points_dropped: int = 0
-    num_observations: int = 0
+    num_points_dropped: int = 0  # points of B with fewer than two observations left
+    num_observations: int = 0  # observations that were added
+    # observations of B that were not added: observations at keypoints of A's points, in images that
+    # the track already has, and of dropped points
     num_observations_dropped: int = 0
 
 
@@ -224,25 +215,15 @@ def _new_ids(ids_a: _Indices, ids_b: _Indices, is_new: NDArray[np.bool_]) -> _In
 
 @dataclass(frozen=True, kw_only=True)
 class AddedImages:
-    """Shared images of A and B, and those that B adds. Positions are those in the records.
+    """Shared images of A and B, and those that B adds. Positions are those in the records."""
 
-    Attributes:
-        shared: (n, 2) positions in A and in B of each shared image.
-        added: (num_added,) positions in B, by id; they follow A's images.
-        image_ids: (num_added,) new ids.
-        image_camera_ids: (num_added,) ids of their cameras in the merged model.
-        camera_rows: rows in B of the added cameras.
-        camera_ids: new ids of the added cameras.
-        place_of_b: (num_images of B,) position of each image of B in the merged model.
-    """
-
-    shared: _Indices
-    added: _Indices
-    image_ids: _Indices
-    image_camera_ids: _Indices
-    camera_rows: _Indices
-    camera_ids: _Indices
-    place_of_b: _Indices
+    shared: _Indices  # (n, 2) positions in A and in B of each shared image
+    added: _Indices  # (num_added,) positions in B, by id; they follow A's images
+    image_ids: _Indices  # (num_added,) new ids
+    image_camera_ids: _Indices  # (num_added,) ids of their cameras in the merged model
+    camera_rows: _Indices  # rows in B of the added cameras
+    camera_ids: _Indices  # new ids of the added cameras
+    place_of_b: _Indices  # (num_images of B,) position of each image of B in the merged model
 
     def with_images(self, a: ModelRecords, b: ModelRecords) -> ModelRecords:
         """Return the records of A with the images of B; keypoints are those of A."""
@@ -347,32 +328,21 @@ text files round coordinates."""
 
 @dataclass(frozen=True)
 class Meetings:
-    """Pairs of points of A and B that are observed at the same keypoint of a shared image.
+    """Pairs of points of A and B that are observed at the same keypoint of a shared image."""
 
-    Attributes:
-        point_a: (num_pairs,) row of the point in A; the pairs are sorted by the row in B, then A.
-        point_b: (num_pairs,) row of the point in B.
-        count: (num_pairs,) number of shared keypoints of each pair.
-    """
-
+    # (num_pairs,) row of the point in A; the pairs are sorted by the row in B, then A
     point_a: _Indices
-    point_b: _Indices
-    count: _Indices
+    point_b: _Indices  # (num_pairs,) row of the point in B
+    count: _Indices  # (num_pairs,) number of shared keypoints of each pair
 
 
 @dataclass(frozen=True)
 class SharedKeypoints:
-    """Keypoints that B observes in shared images, as rows among all keypoints of the records.
+    """Keypoints that B observes in shared images, as rows among all keypoints of the records."""
 
-    Attributes:
-        image: (n,) index of the shared image, in the caller's order.
-        row_a: (n,) row among the keypoints of A; -1 if A's image lacks the keypoint.
-        row_b: (n,) row among the keypoints of B.
-    """
-
-    image: _Indices
-    row_a: _Indices
-    row_b: _Indices
+    image: _Indices  # (n,) index of the shared image, in the caller's order
+    row_a: _Indices  # (n,) row among the keypoints of A; -1 if A's image lacks the keypoint
+    row_b: _Indices  # (n,) row among the keypoints of B
 
     def meetings_by_image(self, a: ModelRecords, b: ModelRecords) -> _Indices:
         """Return (m, 3): index of the shared image, row of A's point, row of B's point."""

@@ -42,21 +42,14 @@ _Pose = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SensorConfig:
-    """Camera of a rig.
+    """Camera of a rig."""
 
-    Attributes:
-        image_prefix: prefix of the names of the camera's images.
-        is_reference: True if the pose of the rig is the pose of this camera.
-        sensor_from_rig: (7,) qx qy qz qw tx ty tz; None: computed from the poses of the images.
-        camera_model: COLMAP's name of the model; None: the model of the images.
-        camera_params: parameters of this model in COLMAP's order.
-    """
-
-    image_prefix: str
-    is_reference: bool = False
+    image_prefix: str  # prefix of the names of the camera's images
+    is_reference: bool = False  # True if the pose of the rig is the pose of this camera
+    # (7,) qx qy qz qw tx ty tz; None: computed from the poses of the images
     sensor_from_rig: _Pose | None = None
-    camera_model: str | None = None
-    camera_params: tuple[float, ...] = ()
+    camera_model: str | None = None  # COLMAP's name of the model; None: the model of the images
+    camera_params: tuple[float, ...] = ()  # parameters of this model in COLMAP's order
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

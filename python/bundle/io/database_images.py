@@ -97,14 +97,11 @@ def database_sizes(path: Path, names: Sequence[str]) -> NDArray[np.int64]:
 
 
 class DatabaseMatches(NamedTuple):
-    """Keypoints of images, and their verified matches.
+    """Keypoints of images, and their verified matches."""
 
-    Attributes:
-        keypoints: for each image, (n, 2) pixels, rounded to float32 by COLMAP.
-        pairs: for each matched pair, two rows of images and (m, 2) indices of their keypoints.
-    """
-
+    # for each image, (n, 2) pixels, rounded to float32 by COLMAP
     keypoints: list[NDArray[np.float64]]
+    # for each matched pair, two rows of images and (m, 2) indices of their keypoints
     pairs: list[tuple[int, int, NDArray[np.uint32]]]
 
 

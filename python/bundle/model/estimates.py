@@ -23,30 +23,22 @@ SHUTTER = "rolling_shutter"
 
 
 class Variable(NamedTuple):
-    """An array that a solve estimates.
+    """An array that a solve estimates."""
 
-    Attributes:
-        name: attribute of ``holder``; also the name in checkpoints and in the core's output.
-        kind: first element of the key of one row, see ``problem_keys``.
-        rows: records of which each has a row: attribute of a ``Selection``; "num_" + rows is their
-            number in a problem.
-        width: number of columns; 0: the largest number of parameters of a camera model.
-        tangent: degrees of freedom of a row; 0: the number of parameters of its camera model.
-        similarity: change under a similarity of the world, see above.
-        lengths: columns that are lengths, for the similarity "lengths".
-        division: arrays of several processes: each has all rows ("shared") or its own rows ("own"),
-            or one process has all of the problem ("alone").
-        holder: field of the problem that has the array as an attribute; "": the problem itself.
-    """
-
-    name: str
-    kind: str
+    name: str  # attribute of ``holder``; also the name in checkpoints and in the core's output
+    kind: str  # first element of the key of one row, see ``problem_keys``
+    # records of which each has a row: attribute of a ``Selection``; "num_" + rows is their number
+    # in a problem
     rows: Literal["images", "frames", "sensors", "cameras", "points"]
-    width: int
-    tangent: int
+    width: int  # number of columns; 0: the largest number of parameters of a camera model
+    tangent: int  # degrees of freedom of a row; 0: the number of parameters of its camera model
+    # change under a similarity of the world, see above
     similarity: Literal["pose", "point", "lengths", "none"]
-    lengths: slice = slice(0)
+    lengths: slice = slice(0)  # columns that are lengths, for the similarity "lengths"
+    # arrays of several processes: each has all rows ("shared") or its own rows ("own"), or one
+    # process has all of the problem ("alone")
     division: Literal["shared", "own", "alone"] = "shared"
+    # field of the problem that has the array as an attribute; "": the problem itself
     holder: str = ""
 
 

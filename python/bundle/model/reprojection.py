@@ -36,23 +36,17 @@ class ReprojectionError:
 
 
 class Linearization(NamedTuple):
-    """Residuals and their derivatives, one row per observation.
+    """Residuals and their derivatives, one row per observation."""
 
-    Attributes:
-        residual: (N, 2) projection minus measurement, in pixels.
-        d_pose: (N, 2, 6) derivative by the pose (w, t) of the observation's image. The rotation is
-            Exp(w) R, where R is the rotation in the problem; w in radians, t in the length unit.
-        d_params: (N, 2, width) derivative by the parameters of the camera, in COLMAP's order; zero
-            in columns beyond the parameters of its model.
-        d_point: (N, 2, 3) derivative by the point.
-        d_twist: (N, 2, 6) derivative by the twist of the observation's image; zero for global
-            shutters.
-    """
-
-    residual: NDArray[np.float64]
+    residual: NDArray[np.float64]  # (N, 2) projection minus measurement, in pixels
+    # (N, 2, 6) derivative by the pose (w, t) of the observation's image. The rotation is Exp(w) R,
+    # where R is the rotation in the problem; w in radians, t in the length unit
     d_pose: NDArray[np.float64]
+    # (N, 2, width) derivative by the parameters of the camera, in COLMAP's order; zero in columns
+    # beyond the parameters of its model
     d_params: NDArray[np.float64]
-    d_point: NDArray[np.float64]
+    d_point: NDArray[np.float64]  # (N, 2, 3) derivative by the point
+    # (N, 2, 6) derivative by the twist of the observation's image; zero for global shutters
     d_twist: NDArray[np.float64]
 
 

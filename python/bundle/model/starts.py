@@ -44,25 +44,15 @@ Flags = NDArray[np.bool_]
 
 @dataclass(frozen=True, kw_only=True)
 class Start:
-    """Initial poses.
+    """Initial poses."""
 
-    Attributes:
-        poses: initial poses, in the layout of ``PoseGraph.poses``.
-        init: "file", "odometry", "spanning_tree" or "chordal".
-        reason: reason of the choice; "" if the user chose.
-        starts: poses of the starts that were compared, by name.
-        costs: their costs without a loss, by name.
-        chi2: (m,) r^T Omega r of each edge there, if it was computed.
-        given_chi2: (m,) r^T Omega r at the graph's poses, if it was computed.
-    """
-
-    poses: Floats
-    init: str
-    reason: str = ""
-    starts: dict[str, Floats] | None = None
-    costs: dict[str, float] | None = None
-    chi2: Floats | None = None
-    given_chi2: Floats | None = None
+    poses: Floats  # initial poses, in the layout of ``PoseGraph.poses``
+    init: str  # "file", "odometry", "spanning_tree" or "chordal"
+    reason: str = ""  # reason of the choice; "" if the user chose
+    starts: dict[str, Floats] | None = None  # poses of the starts that were compared, by name
+    costs: dict[str, float] | None = None  # their costs without a loss, by name
+    chi2: Floats | None = None  # (m,) r^T Omega r of each edge there, if it was computed
+    given_chi2: Floats | None = None  # (m,) r^T Omega r at the graph's poses, if it was computed
 
 
 def start_without_poses(graph: PoseGraph) -> PoseGraph:

@@ -179,25 +179,15 @@ _Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True, eq=False)
 class AdjustedPart:
-    """Sub-problem of an adjustment.
+    """Sub-problem of an adjustment."""
 
-    Attributes:
-        problem: the sub-problem.
-        options: options of its solve.
-        named: (num_images,) mask of the images that the configuration names.
-        frames: (num_images,) frame id of each image in the reconstruction.
-        constant_images: (num_images,) mask of the images with a constant frame.
-        constant_points: (num_points,) mask.
-        constant_rotations: True if frames only move without turning.
-    """
-
-    problem: Problem
-    options: SolveOptions
-    named: _Mask
-    frames: NDArray[np.int64]
-    constant_images: _Mask
-    constant_points: _Mask
-    constant_rotations: bool
+    problem: Problem  # the sub-problem
+    options: SolveOptions  # options of its solve
+    named: _Mask  # (num_images,) mask of the images that the configuration names
+    frames: NDArray[np.int64]  # (num_images,) frame id of each image in the reconstruction
+    constant_images: _Mask  # (num_images,) mask of the images with a constant frame
+    constant_points: _Mask  # (num_points,) mask
+    constant_rotations: bool  # True if frames only move without turning
 
     def constant_parts(self, held: _Mask) -> Applied:
         """Return the constant parts of poses; ``held``: mask of further constant images."""

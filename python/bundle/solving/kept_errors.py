@@ -142,17 +142,11 @@ class Edit:
 
 
 class PixelErrors(NamedTuple):
-    """Errors of all observations of a problem.
+    """Errors of all observations of a problem."""
 
-    Attributes:
-        errors: errors ||r|| in pixels; nan without a projection.
-        behind: mask of the observations behind their camera.
-        cheirality: resolved cheirality for ``behind``.
-    """
-
-    errors: NDArray[np.float64]
-    behind: NDArray[np.bool_]
-    cheirality: str
+    errors: NDArray[np.float64]  # errors ||r|| in pixels; nan without a projection
+    behind: NDArray[np.bool_]  # mask of the observations behind their camera
+    cheirality: str  # resolved cheirality for ``behind``
 
     @staticmethod
     def of(problem: Problem, cheirality: str, num_threads: int) -> PixelErrors:

@@ -21,16 +21,11 @@ if TYPE_CHECKING:
 
 
 class Layout(NamedTuple):
-    """Arguments of the core in addition to the problem.
+    """Arguments of the core in addition to the problem."""
 
-    Attributes:
-        options: resolved options, without "auto".
-        known: factors, including those of priors and rules; None without any.
-        limits: bounds, and the parameters that rules make constant or tie; None without any.
-    """
-
-    options: SolveOptions
-    known: ProblemFactors | None
+    options: SolveOptions  # resolved options, without "auto"
+    known: ProblemFactors | None  # factors, including those of priors and rules; None without any
+    # bounds, and the parameters that rules make constant or tie; None without any
     limits: Restrictions | None
 
     def core_factors(self) -> Any:

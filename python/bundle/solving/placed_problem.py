@@ -18,19 +18,13 @@ if TYPE_CHECKING:
 
 
 class PlacedProblem(NamedTuple):
-    """Problem at its priors.
+    """Problem at its priors."""
 
-    Attributes:
-        problem: problem in the frame of the priors, with the images and points that they add.
-        factors: all factors; those of the priors come last, by kind.
-        similarity: similarity by which the problem was moved, if it was moved.
-        groups: the priors by kind, in the order of their factors.
-    """
-
-    problem: Problem
-    factors: tuple[Factor, ...] = ()
+    problem: Problem  # problem in the frame of the priors, with the images and points that they add
+    factors: tuple[Factor, ...] = ()  # all factors; those of the priors come last, by kind
+    # similarity by which the problem was moved, if it was moved
     similarity: Similarity | None = None
-    groups: tuple[FoundPriors, ...] = ()
+    groups: tuple[FoundPriors, ...] = ()  # the priors by kind, in the order of their factors
 
     @property
     def targets(self) -> TargetPriors | None:

@@ -44,30 +44,21 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Prepared:
-    """A request that is ready to run.
+    """A request that is ready to run."""
 
-    Attributes:
-        request: the request as the caller made it.
-        placed: the problem in the frame of its priors, with their factors and control points.
-        before: the problem with which the result is compared.
-        start: the input of the solver: `before` with shared parameters made equal.
-        options: options for the start, including its fixed ids; defaults are not resolved.
-        factors: factors on the start, without those of rules.
-        bounds: bounds of the cameras of the start.
-        applied: the resolved rules; None without any.
-        part: the refined images and the points that they see; None: the entire problem.
-        rest: marginal prior of the remaining problem; None if the remaining problem is constant.
-    """
-
-    request: SolveRequest
+    request: SolveRequest  # the request as the caller made it
+    # the problem in the frame of its priors, with their factors and control points
     placed: PlacedProblem
-    before: Problem
-    start: Problem
+    before: Problem  # the problem with which the result is compared
+    start: Problem  # the input of the solver: `before` with shared parameters made equal
+    # options for the start, including its fixed ids; defaults are not resolved
     options: SolveOptions
-    factors: tuple[Factor, ...]
-    bounds: Bounds | None
-    applied: Applied | None
+    factors: tuple[Factor, ...]  # factors on the start, without those of rules
+    bounds: Bounds | None  # bounds of the cameras of the start
+    applied: Applied | None  # the resolved rules; None without any
+    # the refined images and the points that they see; None: the entire problem
     part: LocalPart | None = None
+    # marginal prior of the remaining problem; None if the remaining problem is constant
     rest: RestPrior | None = None
 
     @cached_property

@@ -34,15 +34,10 @@ Bounds = Mapping[tuple[str, int], tuple[ArrayLike, ArrayLike]]
 
 @dataclass(frozen=True)
 class PartRequest:
-    """Images that a local adjustment refines.
+    """Images that a local adjustment refines."""
 
-    Attributes:
-        images: ids and names in a form that ``find_images`` accepts.
-        rest: treatment of the remaining problem: "fixed" or "marginal".
-    """
-
-    images: ImageSelection
-    rest: str = RESTS[0]
+    images: ImageSelection  # ids and names in a form that ``find_images`` accepts
+    rest: str = RESTS[0]  # treatment of the remaining problem: "fixed" or "marginal"
 
     @staticmethod
     def of(images: ImageSelection | None, rest: str) -> PartRequest | None:
@@ -61,29 +56,20 @@ class PartRequest:
 class SolveRequest:
     """All inputs that define the minimum of a solve; see :func:`bundle.solve` for details.
 
-    Attributes:
-        problem: opened problem; never changed.
-        options: options as the caller gave them, including "auto".
-        factors: factors in addition to the observations.
-        priors: measured positions of images, and control points.
-        align: True to move the problem to its priors first; None: move it if the priors determine
-            the similarity.
-        bounds: bounds of camera parameters.
-        constraints: rules, or rules that were resolved for this problem.
-        part: the images to refine; None: all.
-
     Raises:
         InputError: factors or priors are not a list.
     """
 
-    problem: Problem
-    options: SolveOptions
-    factors: tuple[Factor, ...]
-    priors: tuple[Prior, ...]
+    problem: Problem  # opened problem; never changed
+    options: SolveOptions  # options as the caller gave them, including "auto"
+    factors: tuple[Factor, ...]  # factors in addition to the observations
+    priors: tuple[Prior, ...]  # measured positions of images, and control points
+    # True to move the problem to its priors first; None: move it if the priors determine the
+    # similarity
     align: bool | None
-    bounds: Bounds | None
-    constraints: Rules
-    part: PartRequest | None
+    bounds: Bounds | None  # bounds of camera parameters
+    constraints: Rules  # rules, or rules that were resolved for this problem
+    part: PartRequest | None  # the images to refine; None: all
 
     def __init__(
         self,

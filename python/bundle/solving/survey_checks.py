@@ -98,21 +98,13 @@ def solve_without_attitudes(
 
 @dataclass(frozen=True)
 class _Certainty:
-    """Covariances of a state, by the stated sigmas.
+    """Covariances of a state, by the stated sigmas."""
 
-    Attributes:
-        last_pose: (3, 3) of the translation of the last image.
-        points: (num_points, 3, 3).
-        focal_length: variance of the first parameter of each camera.
-        scale2: squared factor on all sigmas that the residuals show.
-        dof: degrees of freedom of this factor.
-    """
-
-    last_pose: Array
-    points: Array
-    focal_length: Array
-    scale2: float
-    dof: float
+    last_pose: Array  # (3, 3) of the translation of the last image
+    points: Array  # (num_points, 3, 3)
+    focal_length: Array  # variance of the first parameter of each camera
+    scale2: float  # squared factor on all sigmas that the residuals show
+    dof: float  # degrees of freedom of this factor
 
 
 class _Adjusted:

@@ -243,15 +243,10 @@ NO_BASELINE = 1e-4
 
 @dataclass(frozen=True)
 class ScaleDrift:
-    """Scale of a world after a solve.
+    """Scale of a world after a solve."""
 
-    Attributes:
-        factor: ratio of the spread of the camera centres after and before the solve.
-        num_steps: accepted steps of the solve, at least 1.
-    """
-
-    factor: float
-    num_steps: int
+    factor: float  # ratio of the spread of the camera centres after and before the solve
+    num_steps: int  # accepted steps of the solve, at least 1
 
     @property
     def per_step(self) -> float:
@@ -307,19 +302,12 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class CameraPart:
-    """Effect of a direction on a parameter of a camera.
+    """Effect of a direction on a parameter of a camera."""
 
-    Attributes:
-        camera: index of the camera.
-        parameter: index of the parameter in the model.
-        amount: change of the parameter, in its unit.
-        pixels: resulting motion in pixels at the rim of the camera's observations.
-    """
-
-    camera: int
-    parameter: int
-    amount: float
-    pixels: float
+    camera: int  # index of the camera
+    parameter: int  # index of the parameter in the model
+    amount: float  # change of the parameter, in its unit
+    pixels: float  # resulting motion in pixels at the rim of the camera's observations
 
 
 class Unknowns:

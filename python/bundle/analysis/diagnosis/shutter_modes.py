@@ -199,21 +199,14 @@ _TERMS = 10
 
 @dataclass(frozen=True, eq=False)
 class ShutterSpectrum:
-    """Eigenvalues and directions of poses and twists without the gauge.
+    """Eigenvalues and directions of poses and twists without the gauge."""
 
-    Attributes:
-        images: (k,) index of the images that take part; all have a rolling shutter.
-        observations: (n,) index of the observations that take part.
-        eigenvalues: eigenvalues of the scaled reduced system, ascending.
-        directions: (12 k, number) orthonormal directions in scaled unknowns, one per column.
-        scale: (12 k,) unscaled per scaled unknowns. One pixel of noise leaves scale * direction /
-            sqrt(eigenvalue) undetermined.
-    """
-
-    images: Rows
-    observations: Rows
-    eigenvalues: Floats
-    directions: Floats
+    images: Rows  # (k,) index of the images that take part; all have a rolling shutter
+    observations: Rows  # (n,) index of the observations that take part
+    eigenvalues: Floats  # eigenvalues of the scaled reduced system, ascending
+    directions: Floats  # (12 k, number) orthonormal directions in scaled unknowns, one per column
+    # (12 k,) unscaled per scaled unknowns. One pixel of noise leaves scale * direction /
+    # sqrt(eigenvalue) undetermined
     scale: Floats
 
 

@@ -153,22 +153,17 @@ _CELLS = 2**27
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Covisibility:
-    """Covisibility graph of the images.
+    """Covisibility graph of the images."""
 
-    Attributes:
-        neighbours: (num_images,) number of other images that share a point with each image.
-        num_pairs: pairs of images with a common point.
-        schur_fill: share of nonzero image blocks of S, including the diagonal; NaN without images.
-        component: (num_images,) connected component of each image, the largest component first; -1
-            for an image without observations.
-        component_sizes: number of images of each component.
-    """
-
+    # (num_images,) number of other images that share a point with each image
     neighbours: NDArray[np.int64]
-    num_pairs: int
+    num_pairs: int  # pairs of images with a common point
+    # share of nonzero image blocks of S, including the diagonal; NaN without images
     schur_fill: float
+    # (num_images,) connected component of each image, the largest component first; -1 for an image
+    # without observations
     component: NDArray[np.int64]
-    component_sizes: tuple[int, ...]
+    component_sizes: tuple[int, ...]  # number of images of each component
 
 
 def covisibility(problem: Problem) -> Covisibility:
@@ -283,25 +278,18 @@ Vector = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Viewing:
-    """Viewing geometry of images.
+    """Viewing geometry of images."""
 
-    Attributes:
-        spread_degrees: root mean square angle of the viewing directions to their mean.
-        baseline: root mean square distance of the projection centres from their middle, in median
-            distances of points.
-        relief: root mean square distance of the points from their plane (or line), likewise, from
-            the tenth to the ninetieth percentile.
-        tilt_degrees: angle of the mean viewing direction to the plane's normal.
-        path_degrees: angle of the mean viewing direction to the main direction of the path.
-        path_share: share of the path along its main direction, 1 for a straight line.
-    """
-
-    spread_degrees: float
+    spread_degrees: float  # root mean square angle of the viewing directions to their mean
+    # root mean square distance of the projection centres from their middle, in median distances of
+    # points
     baseline: float
+    # root mean square distance of the points from their plane (or line), likewise, from the tenth
+    # to the ninetieth percentile
     relief: float
-    tilt_degrees: float
-    path_degrees: float
-    path_share: float
+    tilt_degrees: float  # angle of the mean viewing direction to the plane's normal
+    path_degrees: float  # angle of the mean viewing direction to the main direction of the path
+    path_share: float  # share of the path along its main direction, 1 for a straight line
 
     @property
     def cause(self) -> str:

@@ -368,21 +368,17 @@ class Lens:
     """Values per camera.
 
     Every array is (num_cameras,), NaN if unknown.
-
-    Attributes:
-        focal: focal length in pixels, the mean of two.
-        size: longer side of the image in pixels; if not recorded, twice the distance of the
-            farthest observation from the principal point along an axis.
-        farthest: distorted radius of the farthest observation, in focal lengths.
-        fold: distorted radius at which the distortion folds, in focal lengths; infinite if never.
-        stretched: True if the distortion does not fold before the farthest observation, and more
-            than doubles its radius.
     """
 
-    focal: NDArray[np.float64]
+    focal: NDArray[np.float64]  # focal length in pixels, the mean of two
+    # longer side of the image in pixels; if not recorded, twice the distance of the farthest
+    # observation from the principal point along an axis
     size: NDArray[np.float64]
-    farthest: NDArray[np.float64]
+    farthest: NDArray[np.float64]  # distorted radius of the farthest observation, in focal lengths
+    # distorted radius at which the distortion folds, in focal lengths; infinite if never
     fold: NDArray[np.float64]
+    # True if the distortion does not fold before the farthest observation, and more than doubles
+    # its radius
     stretched: NDArray[np.bool_]
 
 
@@ -450,25 +446,15 @@ COLLAPSED = 1e-4
 
 @dataclass(frozen=True, kw_only=True)
 class Depths:
-    """Depths over all observations; every number is NaN without observations.
+    """Depths over all observations; every number is NaN without observations."""
 
-    Attributes:
-        min: smallest depth, negative for a point behind its camera.
-        p5: 5th percentile.
-        median: 50th percentile.
-        p95: 95th percentile.
-        max: largest depth.
-        num_behind: observations with a depth of at most zero.
-        num_collapsed: observations with an absolute depth below 1e-4 of the median.
-    """
-
-    min: float
-    p5: float
-    median: float
-    p95: float
-    max: float
-    num_behind: int
-    num_collapsed: int
+    min: float  # smallest depth, negative for a point behind its camera
+    p5: float  # 5th percentile
+    median: float  # 50th percentile
+    p95: float  # 95th percentile
+    max: float  # largest depth
+    num_behind: int  # observations with a depth of at most zero
+    num_collapsed: int  # observations with an absolute depth below 1e-4 of the median
 
 
 def depths_of_observations(problem: Problem) -> NDArray[np.float64]:

@@ -34,23 +34,14 @@ _PIXELS = ("f", "fx", "fy", "cx", "cy")
 
 @dataclass(frozen=True, eq=False)
 class Quantity:
-    """A function of a problem, with its gradient.
+    """A function of a problem, with its gradient."""
 
-    Attributes:
-        text: the quantity in words.
-        unit: "" for the unit of the model, "px", "degrees" or "1".
-        value: its value.
-        images: (num_images, 6) derivatives by the pose, (w, t).
-        cameras: (num_cameras, k) derivatives by the parameters.
-        points: (num_points, 3) derivatives by the coordinates.
-    """
-
-    text: str
-    unit: str
-    value: float
-    images: _Floats
-    cameras: _Floats
-    points: _Floats
+    text: str  # the quantity in words
+    unit: str  # "" for the unit of the model, "px", "degrees" or "1"
+    value: float  # its value
+    images: _Floats  # (num_images, 6) derivatives by the pose, (w, t)
+    cameras: _Floats  # (num_cameras, k) derivatives by the parameters
+    points: _Floats  # (num_points, 3) derivatives by the coordinates
 
 
 def quantity_of(text: str, problem: Problem, markers: Mapping[str, int]) -> Quantity:

@@ -257,19 +257,12 @@ _TOLERANCE = 1e-6
 
 @dataclass(frozen=True)
 class RigFields:
-    """Fields of the problem that rigs determine.
+    """Fields of the problem that rigs determine."""
 
-    Attributes:
-        image_camera: (num_images,) camera of each image.
-        camera: (num_cameras,) camera of the file of each camera.
-        fields: ``cam_from_world`` and the fields of rigs.
-        notes: sentences about rigs.
-    """
-
-    image_camera: NDArray[np.int32]
-    camera: NDArray[np.intp]
-    fields: Mapping[str, Any]
-    notes: tuple[str, ...] = ()
+    image_camera: NDArray[np.int32]  # (num_images,) camera of each image
+    camera: NDArray[np.intp]  # (num_cameras,) camera of the file of each camera
+    fields: Mapping[str, Any]  # ``cam_from_world`` and the fields of rigs
+    notes: tuple[str, ...] = ()  # sentences about rigs
 
 
 def rig_fields(

@@ -20,19 +20,12 @@ from bundle.errors import InputError, brief, shown
 
 @dataclass(frozen=True, eq=False)
 class CsvTable:
-    """Columns of a file.
+    """Columns of a file."""
 
-    Attributes:
-        whole: (n, number of integer columns) int64.
-        numbers: (n, number of other columns).
-        lines: (n,) line number of each row in the file, from 1.
-        name: name of the file, for messages.
-    """
-
-    whole: NDArray[np.int64]
-    numbers: NDArray[np.float64]
-    lines: NDArray[np.int64]
-    name: str
+    whole: NDArray[np.int64]  # (n, number of integer columns) int64
+    numbers: NDArray[np.float64]  # (n, number of other columns)
+    lines: NDArray[np.int64]  # (n,) line number of each row in the file, from 1
+    name: str  # name of the file, for messages
 
     def place(self, row: int) -> str:
         """Return "imu.csv: line 12"."""

@@ -164,24 +164,16 @@ _PADDED_RADTAN = {4: ("OPENCV", 4), 5: ("FULL_OPENCV", 8), 8: ("FULL_OPENCV", 8)
 
 
 class CameraSensor(NamedTuple):
-    """Camera of a calibration.
+    """Camera of a calibration."""
 
-    Attributes:
-        model, params: COLMAP's name of the lens model and its parameters.
-        from_imu: (4, 4) camera_from_imu for Kalibr; camera_from_body for EuRoC.
-        size: width and height; None if unknown.
-        rate: images per second; None if unknown.
-        time_offset: seconds that are added to stamps of images.
-        key: the key that gave ``from_imu``.
-    """
-
+    # model, params: COLMAP's name of the lens model and its parameters
     model: str
     params: tuple[float, ...]
-    from_imu: NDArray[np.float64]
-    size: tuple[int, int] | None
-    rate: float | None
-    time_offset: float
-    key: str
+    from_imu: NDArray[np.float64]  # (4, 4) camera_from_imu for Kalibr; camera_from_body for EuRoC
+    size: tuple[int, int] | None  # width and height; None if unknown
+    rate: float | None  # images per second; None if unknown
+    time_offset: float  # seconds that are added to stamps of images
+    key: str  # the key that gave ``from_imu``
 
 
 class ImuSensor(NamedTuple):

@@ -23,20 +23,15 @@ from bundle.model.sequence.sequence import Recording
 
 @dataclass(frozen=True)
 class RecordingSource:
-    """Where parts of a recording are that its path does not determine.
+    """Where parts of a recording are that its path does not determine."""
 
-    Attributes:
-        calibration: files of calibrations: this package's, or Kalibr's of camera and IMU.
-        camera: name of the camera: a folder of mav0, and an entry of a camchain.
-        imu: table of the IMU's samples, of a video.
-        frame_times: times of the frames, of a video; None: a constant rate from 0.
-        image_topic, imu_topic: topics of a ROS bag; None: the only one.
-    """
-
+    # files of calibrations: this package's, or Kalibr's of camera and IMU
     calibration: tuple[str | os.PathLike[str], ...] = ()
-    camera: str = "cam0"
-    imu: str | os.PathLike[str] | None = None
+    camera: str = "cam0"  # name of the camera: a folder of mav0, and an entry of a camchain
+    imu: str | os.PathLike[str] | None = None  # table of the IMU's samples, of a video
+    # times of the frames, of a video; None: a constant rate from 0
     frame_times: str | os.PathLike[str] | None = None
+    # image_topic, imu_topic: topics of a ROS bag; None: the only one
     image_topic: str | None = None
     imu_topic: str | None = None
 

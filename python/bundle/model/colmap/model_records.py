@@ -40,52 +40,34 @@ class ModelRecords:
     """A COLMAP model to be written, in the order of COLMAP's files.
 
     Records are ordered by id, images by frame.
-
-    Attributes:
-        camera_ids: (num_cameras,) ids; models, sizes and parameters are as in a problem.
-        rigs: id and sensors of each rig.
-        frames: id, rig, rig_from_world and data of each frame.
-        image_ids: (num_images,) ids of the images.
-        image_camera_ids: (num_images,) camera id of each image.
-        cam_from_world: (num_images, 7) poses, computed from frames and rigs as COLMAP does.
-        num_keypoints: (num_images,) number of keypoints of each image.
-        keypoint_xy: (num_keypoints, 2) coordinates, image by image.
-        keypoint_points: (num_keypoints,) point id of each keypoint; 2^64-1 without a point.
-        point_ids: (num_points,) ids of the points.
-        points: (num_points, 3) world coordinates.
-        point_colors: (num_points, 3) red, green, blue.
-        track_lengths: (num_points,) number of observations of each point.
-        track_images: (num_observations,) position in ``image_ids``, point by point.
-        track_keypoints: (num_observations,) index among the keypoints of the image.
-        num_renumbered: number of observations with another keypoint index than in the problem.
-        num_new_points: number of points that the source does not have; 0 without a source.
-        num_without_pose: number of source images without a pose, which files cannot hold.
-        frames_without_pose: frames without a pose by id, which files cannot hold.
     """
 
+    # (num_cameras,) ids; models, sizes and parameters are as in a problem
     camera_ids: NDArray[np.int64]
     camera_models: tuple[str, ...]
     camera_sizes: NDArray[np.int64]
     camera_params: NDArray[np.float64]
-    rigs: list[tuple[int, list[Sensor]]]
-    frames: list[tuple[int, *tuple[object, ...]]]
-    image_ids: NDArray[np.int64]
+    rigs: list[tuple[int, list[Sensor]]]  # id and sensors of each rig
+    frames: list[tuple[int, *tuple[object, ...]]]  # id, rig, rig_from_world and data of each frame
+    image_ids: NDArray[np.int64]  # (num_images,) ids of the images
     image_names: tuple[str, ...]
-    image_camera_ids: NDArray[np.int64]
+    image_camera_ids: NDArray[np.int64]  # (num_images,) camera id of each image
+    # (num_images, 7) poses, computed from frames and rigs as COLMAP does
     cam_from_world: NDArray[np.float64]
-    num_keypoints: NDArray[np.int64]
-    keypoint_xy: NDArray[np.float64]
+    num_keypoints: NDArray[np.int64]  # (num_images,) number of keypoints of each image
+    keypoint_xy: NDArray[np.float64]  # (num_keypoints, 2) coordinates, image by image
+    # (num_keypoints,) point id of each keypoint; 2^64-1 without a point
     keypoint_points: NDArray[np.uint64]
-    point_ids: NDArray[np.int64]
-    points: NDArray[np.float64]
-    point_colors: NDArray[np.uint8]
-    track_lengths: NDArray[np.int64]
-    track_images: NDArray[np.int64]
-    track_keypoints: NDArray[np.int64]
-    num_renumbered: int
-    num_new_points: int
-    num_without_pose: int
-    frames_without_pose: dict[int, Frame]
+    point_ids: NDArray[np.int64]  # (num_points,) ids of the points
+    points: NDArray[np.float64]  # (num_points, 3) world coordinates
+    point_colors: NDArray[np.uint8]  # (num_points, 3) red, green, blue
+    track_lengths: NDArray[np.int64]  # (num_points,) number of observations of each point
+    track_images: NDArray[np.int64]  # (num_observations,) position in ``image_ids``, point by point
+    track_keypoints: NDArray[np.int64]  # (num_observations,) index among the keypoints of the image
+    num_renumbered: int  # number of observations with another keypoint index than in the problem
+    num_new_points: int  # number of points that the source does not have; 0 without a source
+    num_without_pose: int  # number of source images without a pose, which files cannot hold
+    frames_without_pose: dict[int, Frame]  # frames without a pose by id, which files cannot hold
 
 
 def check(problem: ProblemArrays, source: Any) -> None:

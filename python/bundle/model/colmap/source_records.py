@@ -30,17 +30,11 @@ _ORIGIN = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 
 
 class Sensor(NamedTuple):
-    """A sensor of a rig.
+    """A sensor of a rig."""
 
-    Attributes:
-        type: CAMERA, or 1 for an IMU.
-        id: id of the camera or IMU.
-        pose: sensor_from_rig; None if unknown, and for the reference sensor.
-    """
-
-    type: int
-    id: int
-    pose: Pose | None = None
+    type: int  # CAMERA, or 1 for an IMU
+    id: int  # id of the camera or IMU
+    pose: Pose | None = None  # sensor_from_rig; None if unknown, and for the reference sensor
 
 
 class Datum(NamedTuple):
@@ -66,24 +60,15 @@ class Frame(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Contents:
-    """Keypoints, colours and tracks.
+    """Keypoints, colours and tracks."""
 
-    Attributes:
-        keypoint_xy: (num_keypoints, 2) coordinates, image by image in the order of
-            ``SourceRecords.image_ids``.
-        point_ids: (num_points,) ids of the points, in any order.
-        point_colors: (num_points, 3) red, green, blue.
-        track_lengths: (num_points,) number of elements of each track.
-        track_image_ids: (num_elements,) image id of each element, track by track.
-        track_keypoints: (num_elements,) index among the keypoints of the image.
-    """
-
+    # (num_keypoints, 2) coordinates, image by image in the order of ``SourceRecords.image_ids``
     keypoint_xy: NDArray[np.float64]
-    point_ids: NDArray[np.int64]
-    point_colors: NDArray[np.uint8]
-    track_lengths: NDArray[np.int64]
-    track_image_ids: NDArray[np.int64]
-    track_keypoints: NDArray[np.int64]
+    point_ids: NDArray[np.int64]  # (num_points,) ids of the points, in any order
+    point_colors: NDArray[np.uint8]  # (num_points, 3) red, green, blue
+    track_lengths: NDArray[np.int64]  # (num_points,) number of elements of each track
+    track_image_ids: NDArray[np.int64]  # (num_elements,) image id of each element, track by track
+    track_keypoints: NDArray[np.int64]  # (num_elements,) index among the keypoints of the image
 
 
 def _no_contents() -> Contents:
@@ -100,22 +85,18 @@ def _no_contents() -> Contents:
 
 @dataclass(frozen=True, kw_only=True)
 class SourceRecords:
-    """A COLMAP model; empty for the source of a problem from memory or from a BAL file.
+    """A COLMAP model; empty for the source of a problem from memory or from a BAL file."""
 
-    Attributes:
-        rigs: sensors by rig id.
-        frames: frames by id, in the order of registration, which is the order of images in files.
-        image_ids: (num_images,) ids of the images, in any order.
-        image_camera_ids: (num_images,) camera id of each image.
-        num_keypoints: (num_images,) number of keypoints of each image.
-        contents: function that reads keypoints, colours and tracks; slow for large models.
-    """
-
-    rigs: dict[int, list[Sensor]] = field(default_factory=dict)
+    rigs: dict[int, list[Sensor]] = field(default_factory=dict)  # sensors by rig id
+    # frames by id, in the order of registration, which is the order of images in files
     frames: dict[int, Frame] = field(default_factory=dict)
+    # (num_images,) ids of the images, in any order
     image_ids: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
+    # (num_images,) camera id of each image
     image_camera_ids: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
+    # (num_images,) number of keypoints of each image
     num_keypoints: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
+    # function that reads keypoints, colours and tracks; slow for large models
     contents: Callable[[], Contents] = _no_contents
 
 
@@ -168,17 +149,12 @@ _Indices = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class KeypointNumbers:
-    """Keypoints of the observations of a problem.
+    """Keypoints of the observations of a problem."""
 
-    Attributes:
-        keypoint: (num_observations,) index of each observation in its image.
-        num_keypoints: (num_images,) number of keypoints of each image, including new keypoints.
-        num_renumbered: number of observations with another index than in the problem.
-    """
-
-    keypoint: _Indices
+    keypoint: _Indices  # (num_observations,) index of each observation in its image
+    # (num_images,) number of keypoints of each image, including new keypoints
     num_keypoints: _Indices
-    num_renumbered: int
+    num_renumbered: int  # number of observations with another index than in the problem
 
 
 def number_keypoints(problem: ProblemArrays, num_keypoints: _Indices) -> KeypointNumbers:

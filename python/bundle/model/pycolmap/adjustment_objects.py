@@ -52,25 +52,15 @@ __all__ = [
 
 @dataclass(frozen=True, kw_only=True)
 class AdjustmentConfig:
-    """Content of a ``pycolmap.BundleAdjustmentConfig``, all as ids.
+    """Content of a ``pycolmap.BundleAdjustmentConfig``, all as ids."""
 
-    Attributes:
-        images: images whose observations take part.
-        variable_points: points all of whose observations take part.
-        constant_points: as ``variable_points``, and constant.
-        constant_cameras: cameras with constant intrinsics.
-        constant_sensors: cameras with a constant pose on their rig.
-        constant_frames: frames with a constant pose.
-        gauge: name of the gauge in :class:`bundle.SolveOptions`.
-    """
-
-    images: frozenset[int]
-    variable_points: frozenset[int] = frozenset()
-    constant_points: frozenset[int] = frozenset()
-    constant_cameras: frozenset[int] = frozenset()
-    constant_sensors: frozenset[int] = frozenset()
-    constant_frames: frozenset[int] = frozenset()
-    gauge: str
+    images: frozenset[int]  # images whose observations take part
+    variable_points: frozenset[int] = frozenset()  # points all of whose observations take part
+    constant_points: frozenset[int] = frozenset()  # as ``variable_points``, and constant
+    constant_cameras: frozenset[int] = frozenset()  # cameras with constant intrinsics
+    constant_sensors: frozenset[int] = frozenset()  # cameras with a constant pose on their rig
+    constant_frames: frozenset[int] = frozenset()  # frames with a constant pose
+    gauge: str  # name of the gauge in :class:`bundle.SolveOptions`
 
 
 _GAUGES = {
@@ -219,21 +209,13 @@ _Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True, eq=False)
 class AdjustedFields:
-    """Sub-problem that a configuration selects.
+    """Sub-problem that a configuration selects."""
 
-    Attributes:
-        fields: fields of the problem.
-        tracks: (num_points,) lengths of the points' tracks in the reconstruction.
-        frames: (num_images,) frame ids of the images in the reconstruction.
-        points: the points.
-        positions: views of the points' positions.
-    """
-
-    fields: dict[str, Any]
-    tracks: NDArray[np.int64]
-    frames: NDArray[np.int64]
-    points: list[pycolmap.Point3D]
-    positions: list[NDArray[np.float64]]
+    fields: dict[str, Any]  # fields of the problem
+    tracks: NDArray[np.int64]  # (num_points,) lengths of the points' tracks in the reconstruction
+    frames: NDArray[np.int64]  # (num_images,) frame ids of the images in the reconstruction
+    points: list[pycolmap.Point3D]  # the points
+    positions: list[NDArray[np.float64]]  # views of the points' positions
 
 
 def adjusted_fields(

@@ -41,15 +41,10 @@ LOST_SIGMAS = "Sigmas of observations are left out."
 
 @dataclass(frozen=True, eq=False)
 class BalSource:
-    """Rotation vectors of a BAL file, kept because quaternions would lose their last bits.
+    """Rotation vectors of a BAL file, kept because quaternions would lose their last bits."""
 
-    Attributes:
-        rotations: (num_images, 3) angle-axis in radians, as in the file.
-        cam_from_world: (num_images, 7) poses computed from the file, by image id.
-    """
-
-    rotations: NDArray[np.float64]
-    cam_from_world: NDArray[np.float64]
+    rotations: NDArray[np.float64]  # (num_images, 3) angle-axis in radians, as in the file
+    cam_from_world: NDArray[np.float64]  # (num_images, 7) poses computed from the file, by image id
 
 
 def is_source(source: object) -> bool:
@@ -277,22 +272,16 @@ _Packed = Packed
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ImportedSource:
-    """Source of a problem that was read from a file of another program.
+    """Source of a problem that was read from a file of another program."""
 
-    Attributes:
-        point_ids: (num_points,) ids of the points of the file.
-        point_colors: (num_points, 3) red, green, blue.
-        source_rmse: reprojection RMSE in pixels by the formula of the other program.
-        rmse: the same by the formula of this package.
-        notes: sentences about data of the file that the problem lacks or approximates.
-        data: values by name that the writer of the same format uses again.
-    """
-
-    point_ids: NDArray[np.int64]
-    point_colors: NDArray[np.uint8]
+    point_ids: NDArray[np.int64]  # (num_points,) ids of the points of the file
+    point_colors: NDArray[np.uint8]  # (num_points, 3) red, green, blue
+    # reprojection RMSE in pixels by the formula of the other program
     source_rmse: float = float("nan")
-    rmse: float = float("nan")
+    rmse: float = float("nan")  # the same by the formula of this package
+    # sentences about data of the file that the problem lacks or approximates
     notes: tuple[str, ...] = ()
+    # values by name that the writer of the same format uses again
     data: Mapping[str, Any] = field(default_factory=dict)
 
     def records(self) -> SourceRecords:

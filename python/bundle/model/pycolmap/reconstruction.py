@@ -133,21 +133,13 @@ def _padded(rows: list[NDArray[np.float64]]) -> NDArray[np.float64]:
 
 @dataclass(frozen=True)
 class Observations:
-    """Keypoints that observe points, sorted by image and keypoint.
+    """Keypoints that observe points, sorted by image and keypoint."""
 
-    Attributes:
-        images: the images.
-        image: positions in `images`.
-        keypoint: indices in the image.
-        point_id: ids of points, unsigned.
-        xy: (n, 2) in pixels.
-    """
-
-    images: list[pycolmap.Image]
-    image: NDArray[np.int32]
-    keypoint: NDArray[np.int32]
-    point_id: NDArray[np.uint64]
-    xy: NDArray[np.float64]
+    images: list[pycolmap.Image]  # the images
+    image: NDArray[np.int32]  # positions in `images`
+    keypoint: NDArray[np.int32]  # indices in the image
+    point_id: NDArray[np.uint64]  # ids of points, unsigned
+    xy: NDArray[np.float64]  # (n, 2) in pixels
 
     @staticmethod
     def of(images: list[pycolmap.Image]) -> Observations:
@@ -378,15 +370,10 @@ def is_valid(reconstruction: pycolmap.Reconstruction) -> bool:
 
 @dataclass(frozen=True)
 class RigFields:
-    """Fields of a problem for the rigs of a reconstruction.
+    """Fields of a problem for the rigs of a reconstruction."""
 
-    Attributes:
-        fields: fields of the problem by name.
-        framed: for each image, True if it is in a frame of a rig with several cameras.
-    """
-
-    fields: dict[str, Any]
-    framed: list[bool]
+    fields: dict[str, Any]  # fields of the problem by name
+    framed: list[bool]  # for each image, True if it is in a frame of a rig with several cameras
 
 
 def rigs_of(reconstruction: pycolmap.Reconstruction, images: list[pycolmap.Image]) -> RigFields:

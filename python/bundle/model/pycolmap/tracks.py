@@ -44,17 +44,11 @@ Pair = tuple[int, int, NDArray[np.uint32]]
 
 
 class Extension(NamedTuple):
-    """Numbers of observations that a step of the triangulator changed.
+    """Numbers of observations that a step of the triangulator changed."""
 
-    Attributes:
-        triangulated: observations that continued a track or made a new point.
-        completed: observations that joined a track over several matches.
-        merged: observations of points that became one.
-    """
-
-    triangulated: int
-    completed: int
-    merged: int
+    triangulated: int  # observations that continued a track or made a new point
+    completed: int  # observations that joined a track over several matches
+    merged: int  # observations of points that became one
 
 
 class TrackBuilder:

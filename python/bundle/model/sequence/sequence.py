@@ -265,29 +265,20 @@ def suspected_units(gyro: NDArray[np.float64], accel: NDArray[np.float64]) -> st
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """Measurements of one camera and one IMU.
+    """Measurements of one camera and one IMU."""
 
-    Attributes:
-        name: path, for messages.
-        imu_timestamps_ns: (n,) int64.
-        gyro: (n, 3) angular rate in the IMU's frame [rad/s].
-        accel: (n, 3) specific force in the IMU's frame [m/s^2].
-        image_timestamps_ns: (m,) int64 stamps of the images, on the camera's clock.
-        images: function that yields the images (height, width) as uint8 in the order of the
-            stamps, from the first index (inclusive) to the second (exclusive).
-        calibration: calibration of both sensors, with a camera model.
-        notes: sentences about sources of the calibration and conversions, for the report.
-        imu_place, image_place: functions that convert a row to text for messages.
-    """
-
-    name: str
-    imu_timestamps_ns: NDArray[np.int64]
-    gyro: NDArray[np.float64]
-    accel: NDArray[np.float64]
-    image_timestamps_ns: NDArray[np.int64]
+    name: str  # path, for messages
+    imu_timestamps_ns: NDArray[np.int64]  # (n,) int64
+    gyro: NDArray[np.float64]  # (n, 3) angular rate in the IMU's frame [rad/s]
+    accel: NDArray[np.float64]  # (n, 3) specific force in the IMU's frame [m/s^2]
+    image_timestamps_ns: NDArray[np.int64]  # (m,) int64 stamps of the images, on the camera's clock
+    # function that yields the images (height, width) as uint8 in the order of the stamps, from the
+    # first index (inclusive) to the second (exclusive)
     images: Callable[[int, int], Iterator[NDArray[np.uint8]]]
-    calibration: Calibration
+    calibration: Calibration  # calibration of both sensors, with a camera model
+    # sentences about sources of the calibration and conversions, for the report
     notes: tuple[str, ...]
+    # imu_place, image_place: functions that convert a row to text for messages
     imu_place: Place
     image_place: Place
 

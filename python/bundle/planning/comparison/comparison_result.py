@@ -191,17 +191,14 @@ class PerformanceProfile:
     """Share of problems that a method solves within a factor of the fastest (Dolan and More 2002).
 
     A problem is solved when the cost is within ``gap`` of the best; the measure is the time to it.
-
-    Attributes:
-        ratios: time of ``method`` divided by that of the fastest method, for each problem that
-            ``method`` solved; ascending.
-        num_problems: problems that at least one method solved.
     """
 
     method: Method
     gap: float
+    # time of ``method`` divided by that of the fastest method, for each problem that ``method``
+    # solved; ascending
     ratios: tuple[float, ...]
-    num_problems: int
+    num_problems: int  # problems that at least one method solved
 
     def share(self, factor: float) -> float:
         """Return the share of problems solved within this factor of the fastest, 0 to 1."""

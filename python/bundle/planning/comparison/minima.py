@@ -135,15 +135,10 @@ LEAST_SIGMA0 = 1e-3
 
 
 class Distance(NamedTuple):
-    """Distance of two solutions.
+    """Distance of two solutions."""
 
-    Attributes:
-        sigmas: distance without the points that are counted.
-        num_points: number of points that are at other positions.
-    """
-
-    sigmas: float
-    num_points: int
+    sigmas: float  # distance without the points that are counted
+    num_points: int  # number of points that are at other positions
 
 
 class SolutionDistance:

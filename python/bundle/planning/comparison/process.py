@@ -77,16 +77,12 @@ _MEMORY_WORDS = re.compile(
 
 @dataclass(kw_only=True)
 class WorkerEnd:
-    """End of a worker: an outcome of ``Run``, and the messages received before.
+    """End of a worker: an outcome of ``Run``, and the messages received before."""
 
-    Attributes:
-        outcome: "done" for any termination type of the solver.
-        iterations: iterations that it sent; the latest may be missing.
-    """
-
-    outcome: str = ""
+    outcome: str = ""  # "done" for any termination type of the solver
     message: str = ""
     measurement: dict[str, Any] | None = None
+    # iterations that it sent; the latest may be missing
     iterations: list[dict[str, Any]] = field(default_factory=list)
 
 

@@ -62,14 +62,10 @@ TIGHT = {
 
 @dataclass(frozen=True, kw_only=True)
 class Progress:
-    """Progress of a comparison.
+    """Progress of a comparison."""
 
-    Attributes:
-        stage: description such as "3 of 18: fused SPARSE_SCHUR on 2 threads".
-        iteration: latest iteration, by the names of Ceres' IterationSummary; None before the first.
-    """
-
-    stage: str
+    stage: str  # description such as "3 of 18: fused SPARSE_SCHUR on 2 threads"
+    # latest iteration, by the names of Ceres' IterationSummary; None before the first
     iteration: dict[str, Any] | None = None
 
 

@@ -69,23 +69,14 @@ MOST_DENSE_COLUMNS = 600
 
 
 class FactorWork(NamedTuple):
-    """Work of all factors with a free coordinate in one step.
+    """Work of all factors with a free coordinate in one step."""
 
-    Attributes:
-        evaluation: seconds of residuals and Jacobians on one thread.
-        in_python: the part of it that functions in Python take.
-        rows: residuals.
-        entries: nonzeros of J.
-        block_products: products of two blocks of J.
-        product_flops: flops of these products.
-    """
-
-    evaluation: float
-    in_python: float
-    rows: float
-    entries: float
-    block_products: float
-    product_flops: float
+    evaluation: float  # seconds of residuals and Jacobians on one thread
+    in_python: float  # the part of it that functions in Python take
+    rows: float  # residuals
+    entries: float  # nonzeros of J
+    block_products: float  # products of two blocks of J
+    product_flops: float  # flops of these products
 
 
 class _Step(NamedTuple):

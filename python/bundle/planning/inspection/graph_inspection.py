@@ -305,17 +305,12 @@ def minimum_degree_order(num_variables: int, edges: Iterable[Edge]) -> tuple[int
 
 @dataclass(frozen=True)
 class GraphFile:
-    """Graph whose variables are numbered from 0.
+    """Graph whose variables are numbered from 0."""
 
-    Attributes:
-        names: names of the variables: integers in ascending order, other names in file order.
-        edges: pairs of variables in file order.
-        landmarks: variables with names such as l17 or L17, as GTSAM names landmarks.
-    """
-
+    # names of the variables: integers in ascending order, other names in file order
     names: tuple[str, ...]
-    edges: tuple[tuple[int, int], ...]
-    landmarks: tuple[int, ...]
+    edges: tuple[tuple[int, int], ...]  # pairs of variables in file order
+    landmarks: tuple[int, ...]  # variables with names such as l17 or L17, as GTSAM names landmarks
 
 
 def load_graph(path: str | os.PathLike[str]) -> GraphFile:

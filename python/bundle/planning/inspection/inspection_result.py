@@ -170,19 +170,14 @@ _FIRST_CERES_WITH_POWER_SERIES = (2, 2)
 
 @dataclass(frozen=True, kw_only=True)
 class Method:
-    """Linear solver (Ceres' name) with its backend, order and preconditioner.
-
-    Attributes:
-        backend: "FUSED", "CERES", or "" for an order that neither backend offers.
-        ordering: order of the factorised blocks; "" without a factorisation. "cameras_first"
-            eliminates the cameras and orders the points by AMD.
-        preconditioner: "" for direct solvers.
-    """
+    """Linear solver (Ceres' name) with its backend, order and preconditioner."""
 
     linear_solver_type: str
-    backend: str
+    backend: str  # "FUSED", "CERES", or "" for an order that neither backend offers
+    # order of the factorised blocks; "" without a factorisation. "cameras_first" eliminates the
+    # cameras and orders the points by AMD
     ordering: str = ""
-    preconditioner: str = ""
+    preconditioner: str = ""  # "" for direct solvers
 
     @property
     def name(self) -> str:

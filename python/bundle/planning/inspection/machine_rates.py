@@ -50,18 +50,12 @@ Work = Mapping[str, Mapping[str, float]]
 
 @dataclass(frozen=True, kw_only=True)
 class Rates:
-    """Seconds per unit of work on this machine.
+    """Seconds per unit of work on this machine."""
 
-    Attributes:
-        num_threads: threads of the timed solves.
-        seconds: seconds per unit, by kind of work.
-        misfit: root mean square of the relative errors of the times that they reproduce.
-        efficiency: share of the time saved by ideal threads that those of the machine save.
-    """
-
-    num_threads: int
-    seconds: Mapping[str, float]
-    misfit: float = 0.0
+    num_threads: int  # threads of the timed solves
+    seconds: Mapping[str, float]  # seconds per unit, by kind of work
+    misfit: float = 0.0  # root mean square of the relative errors of the times that they reproduce
+    # share of the time saved by ideal threads that those of the machine save
     efficiency: float = 1.0
 
     def terms(self, work: Work) -> Terms:

@@ -163,23 +163,15 @@ MOST_POINT_PAIRS = 20_000_000
 
 
 class FactorizedSystem(NamedTuple):
-    """System that a method factorises, with the cost of its factor.
+    """System that a method factorises, with the cost of its factor."""
 
-    Attributes:
-        columns: scalar columns of the factorised matrix.
-        nnz_reduced: nonzeros of the reduced system; 0 without one.
-        factor: cost of the factor.
-        note: remark on the numbers.
-        values: stored values of the reduced system: its lower triangle, or all of it if dense.
-        panel_values: stored values of the factor in the fused backend's panels.
-    """
-
-    columns: int
-    nnz_reduced: int
-    factor: FactorCount
-    note: str = ""
+    columns: int  # scalar columns of the factorised matrix
+    nnz_reduced: int  # nonzeros of the reduced system; 0 without one
+    factor: FactorCount  # cost of the factor
+    note: str = ""  # remark on the numbers
+    # stored values of the reduced system: its lower triangle, or all of it if dense
     values: float = 0.0
-    panel_values: float = 0.0
+    panel_values: float = 0.0  # stored values of the factor in the fused backend's panels
 
 
 class FactorCounter:
@@ -327,27 +319,16 @@ _SECONDS = 0.2e-6
 
 @dataclass(frozen=True, kw_only=True)
 class ProblemNeeds:
-    """Needs of a problem.
+    """Needs of a problem."""
 
-    Attributes:
-        num_observations: number of observations.
-        memory_in_bytes: observations and points of a solve in memory.
-        system_in_bytes: least size of S with its factor.
-        num_submaps: least number of solves, each within the limit of observations.
-        disk_in_bytes: scratch files of one submap out of core.
-        resident_in_bytes: memory of one submap out of core, with its share of S.
-        processor_seconds_per_step: of all submaps, on the machine of the benchmark.
-        most_separator_images: images whose dense system fits into the free memory.
-    """
-
-    num_observations: int
-    memory_in_bytes: float
-    system_in_bytes: float
-    num_submaps: int
-    disk_in_bytes: float
-    resident_in_bytes: float
-    processor_seconds_per_step: float
-    most_separator_images: int
+    num_observations: int  # number of observations
+    memory_in_bytes: float  # observations and points of a solve in memory
+    system_in_bytes: float  # least size of S with its factor
+    num_submaps: int  # least number of solves, each within the limit of observations
+    disk_in_bytes: float  # scratch files of one submap out of core
+    resident_in_bytes: float  # memory of one submap out of core, with its share of S
+    processor_seconds_per_step: float  # of all submaps, on the machine of the benchmark
+    most_separator_images: int  # images whose dense system fits into the free memory
 
 
 def needs_of(
@@ -374,25 +355,15 @@ CAMERA_SIZE, POINT_SIZE = 6, 3
 
 @dataclass(frozen=True)
 class SchurCounts:
-    """Textbook flops of one linear solve.
+    """Textbook flops of one linear solve."""
 
-    Attributes:
-        num_unknowns: unknowns of cameras and points.
-        num_reduced_unknowns: rows and columns of S.
-        num_block_products: products W V^-1 W^T, one per ordered pair of cameras and point.
-        points: flops of inverting the points' blocks.
-        products: flops of the block products.
-        reduced: flops of factorising S.
-        dense: flops of factorising the dense matrix of all unknowns.
-    """
-
-    num_unknowns: int
-    num_reduced_unknowns: int
-    num_block_products: int
-    points: float
-    products: float
-    reduced: float
-    dense: float
+    num_unknowns: int  # unknowns of cameras and points
+    num_reduced_unknowns: int  # rows and columns of S
+    num_block_products: int  # products W V^-1 W^T, one per ordered pair of cameras and point
+    points: float  # flops of inverting the points' blocks
+    products: float  # flops of the block products
+    reduced: float  # flops of factorising S
+    dense: float  # flops of factorising the dense matrix of all unknowns
 
     @property
     def schur(self) -> float:

@@ -31,17 +31,11 @@ PROFILE_BINS = 200
 
 
 class BlockPattern(NamedTuple):
-    """Lower triangle of a symmetric matrix of dense blocks, by block columns.
+    """Lower triangle of a symmetric matrix of dense blocks, by block columns."""
 
-    Attributes:
-        sizes: (num_blocks,) rows and columns of each diagonal block.
-        column_begin: (num_blocks + 1,) first entry of each block column.
-        rows: block row of each entry, ascending within a column; the diagonal comes first.
-    """
-
-    sizes: Sizes
-    column_begin: NDArray[np.int64]
-    rows: Sizes
+    sizes: Sizes  # (num_blocks,) rows and columns of each diagonal block
+    column_begin: NDArray[np.int64]  # (num_blocks + 1,) first entry of each block column
+    rows: Sizes  # block row of each entry, ascending within a column; the diagonal comes first
 
     @property
     def num_columns(self) -> int:
@@ -86,23 +80,16 @@ def pattern_of_edges(sizes: Sizes, pairs: NDArray[np.int64]) -> BlockPattern:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class FactorCount:
-    """Cost of a Cholesky factor L in one elimination order.
+    """Cost of a Cholesky factor L in one elimination order."""
 
-    Attributes:
-        nnz: nnz(L), including the diagonal.
-        fill: fill-in: pairs of blocks that are nonzero in L and zero in the matrix.
-        flops: sum of c^2 + 3 c over the columns with c entries below the diagonal: updates of the
-            remaining matrix and of the right-hand side.
-        cholmod_flops: sum of (c + 1)^2, as CHOLMOD's analysis prints it.
-        tree_height: blocks on the longest path of the elimination tree.
-        profile: largest c of up to 200 equal portions of the columns, in elimination order.
-    """
-
-    nnz: int
-    fill: int
+    nnz: int  # nnz(L), including the diagonal
+    fill: int  # fill-in: pairs of blocks that are nonzero in L and zero in the matrix
+    # sum of c^2 + 3 c over the columns with c entries below the diagonal: updates of the remaining
+    # matrix and of the right-hand side
     flops: float
-    cholmod_flops: float
-    tree_height: int
+    cholmod_flops: float  # sum of (c + 1)^2, as CHOLMOD's analysis prints it
+    tree_height: int  # blocks on the longest path of the elimination tree
+    # largest c of up to 200 equal portions of the columns, in elimination order
     profile: tuple[int, ...]
 
 
@@ -127,35 +114,26 @@ class PlanSize:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ProblemPattern:
-    """Counts on which the predictions are based.
+    """Counts on which the predictions are based."""
 
-    Attributes:
-        num_observations: observations of refined parameters.
-        num_free_points: number of refined points.
-        reduced: pattern of S.
-        nnz_jacobian, nnz_information: nonzeros of J and H.
-        block_pairs: block products of the elimination: pairs of camera blocks that observe a free
-            point, summed over the points, each pair once and each block with itself.
-        pair_entries: the same in scalars: half the sum of F^2 over the free points, where F columns
-            of camera parameters observe a point.
-        longest_track: largest number of observations of a point.
-        num_pairs: pairs of observations of the same point.
-        has_equal_blocks: all camera blocks have the same size and each observation has one of them;
-            Ceres then uses Schur kernels of fixed size.
-        plan: sizes of the fused backend's passes.
-    """
-
-    num_observations: int
-    num_free_points: int
-    reduced: BlockPattern
+    num_observations: int  # observations of refined parameters
+    num_free_points: int  # number of refined points
+    reduced: BlockPattern  # pattern of S
+    # nnz_jacobian, nnz_information: nonzeros of J and H
     nnz_jacobian: int
     nnz_information: int
+    # block products of the elimination: pairs of camera blocks that observe a free point, summed
+    # over the points, each pair once and each block with itself
     block_pairs: int
+    # the same in scalars: half the sum of F^2 over the free points, where F columns of camera
+    # parameters observe a point
     pair_entries: float
-    longest_track: int
-    num_pairs: int
+    longest_track: int  # largest number of observations of a point
+    num_pairs: int  # pairs of observations of the same point
+    # all camera blocks have the same size and each observation has one of them; Ceres then uses
+    # Schur kernels of fixed size
     has_equal_blocks: bool
-    plan: PlanSize
+    plan: PlanSize  # sizes of the fused backend's passes
 
     @property
     def num_camera_columns(self) -> int:

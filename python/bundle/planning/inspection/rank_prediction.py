@@ -74,30 +74,18 @@ _OF_THE_FIRST = ("reduced system", "coarse system", "BLAS")
 
 @dataclass(frozen=True, kw_only=True)
 class RankPrediction:
-    """Predicted solve by N processes.
+    """Predicted solve by N processes."""
 
-    Attributes:
-        num_processes: number of processes N.
-        method: linear solver (Ceres' name) that is predicted.
-        most_observations: largest number of observations of a process.
-        bytes_per_step: bytes of messages, as ``summary.processes.traffic`` counts them.
-        time_per_step_in_seconds: predicted time of a step.
-        points_time_per_step_in_seconds: divided part, of the process with the most work.
-        first_time_per_step_in_seconds: serial part of rank 0.
-        network_time_per_step_in_seconds: part of the messages.
-        efficiency: time of one process over N times the time of N processes.
-        memory_of_first_in_bytes, memory_of_others_in_bytes: peak of rank 0 and of another rank.
-    """
-
-    num_processes: int
-    method: str
-    most_observations: int
-    bytes_per_step: int
-    time_per_step_in_seconds: float
-    points_time_per_step_in_seconds: float
-    first_time_per_step_in_seconds: float
-    network_time_per_step_in_seconds: float
-    efficiency: float
+    num_processes: int  # number of processes N
+    method: str  # linear solver (Ceres' name) that is predicted
+    most_observations: int  # largest number of observations of a process
+    bytes_per_step: int  # bytes of messages, as ``summary.processes.traffic`` counts them
+    time_per_step_in_seconds: float  # predicted time of a step
+    points_time_per_step_in_seconds: float  # divided part, of the process with the most work
+    first_time_per_step_in_seconds: float  # serial part of rank 0
+    network_time_per_step_in_seconds: float  # part of the messages
+    efficiency: float  # time of one process over N times the time of N processes
+    # memory_of_first_in_bytes, memory_of_others_in_bytes: peak of rank 0 and of another rank
     memory_of_first_in_bytes: float
     memory_of_others_in_bytes: float
 
@@ -223,21 +211,13 @@ _WHY = {
 
 @dataclass(frozen=True, kw_only=True)
 class RankLimit:
-    """Largest useful number of processes, and the reason.
+    """Largest useful number of processes, and the reason."""
 
-    Attributes:
-        num_processes: largest requested number that pays.
-        next_num_processes: smallest requested number that does not pay; 0 if all pay.
-        reason: largest waste of time: "first", "messages" or "imbalance"; "" if all pay.
-        share: share of the processes' time that this waste takes, 0 to 1.
-        message: limit and reason in one sentence.
-    """
-
-    num_processes: int
-    next_num_processes: int
-    reason: str
-    share: float
-    message: str
+    num_processes: int  # largest requested number that pays
+    next_num_processes: int  # smallest requested number that does not pay; 0 if all pay
+    reason: str  # largest waste of time: "first", "messages" or "imbalance"; "" if all pay
+    share: float  # share of the processes' time that this waste takes, 0 to 1
+    message: str  # limit and reason in one sentence
 
 
 def find_rank_limit(predictions: Sequence[RankPrediction]) -> RankLimit | None:

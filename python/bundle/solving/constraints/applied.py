@@ -23,67 +23,46 @@ HELD_ROTATION, HELD_POSITION = 1, 2
 
 @dataclass(frozen=True)
 class KnownPrior:
-    """A prior on one parameter of a camera, or on a position or rotation.
+    """A prior on one parameter of a camera, or on a position or rotation."""
 
-    Attributes:
-        rule: index of the rule in the list of rules.
-        subject: ("camera", id), ("image", id) or ("point", id).
-        parameter: name of the parameter, such as "fx" or "position".
-        value: prior value: a number; x, y, z of a position; or cam_from_world of a rotation.
-        sigma: standard deviation in the parameter's unit; degrees for a rotation; per axis for a
-            position; a fraction of the value if `relative`.
-        relative: True if the prior is on the logarithm.
-        column: column of a camera's parameter.
-    """
-
-    rule: int
-    subject: tuple[str, int]
-    parameter: str
+    rule: int  # index of the rule in the list of rules
+    subject: tuple[str, int]  # ("camera", id), ("image", id) or ("point", id)
+    parameter: str  # name of the parameter, such as "fx" or "position"
+    # prior value: a number; x, y, z of a position; or cam_from_world of a rotation
     value: tuple[float, ...]
+    # standard deviation in the parameter's unit; degrees for a rotation; per axis for a position; a
+    # fraction of the value if `relative`
     sigma: tuple[float, ...]
-    relative: bool = False
-    column: int = -1
+    relative: bool = False  # True if the prior is on the logarithm
+    column: int = -1  # column of a camera's parameter
 
 
 @dataclass(frozen=True)
 class Tie:
-    """Parameters of cameras that are multiples of one shared number.
+    """Parameters of cameras that are multiples of one shared number."""
 
-    Attributes:
-        members: (camera id, column, multiple).
-        rules: indices of the rules that tie them.
-    """
-
-    members: tuple[tuple[int, int, float], ...]
-    rules: tuple[int, ...]
+    members: tuple[tuple[int, int, float], ...]  # (camera id, column, multiple)
+    rules: tuple[int, ...]  # indices of the rules that tie them
 
 
 @dataclass(frozen=True)
 class Applied:
-    """Rules, resolved for one problem.
+    """Rules, resolved for one problem."""
 
-    Attributes:
-        rules: the rules as the caller gave them.
-        held_params: columns of the constant parameters of a camera, by camera id.
-        held_poses: bits of the constant parts of an image's pose, by image id.
-        fixed_point_ids: ids of the constant points.
-        bounds: (lower, upper) by camera id and column.
-        priors: the priors, in the order of `factors`.
-        factors: the factor of each prior.
-        ties: parameters that are multiples of one shared number.
-        counts: number of parameters (or positions, rotations) that each rule names.
-        bounded: index of the rule that bounds a parameter, by camera id and column.
-    """
-
-    rules: tuple[Rule, ...]
+    rules: tuple[Rule, ...]  # the rules as the caller gave them
+    # columns of the constant parameters of a camera, by camera id
     held_params: Mapping[int, frozenset[int]] = field(default_factory=dict)
+    # bits of the constant parts of an image's pose, by image id
     held_poses: Mapping[int, int] = field(default_factory=dict)
-    fixed_point_ids: tuple[int, ...] = ()
+    fixed_point_ids: tuple[int, ...] = ()  # ids of the constant points
+    # (lower, upper) by camera id and column
     bounds: Mapping[tuple[int, int], tuple[float, float]] = field(default_factory=dict)
-    priors: tuple[KnownPrior, ...] = ()
-    factors: tuple[Factor, ...] = ()
-    ties: tuple[Tie, ...] = ()
+    priors: tuple[KnownPrior, ...] = ()  # the priors, in the order of `factors`
+    factors: tuple[Factor, ...] = ()  # the factor of each prior
+    ties: tuple[Tie, ...] = ()  # parameters that are multiples of one shared number
+    # number of parameters (or positions, rotations) that each rule names
     counts: tuple[int, ...] = ()
+    # index of the rule that bounds a parameter, by camera id and column
     bounded: Mapping[tuple[int, int], int] = field(default_factory=dict)
 
     @property

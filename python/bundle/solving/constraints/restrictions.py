@@ -21,24 +21,18 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Restrictions:
-    """Bounds, constants and ties. An attribute is None if the problem has nothing of its kind.
+    """Bounds, constants and ties. An attribute is None if the problem has nothing of its kind."""
 
-    Attributes:
-        bounds: bounds of camera parameters.
-        held_camera_params: (num_cameras,) bit j is set if parameter j is constant.
-        held_pose_parts: (num_images,) bits of the constant parts of a pose.
-        camera_tie: index of the shared number of each parameter, or -1; in the shape of
-            ``Problem.camera_params``.
-        camera_tie_scale: ratio of each parameter to its shared number.
-        num_ties: number of shared numbers.
-    """
-
-    bounds: CameraBounds | None = None
+    bounds: CameraBounds | None = None  # bounds of camera parameters
+    # (num_cameras,) bit j is set if parameter j is constant
     held_camera_params: NDArray[np.uint32] | None = None
+    # (num_images,) bits of the constant parts of a pose
     held_pose_parts: NDArray[np.uint8] | None = None
+    # index of the shared number of each parameter, or -1; in the shape of ``Problem.camera_params``
     camera_tie: NDArray[np.int32] | None = None
+    # ratio of each parameter to its shared number
     camera_tie_scale: NDArray[np.float64] | None = None
-    num_ties: int = 0
+    num_ties: int = 0  # number of shared numbers
 
     @property
     def lower(self) -> NDArray[np.float64] | None:
@@ -129,15 +123,11 @@ _SIDES = ("lower", "upper")
 
 @dataclass(frozen=True, eq=False)
 class CameraBounds:
-    """Bounds of every camera parameter of a problem.
+    """Bounds of every camera parameter of a problem."""
 
-    Attributes:
-        lower: (num_cameras, width) as in ``Problem.camera_params``; -inf without a lower bound.
-        upper: upper bounds in the same shape; inf without an upper bound.
-    """
-
+    # (num_cameras, width) as in ``Problem.camera_params``; -inf without a lower bound
     lower: NDArray[np.float64]
-    upper: NDArray[np.float64]
+    upper: NDArray[np.float64]  # upper bounds in the same shape; inf without an upper bound
 
     @staticmethod
     def make(problem: Problem, bounds: Any) -> CameraBounds:

@@ -22,17 +22,11 @@ class Ranks(Protocol):
 
 
 class Crew(Protocol):
-    """Interface of rank 0 to the other processes.
+    """Interface of rank 0 to the other processes."""
 
-    Attributes:
-        num_ranks: number of processes.
-        is_solving: True while the other ranks solve; they accept no other job until the end.
-        is_told_to_end: True after Ctrl-C; checked after each iteration.
-    """
-
-    num_ranks: int
-    is_solving: bool
-    is_told_to_end: bool
+    num_ranks: int  # number of processes
+    is_solving: bool  # True while the other ranks solve; they accept no other job until the end
+    is_told_to_end: bool  # True after Ctrl-C; checked after each iteration
 
     def ranks(self) -> Ranks:
         """Return the communication of rank 0 in one solve."""
@@ -46,20 +40,14 @@ class Crew(Protocol):
 
 @dataclass
 class Job:
-    """Input of one process.
+    """Input of one process."""
 
-    Attributes:
-        part: the points of the process.
-        options: resolved options.
-        restrictions: bounds, and the constant and tied parameters; None without any.
-        factors: factors in the form of ``partition.factors_of``.
-        image_is_observed: (num_images,) True if the full problem has observations in the image.
-    """
-
-    part: ProblemPart
-    options: dict[str, Any]
+    part: ProblemPart  # the points of the process
+    options: dict[str, Any]  # resolved options
+    # bounds, and the constant and tied parameters; None without any
     restrictions: Restrictions | None
-    factors: Any
+    factors: Any  # factors in the form of ``partition.factors_of``
+    # (num_images,) True if the full problem has observations in the image
     image_is_observed: NDArray[np.uint8]
 
 

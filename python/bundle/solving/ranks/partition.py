@@ -45,15 +45,10 @@ _OWN = (
 
 @dataclass(frozen=True)
 class Division:
-    """Points divided among processes.
+    """Points divided among processes."""
 
-    Attributes:
-        parts: indices of the points of each process, ascending.
-        section: (num_points,) section of each point.
-    """
-
-    parts: list[NDArray[np.int64]]
-    section: NDArray[np.uint16]
+    parts: list[NDArray[np.int64]]  # indices of the points of each process, ascending
+    section: NDArray[np.uint16]  # (num_points,) section of each point
 
 
 def divide(problem: Problem, num_parts: int) -> Division:

@@ -179,22 +179,18 @@ def _mask_of(name: str, problem: Problem, point_ids: Iterable[int]) -> _Mask:
 class RunPlan:
     """Rounds of a run, its checkpoints, and its held-out observations.
 
-    Attributes:
-        rounds: number of rounds of adjusting and filtering, and the limits of the filter.
-        checkpoint: file that is written after each round and each ``checkpoint_interval``
-            iterations; None: the file of ``resume``, if given.
-        resume: checkpoint from which the run continues, if the file exists.
-        checkpoint_interval: iterations from one checkpoint to the next.
-        held_out: share of the observations that a second fit holds out; no checkpoint has this fit.
-
     Raises:
         InputError: an interval is below 1, or a value cannot be a path.
     """
 
+    # number of rounds of adjusting and filtering, and the limits of the filter
     rounds: RoundOptions
+    # file that is written after each round and each ``checkpoint_interval`` iterations; None: the
+    # file of ``resume``, if given
     checkpoint: Path | None
-    resume: Path | None
-    checkpoint_interval: int
+    resume: Path | None  # checkpoint from which the run continues, if the file exists
+    checkpoint_interval: int  # iterations from one checkpoint to the next
+    # share of the observations that a second fit holds out; no checkpoint has this fit
     held_out: HoldOutOptions
 
     def __init__(
@@ -237,26 +233,17 @@ class RunPlan:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class State:
-    """State of a run of rounds.
+    """State of a run of rounds."""
 
-    Attributes:
-        problem: start of the next solve, or the end of the run.
-        observation_mask: mask of the remaining observations of the first round's problem.
-        point_mask: mask of the remaining points of the first round's problem.
-        rounds: completed rounds.
-        num_extended: observations that extended the tracks of the problem before its solve, for the
-            rule that ends the rounds; infinite: another round follows in any case.
-        so_far: result of the current adjustment so far; None at its start.
-        end: result of the last adjustment of a complete run; None before.
-    """
-
-    problem: Problem
-    observation_mask: _Mask
-    point_mask: _Mask
-    rounds: tuple[Round, ...] = ()
+    problem: Problem  # start of the next solve, or the end of the run
+    observation_mask: _Mask  # mask of the remaining observations of the first round's problem
+    point_mask: _Mask  # mask of the remaining points of the first round's problem
+    rounds: tuple[Round, ...] = ()  # completed rounds
+    # observations that extended the tracks of the problem before its solve, for the rule that ends
+    # the rounds; infinite: another round follows in any case
     num_extended: float = 0
-    so_far: Result | None = None
-    end: Result | None = None
+    so_far: Result | None = None  # result of the current adjustment so far; None at its start
+    end: Result | None = None  # result of the last adjustment of a complete run; None before
 
     def record(self) -> dict[str, Any]:
         """Return the completed rounds, and whether the run has ended, as JSON values."""

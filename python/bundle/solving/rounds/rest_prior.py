@@ -73,17 +73,11 @@ SMALLEST = 64 * np.finfo(float).eps
 
 @dataclass(frozen=True)
 class RestPrior:
-    """Information of the rest of a problem on a part.
+    """Information of the rest of a problem on a part."""
 
-    Attributes:
-        factor: the prior; None if the rest has no information.
-        holds_gauge: True if there are neighbours, so that no other gauge is needed.
-        record: record for reports, before the costs are known.
-    """
-
-    factor: LinearPrior | None
-    holds_gauge: bool
-    record: RestRecord
+    factor: LinearPrior | None  # the prior; None if the rest has no information
+    holds_gauge: bool  # True if there are neighbours, so that no other gauge is needed
+    record: RestRecord  # record for reports, before the costs are known
 
 
 def marginalize_rest(

@@ -42,21 +42,14 @@ _BLOCK = 1 << 20
 
 @dataclass
 class Survey:
-    """Counts of a model, and the owner of each point.
+    """Counts of a model, and the owner of each point."""
 
-    Attributes:
-        num_images: number of images of the model.
-        num_observations: number of observations of the model.
-        owner: (num_points,) rank that owns each point.
-        section: (num_points,) section of each point; see ``ranks.partition``.
-        point_ids: (num_points,) ascending ids of a COLMAP model; None for a BAL file, whose ids are
-            the positions in the file.
-    """
-
-    num_images: int
-    num_observations: int
-    owner: NDArray[np.uint16]
-    section: NDArray[np.uint16]
+    num_images: int  # number of images of the model
+    num_observations: int  # number of observations of the model
+    owner: NDArray[np.uint16]  # (num_points,) rank that owns each point
+    section: NDArray[np.uint16]  # (num_points,) section of each point; see ``ranks.partition``
+    # (num_points,) ascending ids of a COLMAP model; None for a BAL file, whose ids are the
+    # positions in the file
     point_ids: NDArray[np.int64] | None = None
 
     def unknown(self, ids: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -68,18 +61,12 @@ class Survey:
 
 @dataclass
 class Slice:
-    """Slice of a model in one process.
+    """Slice of a model in one process."""
 
-    Attributes:
-        cameras: all images and cameras, without points and observations.
-        part: points and observations of the process.
-        survey: survey of the entire model.
-        image_is_observed: (num_images,) True if any process has an observation in the image.
-    """
-
-    cameras: Problem
-    part: ProblemPart
-    survey: Survey
+    cameras: Problem  # all images and cameras, without points and observations
+    part: ProblemPart  # points and observations of the process
+    survey: Survey  # survey of the entire model
+    # (num_images,) True if any process has an observation in the image
     image_is_observed: NDArray[np.uint8]
 
 

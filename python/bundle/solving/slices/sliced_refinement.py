@@ -68,17 +68,11 @@ class SliceCrew(Crew, Protocol):
 
 @dataclass(frozen=True)
 class AllSlices:
-    """Executor on all processes, each with its slice; starts and results are divided models.
+    """Executor on all processes, each with its slice; starts and results are divided models."""
 
-    Attributes:
-        crew: the other ranks.
-        process: the process of rank 0.
-        owner: (num_points,) rank of each point.
-    """
-
-    crew: SliceCrew
-    process: Process
-    owner: NDArray[np.uint16]
+    crew: SliceCrew  # the other ranks
+    process: Process  # the process of rank 0
+    owner: NDArray[np.uint16]  # (num_points,) rank of each point
 
     def run(self, prepared: Prepared, progress: Progress | None) -> dict[str, Any]:
         """Adjust from the values of all processes; see :meth:`Executor.run`."""
@@ -258,17 +252,11 @@ class DividedModel(Problem):
 
 @dataclass
 class Kept:
-    """Content of a checkpoint.
+    """Content of a checkpoint."""
 
-    Attributes:
-        state: arrays of the entire model, by the names in ``estimates.VARIABLES``.
-        so_far: result of the adjustment so far; its problem has no points.
-        has_ended: True if nothing is left to do.
-    """
-
-    state: dict[str, Any]
-    so_far: Result | None
-    has_ended: bool
+    state: dict[str, Any]  # arrays of the entire model, by the names in ``estimates.VARIABLES``
+    so_far: Result | None  # result of the adjustment so far; its problem has no points
+    has_ended: bool  # True if nothing is left to do
 
 
 class SlicedCheckpoint:
