@@ -101,7 +101,9 @@ def join(
         # A's point already has the observations where it meets the joined point.
         num_observations_dropped=len(row) - len(added) - int(num_met[is_joined].sum()),
     )
-    point_ids = np.concatenate([a.point_ids, _new_ids(a.point_ids, b.point_ids, is_new)])
+    point_ids = np.concatenate(
+        [a.point_ids, _free_ids(b.point_ids[is_new], a.point_ids, b.point_ids)]
+    )
     by_id = np.argsort(point_ids)
     rank = np.argsort(by_id)
     in_order = np.argsort(rank[point], kind="stable")
@@ -195,15 +197,6 @@ def _continuing(
     _, first = np.unique(view, return_index=True)
     chosen_elements: _Indices = candidates[np.sort(first)]
     return chosen_elements
-
-
-def _new_ids(ids_a: _Indices, ids_b: _Indices, is_new: NDArray[np.bool_]) -> _Indices:
-    """Return the ids of B's new points: their own, or above all others if A uses them."""
-    ids = ids_b[is_new]
-    taken = np.isin(ids, ids_a)
-    spare = max(ids_a.max(initial=0), ids_b.max(initial=0))
-    ids[taken] = spare + 1 + np.arange(int(taken.sum()))
-    return ids
 
 
 # Images of model B that model A lacks, with their cameras, and the rigs and frames that they need.

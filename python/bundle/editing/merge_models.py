@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.base import words
+from bundle.base.arrays import rows_among
 from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
 from bundle.base.words import pixels, plural
@@ -131,7 +132,7 @@ def merge(a: Source, b: Source, *, max_error: float = MAX_ERROR) -> Merge:
     records = _records(first), _records(second)
     shared = np.column_stack(
         [
-            _indices(record.image_ids, problem.image_ids[row])
+            rows_among(problem.image_ids[row], record.image_ids)
             for record, problem, row in zip(records, (first, second), images.T, strict=True)
         ]
     )
@@ -156,7 +157,7 @@ def merge(a: Source, b: Source, *, max_error: float = MAX_ERROR) -> Merge:
     there = dataclasses.replace(
         records[1],
         points=second.points[by_id[1]],
-        cam_from_world=second.cam_from_world[_indices(second.image_ids, records[1].image_ids)],
+        cam_from_world=second.cam_from_world[rows_among(records[1].image_ids, second.image_ids)],
     )
     added = added_images(records[0], there, shared, cameras)
     merged, counts = join(records[0], there, added, keypoints, meetings, one)
@@ -216,12 +217,6 @@ def _shared_images(a: dict[str, int], b: dict[str, int]) -> list[tuple[int, int]
             "degrees of freedom between the models"
         )
     return shared
-
-
-def _indices(ids: NDArray[np.int64], wanted: NDArray[np.int64]) -> NDArray[np.int64]:
-    order = np.argsort(ids)
-    found: NDArray[np.int64] = order[np.searchsorted(ids, wanted, sorter=order)]
-    return found
 
 
 def _cameras(a: Problem, b: Problem, images: NDArray[np.int64]) -> tuple[dict[int, int], list[str]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -108,20 +109,29 @@ def summarize_errors(
     counted = counted_errors(errors, behind, cheirality)
     if not counted.all():
         errors = errors[counted]
-    if len(errors) == 0:
-        nan = float("nan")
-        statistics = {"rmse": nan, "mean": nan, "median": nan, "p95": nan, "max": nan}
-    else:
-        with np.errstate(over="ignore"):  # valid problems may overflow
-            statistics = {
-                "rmse": float(np.sqrt(np.mean(errors**2))),
-                "mean": float(errors.mean()),
-                "max": float(errors.max()),
-            }
-        # Quantiles come last because they reorder the errors.
-        statistics["median"], statistics["p95"] = quantiles(errors, [0.5, 0.95])
+    with np.errstate(over="ignore"):  # valid problems may overflow
+        sums = errors.sum(), (errors**2).sum(), errors.max(initial=0.0)
+    # Quantiles come last because they reorder the errors.
+    return statistics_of(len(errors), sums, lambda: quantiles(errors, [0.5, 0.95]), behind.sum())
+
+
+def statistics_of(
+    count: int,
+    sums: Sequence[float],
+    median_and_p95: Callable[[], Iterable[float]],
+    num_behind: int,
+) -> ReprojectionError:
+    """Return the statistics of a number of errors; ``sums``: their sum, of squares, and largest."""
+    total, squares, largest = sums if count else (math.nan,) * 3
+    median, p95 = median_and_p95() if count else (math.nan, math.nan)
     return ReprojectionError(
-        **statistics, num_observations=len(errors), num_behind_camera=int(behind.sum())
+        rmse=float(np.sqrt(squares / max(count, 1))),
+        mean=float(total / max(count, 1)),
+        median=median,
+        p95=p95,
+        max=float(largest),
+        num_observations=count,
+        num_behind_camera=int(num_behind),
     )
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,7 @@ from bundle.model.reprojection import (
     between,
     counted_errors,
     quantiles,
-    summarize_errors,
+    statistics_of,
 )
 from bundle.solving.kept_errors import (
     Inliers,
@@ -118,28 +117,14 @@ def _compressed(
 
 def _summarize(errors: NDArray[np.float64], num_behind: int) -> ReprojectionError:
     """Return the statistics of errors that count, which are reordered."""
-    count = len(errors)
-    if count == 0:
-        nothing = summarize_errors(errors, np.zeros(0, np.bool_), "algebraic")
-        median = p95 = rmse = mean = largest = nothing.rmse
-    else:
-        total = squares = largest = 0.0
-        with np.errstate(over="ignore"):
-            for block in blocks(count):
-                total += float(errors[block].sum())
-                squares += float((errors[block] ** 2).sum())
-                largest = max(largest, float(errors[block].max()))
-        rmse, mean = float(np.sqrt(squares / count)), total / count
-        median, p95 = quantiles(errors, [0.5, 0.95])
-    return ReprojectionError(
-        rmse=rmse,
-        mean=mean,
-        median=median,
-        p95=p95,
-        max=largest,
-        num_observations=count,
-        num_behind_camera=num_behind,
-    )
+    total = squares = largest = 0.0
+    with np.errstate(over="ignore"):
+        for block in blocks(len(errors)):
+            total += float(errors[block].sum())
+            squares += float((errors[block] ** 2).sum())
+            largest = max(largest, float(errors[block].max()))
+    sums = total, squares, largest
+    return statistics_of(len(errors), sums, lambda: quantiles(errors, [0.5, 0.95]), num_behind)
 
 
 # Statistics of reprojection errors whose observations are in several processes.
@@ -183,35 +168,24 @@ def divided_statistics(
     """
     own = np.sort(errors[counted_errors(errors, behind, cheirality)])
     with np.errstate(over="ignore"):
-        sums = (len(own), behind.sum(), own.sum(), (own**2).sum(), own.max(initial=0.0))
-    given = meeting.gather(sums)
+        mine = (len(own), behind.sum(), own.sum(), (own**2).sum(), own.max(initial=0.0))
+    given = meeting.gather(mine)
     totals = None
     if given is not None:
         count, num_behind, total, squares, _ = (sum(column) for column in zip(*given, strict=True))
         largest = max(row[-1] for row in given)
         totals = (int(count), int(num_behind), float(total), float(squares), float(largest))
-    count, num_behind, total, squares, largest = meeting.broadcast(totals)
-    if count == 0:
-        none = summarize_errors(own, np.zeros(0, bool), cheirality)
-        return dataclasses.replace(none, num_behind_camera=num_behind)
-    positions = np.array([0.5, 0.95]) * (count - 1)
-    below = positions.astype(np.int64)
-    values = order_statistics(meeting, own, np.r_[below, np.minimum(below + 1, count - 1)])
+    count, num_behind, *sums = meeting.broadcast(totals)
+    values: list[float] = []
+    if count:
+        positions = np.array([0.5, 0.95]) * (count - 1)
+        below = positions.astype(np.int64)
+        found = order_statistics(meeting, own, np.r_[below, np.minimum(below + 1, count - 1)])
+        pairs = zip(found[:2], found[2:], positions - below, strict=True)
+        values = [between(float(low), float(high), float(share)) for low, high, share in pairs]
     if meeting.rank > 0:
         return None
-    median, p95 = (
-        between(float(low), float(high), float(share))
-        for low, high, share in zip(values[:2], values[2:], positions - below, strict=True)
-    )
-    return ReprojectionError(
-        rmse=float(np.sqrt(squares / count)),
-        mean=total / count,
-        median=median,
-        p95=p95,
-        max=largest,
-        num_observations=count,
-        num_behind_camera=num_behind,
-    )
+    return statistics_of(count, sums, lambda: values, num_behind)
 
 
 def order_statistics(
