@@ -60,13 +60,7 @@ class RigConfig:
 
 
 def read_rig_config(path: str | os.PathLike[str]) -> tuple[RigConfig, ...]:
-    """Read COLMAP's rig_config.json; keys that COLMAP does not use are ignored.
-
-    Raises:
-        InputError: the format is wrong; the message is one line with the positions of rig and
-            camera.
-        OSError: the file cannot be read.
-    """
+    """Read COLMAP's rig_config.json; keys that COLMAP does not use are ignored."""
     try:
         content = json.loads(Path(path).read_bytes().decode("utf-8-sig"))
     except ValueError as error:  # includes UnicodeDecodeError

@@ -27,13 +27,7 @@ FIRST_READOUT = 0.5
 def with_shutters(
     problem: Problem, given: ShutterOptions, options: SolveOptions
 ) -> tuple[Problem, SolveOptions]:
-    """Return the problem with the given rolling shutters, and the options with the readout refined.
-
-    Raises:
-        InputError: the readout is not a share of a frame, an option has no rolling shutter to
-            change, or the file of times is wrong.
-        OSError: the file of times cannot be read.
-    """
+    """Return the problem with the given rolling shutters, and options that refine the readout."""
     if not given.changed():
         return problem, options
     shutter = _directed(problem, given)

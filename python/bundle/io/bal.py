@@ -118,10 +118,6 @@ def save_like(
     """Write the cameras of a problem, the given points, and the observations of a BAL file.
 
     Observations are copied from file to file; the observations of the problem are ignored.
-
-    Raises:
-        InputError: see ``radial_params``; or the file has changed.
-        OSError: a file cannot be read or written.
     """
     rotations, keeps_rotation = _source_rotations(problem)
     _core.write_bal_like(
@@ -152,11 +148,7 @@ def _source_rotations(problem: Problem) -> tuple[NDArray[np.float64], NDArray[np
 
 
 def radial_params(problem: Problem, what: str = "a BAL file") -> NDArray[np.float64]:
-    """Return f, cx, cy, k1, k2 of each image, in pixels: (num_images, 5).
-
-    Raises:
-        InputError: a camera has other parameters too; the message names model and image.
-    """
+    """Return f, cx, cy, k1, k2 of each image, in pixels: (num_images, 5)."""
     params = np.zeros((problem.num_images, 5))
     models = np.array(problem.camera_models, dtype=object)[problem.image_camera]
     for model in sorted(set(models)):

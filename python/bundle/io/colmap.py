@@ -96,11 +96,7 @@ def load(path: str | os.PathLike[str]) -> Problem:
 
 
 def problem_of(folder: Path, model: _core.ColmapModel, fields: dict[str, Any]) -> Problem:
-    """Return the problem of a model that the core read.
-
-    Raises:
-        InputError: a value is invalid.
-    """
+    """Return the problem of a model that the core read."""
     fields["cam_from_world"] = rig_arrays.placed(fields)
     source = DeferredSource(model, fields, folder)
     with at(str(folder)):
@@ -173,10 +169,6 @@ def rewrite_like(
         point_ids: (num_points,) ids of all points of the source, ascending.
         points: (num_points, 3) world coordinates.
         errors: (num_points,) errors as returned by :func:`point_errors`.
-
-    Raises:
-        OSError: the files could not be written completely.
-        InputError: the files of the source have changed.
     """
     problem.check_padding()
     _write_shutter(problem, folder)

@@ -43,9 +43,6 @@ def open_database(path: Path) -> Iterator[sqlite3.Connection]:
 
     COLMAP's databases have a write-ahead log, which even a reader creates. Without one, nothing
     writes to the database, and it is read as an immutable file.
-
-    Raises:
-        InputError: the database is damaged, or lacks what the context asks for.
     """
     import sqlite3  # late: few inputs are databases
 
@@ -61,12 +58,7 @@ def open_database(path: Path) -> Iterator[sqlite3.Connection]:
 
 
 def database_sizes(path: Path, names: Sequence[str]) -> NDArray[np.int64]:
-    """Return (num_images, 2) width and height of images by name.
-
-    Raises:
-        InputError: the database is damaged, or lacks an image.
-        OSError: the file cannot be read.
-    """
+    """Return (num_images, 2) width and height of images by name."""
     place = shown(path)
     with open_database(path) as database:
         rows = database.execute(
@@ -113,10 +105,6 @@ def database_matches(path: Path, names: Sequence[str]) -> DatabaseMatches:
     """Return the keypoints of images by name, and the matches among them.
 
     The matches are the inliers of two-view geometries, in pairs of at least ``FEWEST_MATCHES``.
-
-    Raises:
-        InputError: the file is not a database, is damaged, or lacks an image or all matches.
-        OSError: the file cannot be read.
     """
     place = shown(path)
     if not is_database(path):

@@ -100,12 +100,7 @@ def save(
 
 
 def as_problem(source: Source, name: str = "problem") -> Problem:
-    """Return the problem of a source: the problem itself, a path's, or a reconstruction's.
-
-    Raises:
-        InputError: the source has another type, or its content is not a problem.
-        OSError: the path does not exist or cannot be read.
-    """
+    """Return the problem of a source: the problem itself, a path's, or a reconstruction's."""
     if isinstance(source, Problem):
         return source
     if is_path(source):

@@ -50,10 +50,6 @@ def save_g2o(graph: PoseGraph, path: str | os.PathLike[str]) -> tuple[str, ...]:
 
     An existing file is replaced only when the new one is complete on the disk. Numbers have the
     fewest digits that read back unchanged. Returns (): the format loses no information.
-
-    Raises:
-        InputError: the path is a folder.
-        OSError: a system call fails.
     """
     path = as_path(path)
     with atomic.replace_file(path) as temporary:

@@ -169,10 +169,6 @@ def save_model(
         format: "colmap" (binary) or "colmap-text".
         write: function that writes the model files into a folder and returns sentences on the
             information that they do not hold.
-
-    Raises:
-        InputError: the path cannot be replaced, or ``write`` raises this error.
-        OSError: a system call fails, for example without permission or on a full disk.
     """
     going = _files_of_other_format(path, format)
     with atomic.replace_folder(path) as temporary:
@@ -200,10 +196,6 @@ def output_format(
       if the problem was read from a text model at ``source``, otherwise binary. A new path must
       not have a suffix of letters (``x.foo``): it would be the name of neither a folder nor a file
       of that format.
-
-    Raises:
-        InputError: the explicit format is unknown, or the name has the suffix of another format, or
-            an unknown one.
     """
     folder = as_path(path)
     if format is not None:
@@ -370,9 +362,6 @@ def has_same_images(path: Path, names: Sequence[str]) -> bool:
 
     Only the number of images is compared if names are empty, and for BAL files, which have no
     names.
-
-    Raises:
-        InputError, OSError: the model cannot be read.
     """
     imported = imported_format(path, others=False)
     if imported is not None:

@@ -36,11 +36,7 @@ _COLUMNS = "name qw qx qy qz tx ty tz"
 
 
 def pose_format(path: str | os.PathLike[str]) -> str | None:
-    """Return the format of a file of poses by its first line; None if it has no such format.
-
-    Raises:
-        OSError: the file cannot be read.
-    """
+    """Return the format of a file of poses by its first line; None if it has no such format."""
     return _format_of_line(first_line(Path(path))[1])
 
 

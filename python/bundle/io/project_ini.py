@@ -19,14 +19,7 @@ RENAMED = {"refine_extrinsics": "refine_rig_from_world"}
 
 
 def read_project_ini(path: str | os.PathLike[str]) -> ColmapAdjustment:
-    """Read the options of a bundle adjustment; an option that the file lacks has COLMAP's default.
-
-    Raises:
-        InputError: a line is not an option, an option occurs twice or has a wrong value, no solve
-            supports it, or the file has no option of a bundle adjustment; the message names the
-            line.
-        OSError: the file cannot be read.
-    """
+    """Read the options of a bundle adjustment; those that the file lacks have COLMAP's default."""
     values: dict[str, str] = {}
     places: dict[str, str] = {}
     section = ""

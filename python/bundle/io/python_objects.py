@@ -34,10 +34,6 @@ def load_object(text: str) -> Any:
 
     Args:
         text: FILE.py:NAME; without a name ``make_graph`` or ``graph``.
-
-    Raises:
-        InputError: the file or its function fails, or has no such object.
-        OSError: the file cannot be read.
     """
     found = _PYTHON.match(text)
     if found is None:

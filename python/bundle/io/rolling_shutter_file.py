@@ -44,12 +44,7 @@ _IMAGE = ("image_id", "twist", "frame", "neighbours")
 
 
 def with_rolling_shutter(problem: Problem, folder: Path) -> Problem:
-    """Return a model with the rolling shutters in its folder; without the file, as it is.
-
-    Raises:
-        InputError: the file is not a valid rolling_shutter.json of this model; the message has the
-            file, the entry, the expected and the actual value.
-    """
+    """Return a model with the rolling shutters in its folder; without the file, as it is."""
     path = folder / ROLLING_SHUTTER
     if not path.is_file():
         return problem
@@ -62,13 +57,7 @@ def with_rolling_shutter(problem: Problem, folder: Path) -> Problem:
 
 
 def read_rolling_shutter(path: Path, problem: Problem) -> RollingShutter:
-    """Read a rolling_shutter.json for the cameras and images of a problem.
-
-    Raises:
-        InputError: the content is invalid; the message has the file, the entry, the expected and
-            the actual value.
-        OSError: the file cannot be read.
-    """
+    """Read a rolling_shutter.json for the cameras and images of a problem."""
     from bundle.io.formats.file_values import read_json  # late: most models have no such file
 
     node = read_json(path)
@@ -231,10 +220,6 @@ def read_frame_times(
 
     Args:
         frame_rate: frames per second, for times in seconds; 0: unknown.
-
-    Raises:
-        InputError: a column is missing, or a row is wrong; the message has file and line.
-        OSError: the file cannot be read.
     """
     with Path(path).open(newline="", encoding="utf-8", errors="replace") as file:
         rows = csv.DictReader(file)

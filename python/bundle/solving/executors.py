@@ -58,9 +58,6 @@ def solve_prepared(
 
     Args:
         executor: executor; None: all processes of mpirun, or this process if it is the only one.
-
-    Raises:
-        InputError: for the reasons of :func:`bundle.solve`.
     """
     check_function("progress", progress)
     executor = _default_executor() if executor is None else executor

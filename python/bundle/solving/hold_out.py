@@ -90,9 +90,6 @@ def choose(
     Args:
         percent: share of each image's observations, above 0 and at most 50.
         among: mask of the observations that may be held out; None: all.
-
-    Raises:
-        InputError: a number is out of range, or no observation can be held out.
     """
     percent = number(name, percent, above=0.0, maximum=MOST_PERCENT)
     seed = int(number("seed", seed, minimum=0, whole=True))
@@ -160,9 +157,6 @@ class HeldOutFit:
     Args:
         prepared: the solve of all observations.
         options: share of the observations and seed.
-
-    Raises:
-        InputError: no observation can be held out.
     """
 
     def __init__(self, prepared: Prepared, options: HoldOutOptions) -> None:

@@ -40,11 +40,7 @@ def lay_out(
     bounds: Bounds | None = None,
     applied: Applied | None = None,
 ) -> Layout:
-    """Check factors and bounds, add the factors and bounds of the rules, and resolve the options.
-
-    Raises:
-        InputError: a factor or a bound does not fit the problem.
-    """
+    """Check factors and bounds, add those of the rules, and resolve the options."""
     if applied is not None and applied.factors:
         factors = (*factors, *applied.factors)
     known = _problem_factors(problem, factors)
@@ -77,11 +73,7 @@ def _with_twists(
     factors: Iterable[Factor],
     known: ProblemFactors | None,
 ) -> tuple[ProblemFactors | None, SolveOptions]:
-    """Add the ties of twists, and hold the scale of the world, which ties alone would shrink.
-
-    Raises:
-        InputError: twists cannot be tied.
-    """
+    """Add the ties of twists, and hold the scale of the world, which ties alone would shrink."""
     from bundle.graphs.factors.image_factors import twist_ties  # only with rolling shutters
 
     shutter = problem.rolling_shutter

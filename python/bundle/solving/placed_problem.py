@@ -68,9 +68,6 @@ def place_at_priors(
         problem: problem to move; not modified.
         align: move the problem to the priors; None: move it if `factors` is empty and the priors
             determine the similarity.
-
-    Raises:
-        InputError: see :func:`bundle.solve`.
     """
     if align is not None:
         align = as_flag("align", align)

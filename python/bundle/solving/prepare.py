@@ -63,11 +63,7 @@ class Prepared:
 
     @cached_property
     def layout(self) -> Layout:
-        """Factors, restrictions and options for the values of the start.
-
-        Raises:
-            InputError: a factor or a bound does not fit the problem.
-        """
+        """Factors, restrictions and options for the values of the start."""
         return lay_out(self.start, self.options, self.factors, self.bounds, self.applied)
 
     def at(self, problem: Problem, options: SolveOptions | None = None) -> Prepared:
@@ -173,11 +169,7 @@ class Executor(Protocol):
 
 
 def prepare(request: SolveRequest) -> Prepared:
-    """Move a problem to its priors, resolve the rules, and select the subset to refine.
-
-    Raises:
-        InputError: see :func:`bundle.solve` and :func:`bundle.solve_rounds`.
-    """
+    """Move a problem to its priors, resolve the rules, and select the subset to refine."""
     part, align = request.part, request.align
     if part is not None:
         if align:
@@ -242,11 +234,7 @@ def _local_part(problem: Problem, part: PartRequest, placed: PlacedProblem) -> L
 
 
 def _within(part: LocalPart, whole: Prepared) -> Prepared:
-    """Restrict a prepared solve to a subset; the remaining problem is constant or marginalized.
-
-    Raises:
-        InputError: the images see no points, or there are rules although the rest is marginal.
-    """
+    """Restrict a prepared solve to a subset; the remaining problem is constant or marginalized."""
     given, options, applied = whole.request.problem, whole.options, whole.applied
     if whole.start is not given:
         part = part.of(whole.start)

@@ -41,11 +41,7 @@ class PartRequest:
 
     @staticmethod
     def of(images: ImageSelection | None, rest: str) -> PartRequest | None:
-        """Return the local part that the arguments name; None: the entire problem.
-
-        Raises:
-            InputError: ``rest`` has an unknown value, or needs ``images``.
-        """
+        """Return the local part that the arguments name; None: the entire problem."""
         rest = choice("rest", rest, RESTS)
         if images is None and rest == "marginal":
             raise InputError("rest: marginal is valid only with only_images")
@@ -54,11 +50,7 @@ class PartRequest:
 
 @dataclass(frozen=True, eq=False, init=False)
 class SolveRequest:
-    """All inputs that define the minimum of a solve; see :func:`bundle.solve` for details.
-
-    Raises:
-        InputError: factors or priors are not a list.
-    """
+    """All inputs that define the minimum of a solve; see :func:`bundle.solve` for details."""
 
     problem: Problem  # opened problem; never changed
     options: SolveOptions  # options as the caller gave them, including "auto"

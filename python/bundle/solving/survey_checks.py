@@ -273,11 +273,7 @@ class _Adjusted:
     def _certainty(
         self, problem: Problem, offset: PositionOffset | None, positions: Iterable[PositionFactor]
     ) -> _Certainty:
-        """Return the covariances of a state.
-
-        Raises:
-            InputError: something is undetermined.
-        """
+        """Return the covariances of a state."""
         if offset is not None:
             problem = offset.added_to(problem, self.value if offset is self.offset else np.zeros(3))
         ready = replace(self.prepared.at(problem), factors=self._factors(offset, positions))

@@ -45,11 +45,7 @@ class Quantity:
 
 
 def quantity_of(text: str, problem: Problem, markers: Mapping[str, int]) -> Quantity:
-    """Return the quantity that a text names; ``markers``: point ids by name.
-
-    Raises:
-        InputError: the text is no quantity, names something unknown, or the same place twice.
-    """
+    """Return the quantity that a text names; ``markers``: point ids by name."""
     if not isinstance(text, str) or not text.split():
         raise InputError(f"on: expected a quantity such as 'distance 12 87', found {brief(text)}")
     above, is_ratio, below = text.partition(" / ")

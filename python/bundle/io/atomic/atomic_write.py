@@ -50,11 +50,7 @@ from bundle.io.atomic.temporary import (
 
 
 def recover(path: Path) -> tuple[str, ...]:
-    """Complete interrupted replacements in a folder; return one sentence for each.
-
-    Raises:
-        InputError: a replacement cannot be completed.
-    """
+    """Complete interrupted replacements in a folder; return one sentence for each."""
     target = Path(os.path.realpath(path))
     return replacement.recover(target) if target.is_dir() else ()
 
@@ -116,12 +112,7 @@ def check_folder(path: Path) -> None:
 
 @contextmanager
 def replace_file(path: Path) -> Iterator[Path]:
-    """Yield a temporary path to write to; it becomes ``path`` when the block ends without error.
-
-    Raises:
-        InputError: see ``check_file``.
-        OSError: a system call fails; the error names ``path``, not the temporary file.
-    """
+    """Yield a temporary path to write to; it becomes ``path`` when the block ends without error."""
     check_file(path)
     target = Path(os.path.realpath(path))
     remove_leftovers(target.parent)
@@ -146,10 +137,6 @@ def replace_folder(path: Path) -> Iterator[Path]:
 
     All old model files of ``path`` are removed, even those that the new model does not have. All
     other files in ``path`` stay.
-
-    Raises:
-        InputError: see ``check_folder``.
-        OSError: a system call fails; the error names ``path``, not the temporary folder.
     """
     check_folder(path)
     target = Path(os.path.realpath(path))
@@ -180,11 +167,7 @@ def replace_folder(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def made_folder(folder: Path) -> Iterator[None]:
-    """Create a folder and the missing ones above it; after an error remove those that are empty.
-
-    Raises:
-        OSError: a system call fails.
-    """
+    """Create a folder and the missing ones above it; after an error remove those that are empty."""
     missing = []
     place = folder
     while not place.exists():
@@ -203,12 +186,7 @@ def made_folder(folder: Path) -> Iterator[None]:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text to a file atomically, or into a device or pipe.
-
-    Raises:
-        InputError: the path is a folder, or a path above it is not a folder.
-        OSError: a system call fails; the error names the path.
-    """
+    """Write a text to a file atomically, or into a device or pipe."""
     if is_stream(path):
         append(path, text)
         return

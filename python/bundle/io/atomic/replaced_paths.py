@@ -63,11 +63,7 @@ def is_stream(path: str | os.PathLike[str]) -> bool:
 
 
 def append(path: str | os.PathLike[str], text: str) -> None:
-    """Append text to a stream.
-
-    Raises:
-        OSError: a system call fails; the error names the path.
-    """
+    """Append text to a stream."""
     try:
         descriptor = os.open(path, os.O_WRONLY | os.O_APPEND)
         with os.fdopen(descriptor, "w", encoding="utf-8", errors="replace") as stream:

@@ -93,9 +93,6 @@ def exchange_folder(target: Path, new: Path) -> bool:
 
     Returns:
         False if the system cannot exchange; then ``new`` is unchanged.
-
-    Raises:
-        OSError: the system cannot exchange, and the links in ``new`` cannot be removed.
     """
     linked: dict[str, tuple[int, int]] = {}
     try:
@@ -165,11 +162,7 @@ def _bring_latecomers(
 
 
 def _exchange(first: Path, second: Path) -> None:
-    """Exchange two names in one step.
-
-    Raises:
-        OSError: the kernel or the file system does not support it (EINVAL, ENOSYS), or it fails.
-    """
+    """Exchange two names in one step."""
     rename = _renameat2()
     if rename is None:
         raise OSError(errno.ENOSYS, os.strerror(errno.ENOSYS))
@@ -244,11 +237,7 @@ def replace_in_place(target: Path, temporary: Temporary) -> None:
 
 
 def recover(target: Path) -> tuple[str, ...]:
-    """Complete interrupted replacements in a folder; return one sentence for each.
-
-    Raises:
-        InputError: a replacement cannot be completed; the error names the folders with the files.
-    """
+    """Complete interrupted replacements in a folder; return one sentence for each."""
     return tuple(
         f"{shown(target)}: finished the replacement of this model that a killed run had begun"
         for folder in temporaries_in(target)

@@ -198,10 +198,6 @@ def flush_with_files(folder: Path) -> None:
 
     The files are flushed in parallel, because each commit of a journaling file system waits for the
     disk. With parallel calls it commits once or twice instead of once per file.
-
-    Raises:
-        OSError: a file could not be flushed. All files are tried; the error of the first by name
-            is raised.
     """
     files = sorted(folder.iterdir())
     failures: dict[Path, OSError] = {}

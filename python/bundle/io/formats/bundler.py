@@ -113,12 +113,7 @@ def _names_and_sizes(
 
 
 def image_names(path: Path, count: int) -> tuple[str, ...]:
-    """Return the names of the images in list.txt, one a line, with or without a focal length.
-
-    Raises:
-        InputError: the file has another number of lines, or a name twice.
-        OSError: the file cannot be read.
-    """
+    """Return the names of the images in list.txt, one a line, with or without a focal length."""
     text = path.read_text("utf-8-sig", errors="surrogateescape")
     matches = [_LINE.fullmatch(line) for line in text.splitlines() if line.strip()]
     names = tuple(match[1].removeprefix("./") for match in matches if match is not None)
@@ -195,11 +190,7 @@ def _imported(
 def _registered(
     path: Path, registered: NDArray[np.intp], count: int, tracks: dict[str, Any]
 ) -> tuple[NDArray[np.int32], list[str]]:
-    """Return the index of each observation's image among the registered images, and notes.
-
-    Raises:
-        InputError: an image that is not registered has an observation.
-    """
+    """Return the index of each observation's image among the registered images, and notes."""
     if len(registered) == count:
         return tracks["image"], []
     place = np.full(count, -1, np.int32)

@@ -70,11 +70,7 @@ class Head:
         return line.strip()
 
     def next_line(self, what: str) -> bytes:
-        """Return the next line that is not blank.
-
-        Raises:
-            InputError: the file ends.
-        """
+        """Return the next line that is not blank."""
         while True:
             line = self.line()
             if line:
@@ -83,11 +79,7 @@ class Head:
                 self.fail(what, "the end of the file")
 
     def token(self, what: str) -> bytes:
-        """Return the next token.
-
-        Raises:
-            InputError: the file ends.
-        """
+        """Return the next token."""
         while True:
             found = _TOKEN.search(self._text, self.position)
             if found is not None and (found.end() < len(self._text) or self._at_end):
@@ -97,11 +89,7 @@ class Head:
                 self.fail(what, "the end of the file")
 
     def number(self, what: str) -> float:
-        """Return the next token as a finite number.
-
-        Raises:
-            InputError: it is not a finite number.
-        """
+        """Return the next token as a finite number."""
         token = self.token(what)
         value = number_of(token)
         if value is None:
@@ -109,11 +97,7 @@ class Head:
         return value
 
     def count(self, what: str, most: int = MOST_IMAGES) -> int:
-        """Return the next token as a count.
-
-        Raises:
-            InputError: it is not a whole number from 0 to ``most``.
-        """
+        """Return the next token as a count."""
         token = self.token(what)
         if not token.isdigit() or len(token) > 18 or int(token) > most:
             found = brief(token.decode(errors="replace"))
@@ -153,22 +137,14 @@ class Node:
     place: str
 
     def get(self, key: str) -> Node:
-        """Return a member.
-
-        Raises:
-            InputError: the value is not an object, or has no such member.
-        """
+        """Return a member."""
         found = self.find(key)
         if found is None:
             raise InputError(f"{self.place}: expected a member {key}, found {_keys(self.value)}")
         return found
 
     def find(self, key: str) -> Node | None:
-        """Return a member; None without it.
-
-        Raises:
-            InputError: the value is not an object.
-        """
+        """Return a member; None without it."""
         if not isinstance(self.value, dict):
             self.fail("an object")
         if key not in self.value:
@@ -244,12 +220,7 @@ def _flat(value: Any, shape: tuple[int, ...]) -> list[float] | None:
 
 
 def read_json(path: Path) -> Node:
-    """Read a JSON file of any contents, plain or compressed.
-
-    Raises:
-        InputError: the file is not JSON.
-        OSError: the file cannot be read.
-    """
+    """Read a JSON file of any contents, plain or compressed."""
     try:
         with open_binary(path) as file:
             return parsed(file.read(), path)

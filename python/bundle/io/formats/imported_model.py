@@ -69,12 +69,7 @@ class Imported:
     axes: str = ""
 
     def problem(self) -> Problem:
-        """Return the problem of the file.
-
-        Raises:
-            InputError: a value is invalid, the reprojection errors do not agree, or most points
-                are behind their cameras.
-        """
+        """Return the problem of the file."""
         with at(shown(self.path)):
             problem = Problem(**_frozen(self.fields))
         ours, behind = _core.reprojection_errors(problem, 0, "auto")

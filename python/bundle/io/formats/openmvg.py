@@ -64,11 +64,7 @@ def read(path: Path, options: ReadOptions) -> Problem:
 
 
 def _map(node: Node) -> Iterator[tuple[int, Node]]:
-    """Yield keys and values of a map.
-
-    Raises:
-        InputError: an entry is invalid, or a key occurs twice.
-    """
+    """Yield keys and values of a map."""
     seen = set()
     for entry in node.entries():
         key = entry.get("key").whole(_MOST_ID)
@@ -198,11 +194,7 @@ def _image_of(
     structure: dict[str, Any],
     point: NDArray[np.int32],
 ) -> NDArray[np.int32]:
-    """Return the index of the image of each observation.
-
-    Raises:
-        InputError: a view is unknown or has no pose.
-    """
+    """Return the index of the image of each observation."""
     known = np.array(sorted(posed), np.uint32)
     number = {key: index for index, key in enumerate(posed)}
     order = np.array([number[key] for key in known.tolist()] or [0], np.int32)
@@ -265,11 +257,7 @@ class MvgCamera:
 
 
 def read_camera(kind: str, data: Node) -> MvgCamera:
-    """Read intrinsics from their ``data``.
-
-    Raises:
-        InputError: a value is invalid.
-    """
+    """Read intrinsics from their ``data``."""
     base = data.find("value0") or data
     width, height = (base.get(name).whole() for name in ("width", "height"))
     if kind == "spherical":

@@ -123,11 +123,7 @@ def _wrapped(number: int, data: dict[str, Any], kind: int, key: int) -> dict[str
 
 
 def _intrinsics(problem: Problem) -> list[dict[str, Any]]:
-    """Return the intrinsics.
-
-    Raises:
-        InputError: OpenMVG has no such camera.
-    """
+    """Return the intrinsics."""
     entries: list[dict[str, Any]] = []
     kinds: dict[str, int] = {}
     for camera, camera_id in enumerate(problem.camera_ids.tolist()):

@@ -79,11 +79,7 @@ def read(path: Path, options: ReadOptions) -> Problem:
 
 
 def chosen_reconstruction(node: Node, number: int | None) -> Node:
-    """Return the reconstruction with a number, or the only one of the file.
-
-    Raises:
-        InputError: the file has no reconstruction, or several and none is chosen.
-    """
+    """Return the reconstruction with a number, or the only one of the file."""
     found = list(node.entries())
     if not found:
         raise InputError(f"{node.place}: expected a reconstruction, found an empty list")
@@ -378,11 +374,7 @@ def _rigs(problem: Problem, names: list[str]) -> dict[str, Any]:
 
 
 def _camera(problem: Problem, camera: int) -> dict[str, Any]:
-    """Return a camera in OpenSfM's JSON.
-
-    Raises:
-        InputError: OpenSfM has no such camera, or its size is unknown.
-    """
+    """Return a camera in OpenSfM's JSON."""
     model = problem.camera_models[camera]
     width, height = problem.camera_sizes[camera].tolist()
     if not width or not height:

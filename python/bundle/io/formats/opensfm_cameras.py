@@ -85,11 +85,7 @@ class Camera(NamedTuple):
 
 
 def read_camera(node: Node) -> SfmCamera:
-    """Read a camera.
-
-    Raises:
-        InputError: the type is not supported, or a value is invalid.
-    """
+    """Read a camera."""
     given = node.get("projection_type").text()
     kind = _OLD_NAMES.get(given, given)
     if kind not in _PARAMS:
@@ -105,11 +101,7 @@ def read_camera(node: Node) -> SfmCamera:
 
 
 def as_model(camera: SfmCamera, place: str) -> Camera:
-    """Return the camera model of a camera.
-
-    Raises:
-        InputError: no model can represent it.
-    """
+    """Return the camera model of a camera."""
     p, size = camera.params, camera.size
     if camera.type == "spherical":
         if camera.width != 2 * camera.height:
@@ -273,9 +265,6 @@ def rig_fields(
     Args:
         image_camera: (num_images,) camera of each shot.
         poses: (num_images, 7) poses of the shots.
-
-    Raises:
-        InputError: a rig is invalid, or contradicts the pose of a shot.
     """
     num_cameras = int(image_camera.max(initial=-1)) + 1
     declared = len(node.get("cameras").value)

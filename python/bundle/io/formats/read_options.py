@@ -63,9 +63,6 @@ class ReadOptions:
         """Check values from users.
 
         ``image_size`` may be "W,H", "unknown", two numbers, or the path of COLMAP's database.
-
-        Raises:
-            InputError: a value is invalid; the message names it.
         """
         if reconstruction is not None and (
             isinstance(reconstruction, bool) or not isinstance(reconstruction, int)
@@ -115,10 +112,6 @@ def image_sizes(
 
     Args:
         names: paths of the photographs; empty for an image without a name.
-
-    Raises:
-        InputError: a photograph is missing or is not a picture, and no size was given; or the
-            database has no such image.
     """
     if isinstance(options.image_size, Path):
         return database_sizes(options.image_size, names)

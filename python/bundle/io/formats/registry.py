@@ -175,11 +175,7 @@ def find_format(name: str) -> Format | None:
 
 
 def file_at(path: Path, known: Format) -> Path:
-    """Return the file to read: the path, or the first member of a folder that exists.
-
-    Raises:
-        InputError: the folder has no such file.
-    """
+    """Return the file to read: the path, or the first member of a folder that exists."""
     if not path.is_dir():
         return path
     for name in known.members:

@@ -54,10 +54,6 @@ def read_bag(
     Args:
         path: a ROS 1 bag, or the folder of a ROS 2 bag.
         image_topic: topic; None: the rostopic of the calibration, or the only one.
-
-    Raises:
-        InputError: the bag is damaged, topics are missing or not unique, or rosbags is missing.
-        OSError: the bag cannot be read.
     """
     require_package("rosbags", "rosbags", f"{shown(path)}: a ROS bag")
     with _opened(path) as bag:

@@ -48,11 +48,6 @@ def read_csv(
         whole: names of the integer columns, for messages.
         numbers: names of the other columns, which follow the integer columns.
         delimiter: delimiter between columns; None for white space.
-
-    Raises:
-        InputError: a line has too few or too many columns, or a word instead of a number; the error
-            names file, line and column.
-        OSError: the file cannot be read.
     """
     name = shown(path)
     lines, rows = [], []

@@ -22,11 +22,7 @@ _TAIL = 4096  # bytes; cameras append data after the end of an image
 
 
 def require_opencv(purpose: str) -> None:
-    """Check that OpenCV is installed.
-
-    Raises:
-        InputError: it is not; the line names the command of pip.
-    """
+    """Check that OpenCV is installed."""
     require_package("cv2", "opencv-python-headless", purpose)
 
 
@@ -35,10 +31,6 @@ def grey_images(paths: Sequence[Path], size: tuple[int, int] | None) -> Iterator
 
     Args:
         size: width and height of the calibration; None: unknown.
-
-    Raises:
-        InputError: a file is truncated, is not an image, or has another size.
-        OSError: a file cannot be read.
     """
     scale = GreyScale()
     for path in paths:
@@ -48,11 +40,7 @@ def grey_images(paths: Sequence[Path], size: tuple[int, int] | None) -> Iterator
 
 
 def decoded(content: bytes, place: str) -> NDArray[Any]:
-    """Return the image of the bytes of a file, grey.
-
-    Raises:
-        InputError: the file is truncated or no image; the message begins with ``place``.
-    """
+    """Return the image of the bytes of a file, grey."""
     import cv2
 
     end = next((end for begin, end in _WHOLE.items() if content.startswith(begin)), b"")

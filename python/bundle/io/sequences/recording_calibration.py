@@ -50,10 +50,6 @@ def find_calibration(
     Args:
         given: files of ``--calibration``.
         stamps: stamps of images and of samples, for rates that the files lack.
-
-    Raises:
-        InputError: a file or a key is missing; one line with the names that were expected.
-        OSError: a file cannot be read.
     """
     contents = {path: read_yaml(path) for path in given}
     kinds = {path: kind_of_yaml(content) for path, content in contents.items()}
@@ -208,12 +204,7 @@ def rostopic(content: Table, camera: str, sensor: str) -> str:
 
 
 def camera_sensor(path: Path, content: Table, name: str) -> CameraSensor:
-    """Convert the table of a camera: EuRoC's ``sensor.yaml``, or camera ``name`` of a camchain.
-
-    Raises:
-        InputError: a key is missing, or its value is not supported; the message begins with the
-            path and names the key.
-    """
+    """Convert the table of a camera: EuRoC's ``sensor.yaml``, or camera ``name`` of a camchain."""
     place = shown(path)
     if kind_of_yaml(content) == "camchain":
         if not isinstance(content.get(name), dict):
@@ -244,11 +235,7 @@ def camera_sensor(path: Path, content: Table, name: str) -> CameraSensor:
 
 
 def imu_sensor(path: Path, content: Table) -> ImuSensor:
-    """Convert the table of an IMU: EuRoC's ``sensor.yaml``, or Kalibr's ``imu.yaml``.
-
-    Raises:
-        InputError: as for :func:`camera_sensor`.
-    """
+    """Convert the table of an IMU: EuRoC's ``sensor.yaml``, or Kalibr's ``imu.yaml``."""
     place = shown(path)
     if isinstance(content.get("imu0"), dict):
         content, place = content["imu0"], f"{place}: imu0"

@@ -45,12 +45,7 @@ _ONLY_OF = {
 
 
 def read_recording(path: str | os.PathLike[str], source: RecordingSource) -> Recording:
-    """Read samples, calibration and list of images.
-
-    Raises:
-        InputError: the path is not a recording, a file violates its format, or OpenCV is missing.
-        OSError: a file cannot be read.
-    """
+    """Read samples, calibration and list of images."""
     format = sequence_at(as_path(path))
     if format not in RECORDINGS:
         expected = ", ".join(RECORDINGS.values())
@@ -95,10 +90,6 @@ def read_mav(
 
     Args:
         path: ``mav0`` or its parent.
-
-    Raises:
-        InputError: a file violates its format, or an image is missing.
-        OSError: a file cannot be read.
     """
     given = as_path(path)
     root = mav_root(given) or given
@@ -135,12 +126,7 @@ def read_mav(
 
 
 def read_imu_csv(path: Path) -> Any:
-    """Read EuRoC's table of an IMU.
-
-    Raises:
-        InputError: a line has other columns, or stamps are not integers of nanoseconds.
-        OSError: the file cannot be read.
-    """
+    """Read EuRoC's table of an IMU."""
     return read_csv(path, ["timestamp"], ["wx", "wy", "wz", "ax", "ay", "az"])
 
 
@@ -209,10 +195,6 @@ def read_video(
 
     Args:
         frame_times: times of the frames; None: a constant rate from 0.
-
-    Raises:
-        InputError: a file violates its format, or numbers of frames and times differ.
-        OSError: a file cannot be read.
     """
     if imu is None:
         raise InputError(f"{shown(path)}: a video: expected --imu FILE with the IMU's samples")

@@ -77,12 +77,7 @@ def refuse_fatal(findings: Iterable[SequenceFinding]) -> None:
 def read_sequence(
     path: str | os.PathLike[str],
 ) -> tuple[Sequence, tuple[SequenceFinding, ...]]:
-    """Return a sequence and its findings, from a folder or the CSV file of GTSAM's examples.
-
-    Raises:
-        InputError: as for :func:`load_sequence`, but not for gaps.
-        OSError: a file cannot be read.
-    """
+    """Return a sequence and its findings, from a folder or the CSV file of GTSAM's examples."""
     folder = as_path(path)
     if sequence_at(folder) == "track csv":
         sequence = read_track_csv(folder)
@@ -200,13 +195,7 @@ _ADIS16448 = ImuNoise(1.6968e-4, 2.0e-3, 1.9393e-5, 3.0e-3)
 
 
 def read_track_csv(path: str | os.PathLike[str]) -> Sequence:
-    """Read the file as a sequence.
-
-    Raises:
-        InputError: a column or a calibration value is missing or is not a number. The message is
-            one line that begins with the path.
-        OSError: the file cannot be read.
-    """
+    """Read the file as a sequence."""
     name = shown(path)
     lines = numbered_lines(path)
     head = lines[0][1].strip().split(",")

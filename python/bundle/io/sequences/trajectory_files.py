@@ -71,11 +71,6 @@ def load_ground_truth(path: str | os.PathLike[str], *, in_order: bool = True) ->
 
     Args:
         in_order: require ascending time stamps; otherwise, sort the poses.
-
-    Raises:
-        InputError: a line has too few columns, a word instead of a number, or an invalid
-            quaternion, or time does not increase.
-        OSError: the file cannot be read.
     """
     path = as_path(path)
     first = [line for _, line in numbered_lines(path) if line.strip() and line[0] != "#"][:1]
@@ -92,11 +87,6 @@ def load_tum(path: str | os.PathLike[str], *, in_order: bool = True) -> Trajecto
 
     Args:
         in_order: require ascending time stamps; otherwise, sort the poses.
-
-    Raises:
-        InputError: a line has too few columns, a word instead of a number, or an invalid
-            quaternion, a stamp is not finite or in another unit, or time does not increase.
-        OSError: the file cannot be read.
     """
     names = ["timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw"]
     path = as_path(path)
@@ -119,9 +109,6 @@ def save_tum(path: str | os.PathLike[str], timestamps_ns: ArrayLike, states: Arr
     Args:
         timestamps_ns: (n,) time stamps in nanoseconds.
         states: (n, 7) or more columns: qx qy qz qw px py pz, world_from_imu.
-
-    Raises:
-        OSError: a system call fails.
     """
     rows = np.asarray(states, np.float64)[:, [4, 5, 6, 0, 1, 2, 3]].tolist()
     stamps = np.asarray(timestamps_ns, np.int64).tolist()
@@ -136,11 +123,7 @@ def save_tum(path: str | os.PathLike[str], timestamps_ns: ArrayLike, states: Arr
 def save_ground_truth(
     path: str | os.PathLike[str], timestamps_ns: ArrayLike, states: ArrayLike
 ) -> None:
-    """Write states, (n, 16), in the format of EuRoC's ground truth.
-
-    Raises:
-        OSError: a system call fails.
-    """
+    """Write states, (n, 16), in the format of EuRoC's ground truth."""
     columns = np.asarray(states, np.float64)[:, _FROM_EUROC].T
     text = csv_lines(_GROUND_TRUTH_HEAD, np.asarray(timestamps_ns, np.int64), *columns)
     atomic.write_text(as_path(path), text)

@@ -151,9 +151,6 @@ def on_keypoints(problem: Problem, keypoints: Sequence[NDArray[np.float64]], pla
 
     Args:
         keypoints: for each image, (n, 2) pixels.
-
-    Raises:
-        InputError: an observation is not a keypoint; the message names the file and the image.
     """
     indices = np.empty(problem.num_observations, np.int32)
     are_same = _num_keypoints(problem) == [len(xy) for xy in keypoints]

@@ -107,12 +107,7 @@ class Calibration:
 
 
 def load_calibration(path: Path) -> Calibration:
-    """Read ``calibration.yaml``.
-
-    Raises:
-        InputError: the file is not YAML, lacks a key, or has an unknown key or an invalid value.
-        OSError: the file cannot be read.
-    """
+    """Read ``calibration.yaml``."""
     content = read_yaml(path)
     known = [field.name for field in fields(Calibration) if field.name != "noise"] + list(_NOISE)
     for key in content:
@@ -254,12 +249,7 @@ class ImuNoise(Displayed):
 
 
 def read_yaml(path: Path) -> dict[Any, Any]:
-    """Read a file of keys with values.
-
-    Raises:
-        InputError: the file is not YAML, or its content is not keys with values.
-        OSError: the file cannot be read.
-    """
+    """Read a file of keys with values."""
     import yaml
 
     content = path.read_bytes()

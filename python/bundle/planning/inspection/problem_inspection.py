@@ -183,11 +183,7 @@ class _Inspector:
         self._counter = FactorCounter(problem, options, pattern)
 
     def methods(self) -> tuple[Method, ...]:
-        """Return the methods that apply to this problem.
-
-        Raises:
-            InputError: no parameter is refined.
-        """
+        """Return the methods that apply to this problem."""
         pattern = self._pattern
         if pattern.num_unknowns == 0 or pattern.num_observations == 0:
             raise InputError("refine: expected observations of the refined parameters, found 0")

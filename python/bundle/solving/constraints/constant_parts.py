@@ -134,9 +134,6 @@ class Group:
             value: function that returns the start value of a member.
             held: function that returns True if a member is constant.
             describe: function that returns the description of a member for messages.
-
-        Raises:
-            InputError: two members are constant at values that do not agree.
         """
         said = [(member, value(member) / times) for member, times in self.members]
         fixed = [(member, u) for member, u in said if held(member)]

@@ -348,11 +348,7 @@ class Chooser:
         self._indices: dict[str, dict[int, int]] = {}
 
     def indices(self, rule: Rule) -> list[int]:
-        """Return the indices of the rule's cameras, images or points, ascending.
-
-        Raises:
-            InputError: the problem does not have an id or name of the rule.
-        """
+        """Return the indices of the rule's cameras, images or points, ascending."""
         target = rule.target
         known = self._known(target.kind)
         if target.entries is None:
@@ -378,9 +374,6 @@ class Chooser:
 
         For a model with several focal lengths, ``f`` has the columns of all of them.
         ``cameras *`` leaves out the cameras whose model does not have the parameter.
-
-        Raises:
-            InputError: a camera does not have the parameter; the message lists its parameters.
         """
         cameras = self.indices(rule)
         every = rule.target.entries is None

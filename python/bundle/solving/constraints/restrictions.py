@@ -48,11 +48,7 @@ class Restrictions:
     def make(
         problem: Problem, bounds: Mapping[Any, Any] | None, applied: Applied | None
     ) -> Restrictions | None:
-        """Return the restrictions of a problem; None without any restriction.
-
-        Raises:
-            InputError: for the reasons of :meth:`CameraBounds.make`.
-        """
+        """Return the restrictions of a problem; None without any restriction."""
         limits = None if bounds is None else CameraBounds.make(problem, bounds)
         if applied is None:
             return None if limits is None else Restrictions(bounds=limits)
@@ -131,13 +127,7 @@ class CameraBounds:
 
     @staticmethod
     def make(problem: Problem, bounds: Any) -> CameraBounds:
-        """Check bounds given as {("camera", id): (lower, upper)} and return them.
-
-        Raises:
-            InputError: the problem has no camera of a key; the length of a bound differs from the
-                number of parameters of the camera's model; a bound is nan; a lower bound is above
-                the upper bound; or the problem's parameter is not between them.
-        """
+        """Check bounds given as {("camera", id): (lower, upper)} and return them."""
         check_type("bounds", bounds, Mapping, 'a mapping {("camera", id): (lower, upper)}')
         shape = problem.camera_params.shape
         result = CameraBounds(np.full(shape, -np.inf), np.full(shape, np.inf))

@@ -52,11 +52,7 @@ def solve_divided(
     limits: Restrictions | None,
     core_factors: Any,
 ) -> dict[str, Any]:
-    """Solve on all processes; return the output of ``_core.solve``.
-
-    Raises:
-        InputError: there are fewer points than processes, or for the reasons of ``_core.solve``.
-    """
+    """Solve on all processes; return the output of ``_core.solve``."""
     division = divide(problem, crew.num_ranks)
     points_of = division.parts
     factors = [factors_of(core_factors, points) for points in points_of]

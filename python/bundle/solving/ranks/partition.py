@@ -52,11 +52,7 @@ class Division:
 
 
 def divide(problem: Problem, num_parts: int) -> Division:
-    """Return the points of each part.
-
-    Raises:
-        InputError: there are fewer points than parts.
-    """
+    """Return the points of each part."""
     num_points = problem.num_points
     image, point = problem.observation_image, problem.observation_point
     first = np.full(num_points, problem.num_images, np.int64)
@@ -69,11 +65,7 @@ def divide(problem: Problem, num_parts: int) -> Division:
 def divide_tracks(
     first: NDArray[Any], last: NDArray[Any], seen: NDArray[Any], num_parts: int
 ) -> Division:
-    """Return the division from each point's first image, last image and number of observations.
-
-    Raises:
-        InputError: there are fewer points than parts.
-    """
+    """Return the division from each point's first image, last image and number of observations."""
     num_points = len(seen)
     if num_points < num_parts:
         raise InputError(
@@ -152,9 +144,6 @@ def factors_of(core: Any, points: NDArray[np.int64]) -> tuple[Any, list[int]]:
     Args:
         core: variables, factors and places of the full problem, or None.
         points: ascending indices of the points of the part.
-
-    Raises:
-        InputError: a factor has several points, which may be in different parts.
     """
     if core is None:
         return None, []

@@ -48,9 +48,6 @@ class Checkpoint:
         path: path of the file.
         fingerprint: fingerprint of the run.
         interval: iterations from one checkpoint to the next.
-
-    Raises:
-        InputError, OSError: for the reasons of :func:`check_target`.
     """
 
     def __init__(self, path: Path, fingerprint: Mapping[str, Any], interval: int) -> None:
@@ -85,11 +82,7 @@ def check_target(path: Path) -> None:
 
 
 def write(path: Path, state: State, fingerprint: Mapping[str, Any]) -> None:
-    """Replace a checkpoint.
-
-    Raises:
-        OSError: the system refuses: no permission, disk full.
-    """
+    """Replace a checkpoint."""
     done = state.so_far if state.end is None else state.end
     meta = {
         "schema": SCHEMA,
@@ -130,11 +123,7 @@ def read_by(
     path: Path,
     fingerprint: Mapping[str, Any],
 ) -> Made:
-    """Read a checkpoint and return ``make`` of its record and arrays.
-
-    Raises:
-        InputError, OSError: for the reasons of :func:`read`.
-    """
+    """Read a checkpoint and return ``make`` of its record and arrays."""
     meta, arrays = _open(path)
     # Options that are newer than the file have their defaults.
     saved = {**fingerprint_of_options(SolveOptions()), **meta["fingerprint"]}

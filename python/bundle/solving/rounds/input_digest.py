@@ -108,11 +108,7 @@ def digest_of_parts(cameras: Problem, sums: _Sums) -> str:
 
 
 def digest_of_fields(value: Any) -> str:
-    """Return the digest of an object by its fields.
-
-    Raises:
-        InputError: a function or a foreign object does not pickle.
-    """
+    """Return the digest of an object by its fields."""
     try:
         return _hash(value).hexdigest()
     except Exception as error:  # objects of users may raise anything

@@ -177,11 +177,7 @@ def _mask_of(name: str, problem: Problem, point_ids: Iterable[int]) -> _Mask:
 
 @dataclass(frozen=True, init=False)
 class RunPlan:
-    """Rounds of a run, its checkpoints, and its held-out observations.
-
-    Raises:
-        InputError: an interval is below 1, or a value cannot be a path.
-    """
+    """Rounds of a run, its checkpoints, and its held-out observations."""
 
     # number of rounds of adjusting and filtering, and the limits of the filter
     rounds: RoundOptions

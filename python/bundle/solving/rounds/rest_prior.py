@@ -87,10 +87,6 @@ def marginalize_rest(
 
     Args:
         bounds: bounds of camera parameters, as in :func:`bundle.solve`.
-
-    Raises:
-        InputError: a factor of the rest couples a point with another variable or is a Python
-            function; the prior does not fit into memory; or the origin is far outside the scene.
     """
     _refuse_far_origins(whole)
     options = part.whole_frames_fixed(options).replace(

@@ -32,11 +32,7 @@ from bundle.solving.slices.sliced_refinement import SliceCrew, SlicedRefinement,
 
 @contextmanager
 def scratch_folder(folder: str) -> Iterator[None]:
-    """Allocate the large arrays of the core in files of a folder.
-
-    Raises:
-        InputError: the folder does not exist, is in memory, or is not writable.
-    """
+    """Allocate the large arrays of the core in files of a folder."""
     if not Path(folder).is_dir():
         raise InputError(f"--out-of-core: expected a folder, found {shown(folder)}")
     try:

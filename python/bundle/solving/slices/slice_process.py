@@ -36,9 +36,6 @@ class Process:
         meeting: communication of all processes.
         path: path of the model.
         found: survey of rank 0; None on the other ranks.
-
-    Raises:
-        InputError, OSError: for the reasons of ``read_slice``.
     """
 
     def __init__(self, meeting: Meeting, path: Path, found: Survey | None) -> None:

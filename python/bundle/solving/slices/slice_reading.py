@@ -107,13 +107,7 @@ def survey(path: Path, num_parts: int) -> Survey:
 
 
 def read_slice(meeting: Meeting, path: Path, found: Survey | None) -> Slice:
-    """Read the slice of this process; ``found`` is the survey on rank 0, None on other ranks.
-
-    Raises:
-        InputError: the counts of the model differ from the survey; or, on rank 0 only, tracks and
-            keypoints of any slice contradict each other.
-        OSError: a file cannot be read.
-    """
+    """Read the slice of this process; ``found`` is the survey on rank 0, None on other ranks."""
     whole: Survey = meeting.broadcast(found)
     if meeting.num_ranks == 1:
         mine, place = (_counted_up(len(whole.owner), kind) for kind in (np.int64, np.int32))

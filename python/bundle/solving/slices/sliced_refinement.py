@@ -95,10 +95,6 @@ class SlicedRefinement:
     Args:
         crew: the other ranks, which wait for a job.
         path: path of a BAL file, or of the folder of a binary COLMAP model.
-
-    Raises:
-        InputError: for the reasons of ``bundle.load``; or the model has no observations.
-        OSError: a file cannot be read.
     """
 
     def __init__(self, crew: SliceCrew, path: Path) -> None:
@@ -134,9 +130,6 @@ class SlicedRefinement:
         Args:
             plan: checkpoints, which hold the entire model and can be resumed with any number of
                 processes; rounds and held-out observations are not served. None: no checkpoint.
-
-        Raises:
-            InputError, OSError: for the reasons of :func:`bundle.solve_rounds`.
         """
         prepared = prepare(SolveRequest(problem=self._model, options=options))
         settled = prepared.layout.options
@@ -177,12 +170,7 @@ class SlicedRefinement:
         return self._finished(so_far)
 
     def save(self, path: Path) -> tuple[str, ...]:
-        """Write the refined model; return one sentence for each kind of data that is lost.
-
-        Raises:
-            InputError: the input has changed.
-            OSError: a file cannot be read or written.
-        """
+        """Write the refined model; return one sentence for each kind of data that is lost."""
         found, refined = self._survey, self._refined
         ids = found.point_ids
         if ids is None:
@@ -268,9 +256,6 @@ class SlicedCheckpoint:
         sums: sums over the model's rows (``input_digest.sums_of_rows``).
         found: survey of the model.
         options: options of the run, as the caller gave them.
-
-    Raises:
-        InputError, OSError: for the reasons of ``checkpoint.check_target``.
     """
 
     def __init__(
@@ -287,11 +272,7 @@ class SlicedCheckpoint:
         self._fingerprint = plain_fingerprint(digest_of_parts(cameras, sums), options, plan)
 
     def write(self, result: Result, *, has_ended: bool = False) -> None:
-        """Replace the checkpoint by the state after a result, from which the next solve starts.
-
-        Raises:
-            OSError: the system refuses: no permission, disk full.
-        """
+        """Replace the checkpoint by the state after a result, from which the next solve starts."""
         state = State(
             problem=result.problem,
             observation_mask=np.broadcast_to(True, self._found.num_observations),
@@ -302,11 +283,7 @@ class SlicedCheckpoint:
         write(self._path, state, self._fingerprint)
 
     def read(self, path: Path, options: SolveOptions) -> Kept:
-        """Return the content of a checkpoint of this run; ``options`` are the options as used.
-
-        Raises:
-            InputError, OSError: for the reasons of ``checkpoint.read``.
-        """
+        """Return the content of a checkpoint of this run; ``options`` are the options as used."""
 
         def kept(meta: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Kept:
             expected = {name: of.shape for name, of in estimates(self._cameras).items()}
