@@ -157,6 +157,28 @@ def without(keep: Callable[[Sequence], Array]) -> Fault:
     return apply
 
 
+def written_twice(seconds: float) -> Fault:
+    """Return a fault that puts a block of rows in place of those that follow it."""
+
+    def change(values: Array, sequence: Sequence) -> None:
+        block = rows(sequence, AT, AT + seconds)
+        values[block + len(block)] = values[block]
+
+    return samples(change)
+
+
+def focal(factor: float) -> Fault:
+    def apply(sequence: Sequence) -> Sequence:
+        given = sequence.calibration
+        if given.camera_model is None:
+            return replace(sequence, xy=sequence.xy / factor)
+        count = 2 if given.camera_model in ("PINHOLE", "OPENCV") else 1
+        scaled = [factor * value for value in given.camera_params[:count]]
+        return calibrated(camera_params=(*scaled, *given.camera_params[count:]))(sequence)
+
+    return apply
+
+
 def gap(seconds: float) -> Fault:
     return without(lambda s: np.setdiff1d(np.arange(len(s.gyro)), rows(s, AT, AT + seconds)))
 
@@ -232,6 +254,10 @@ FAULTS: dict[str, tuple[Fault, str]] = {
     "gap 95 ms": (gap(0.095), "gap"),
     "gap 200 ms": (gap(0.2), "gap"),
     "50 Hz": (every(4), "imu_rate"),
+    "0.25 s written twice": (written_twice(0.25), "repeated .* earlier samples"),
+    "gyro z dead": (matrix((1, 1, 0), ONE), "found 0 on z"),
+    "gyro x and y swapped": (matrix([[0, 1, 0], [1, 0, 0], [0, 0, 1]], ONE), r"axes \+y \+x"),
+    "focal length 15 % too large": (focal(1.15), "focal length"),
 }  # fmt: skip
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bundle.model.sequence.sequence_findings import bad_stretches
+from bundle.model.sequence.sequence_findings import _repeated, bad_stretches
 
 Array = np.ndarray[Any, Any]
 SIZE = 2000
@@ -47,7 +47,7 @@ def test_a_repeated_sample_is_frozen_after_five() -> None:
 def test_a_block_that_is_written_twice_is_no_measurement() -> None:
     gyro, accel = samples()
     gyro[600:640] = gyro[560:600]
-    accel[604:608] = accel[600:604]
+    accel[610:614] = accel[600:604]
     assert found(gyro, accel) == [("repeated", "gyro", 600, 639)]
     accel[909:914] = accel[904:909]
     assert found(gyro, accel) == [("repeated", "gyro", 600, 639), ("repeated", "accel", 909, 913)]
@@ -55,10 +55,24 @@ def test_a_block_that_is_written_twice_is_no_measurement() -> None:
     assert found(gyro, accel) == [("repeated", "gyro", 600, 639)]
 
 
-@pytest.mark.parametrize("levels", [1, 2, 3, 6])
-def test_coarse_samples_at_rest_repeat_by_chance(levels: int) -> None:
-    pair = np.random.default_rng(6).integers(0, levels + 1, (2, SIZE, 3)) / 64.0
-    assert found(*pair) == []
+def test_coarse_samples_at_rest_repeat_by_chance() -> None:
+    """Five rows in a row repeat those of five rows before 4 times in a million by chance."""
+    coarse = np.zeros((1_000_000, 3))
+    coarse[:, 0] = np.random.default_rng(6).integers(0, 5, len(coarse))
+    assert _repeated(coarse) == []
+    coarse[:, 1] = np.arange(len(coarse))
+    coarse[7000:7020] = coarse[6000:6020]
+    assert _repeated(coarse) == [(7000, 7019)]
+
+
+def test_a_frozen_part_of_a_block_that_is_written_twice_is_frozen() -> None:
+    gyro, accel = samples()
+    gyro[100:110] = gyro[100]
+    gyro[300:320] = gyro[95:115]
+    parts = [("frozen", 100, 109), ("repeated", 300, 304), ("frozen", 305, 314)]
+    assert [(kind, *rows) for kind, _, *rows in found(gyro, accel)] == [
+        *parts, ("repeated", 315, 319)
+    ]  # fmt: skip
 
 
 def test_a_sensor_of_half_the_rate_is_not_frozen() -> None:

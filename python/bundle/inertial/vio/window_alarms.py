@@ -107,7 +107,7 @@ class WindowAlarms:
         return (
             f"{DISAGREEMENT}: the IMU cost is "
             f"{excess:.1f} times what its noise explains; camera_from_imu, the time "
-            "offset, the focal length, a rolling shutter or the noise is wrong",
+            "offset, the focal length, a rolling shutter or the noise is wrong, or a bias jumped",
         )
 
     def _persists(self, kind: str, is_seen: bool, count: int = KEYFRAMES) -> bool:

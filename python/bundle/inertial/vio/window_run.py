@@ -134,7 +134,8 @@ class WindowRun:
         if not objection and sum(self._far) >= FAR_IMAGES:
             objection = (
                 f"most tracks of {sum(self._far)} of the last {len(self._far)} images are far from "
-                "where the samples and earlier images place them"
+                "where the samples and earlier images place them: a bias jumped, or samples or "
+                "tracks are wrong"
             )
         if objection:
             if not np.all(np.isfinite(newest.state)):

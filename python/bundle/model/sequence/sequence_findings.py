@@ -302,7 +302,7 @@ def bad_stretches(gyro: Array, accel: Array) -> tuple[BadStretch, ...]:
             kind = "frozen" if values[first].any() else "zero"
             found.append(BadStretch(kind, sensor, first, last))
             good[first : last + 1] = False
-        for first, last in _repeated(values, good):
+        for first, last in _repeated(values):
             found.append(BadStretch("repeated", sensor, first, last))
             good[first : last + 1] = False
         for first, last, size in _spikes(values, good, least):
@@ -336,14 +336,13 @@ def _frozen(values: Array) -> list[tuple[int, int]]:
     return [(int(a), int(b)) for a, b in runs[long & improbable]]
 
 
-def _repeated(values: Array, good: Array) -> list[tuple[int, int]]:
+def _repeated(values: Array) -> list[tuple[int, int]]:
     order = np.lexsort(values.T)
     is_equal = (values[order[1:]] == values[order[:-1]]).all(axis=1)
     counts = np.diff(np.flatnonzero(np.concatenate([[True], np.logical_not(is_equal), [True]])))
     share = float((counts * (counts - 1.0)).sum()) / max(len(values), 1) ** 2
     before = np.zeros(len(values), np.int64)  # distance to the last equal sample
     before[order[1:][is_equal]] = np.diff(order)[is_equal]
-    before[np.logical_not(good)] = 0
     runs = _runs((before[1:] == before[:-1]) & (before[1:] >= FROZEN_RUN))
     runs[:, 1] += 1
     length = runs[:, 1] - runs[:, 0] + 1.0
