@@ -133,17 +133,12 @@ def _imu_gaps(sequence: Sequence, place: Place, findings: list[SequenceFinding])
     images = sequence.image_timestamps_ns
     inside = (stamps[gaps] < images[-1]) & (stamps[gaps + 1] > images[0])
     long = gaps[(step[gaps] > 1e9 * LONGEST_BRIDGE) & inside]
-    longest = int(gaps[np.argmax(step[gaps])])
-    worst = int(long[0]) if len(long) else longest
-    findings.append(
-        SequenceFinding(
-            "imu gap",
-            f"{place(worst + 1)}: expected an IMU sample every {1e-6 * np.median(step):.3g} ms, "
-            f"found a gap of {1e-9 * step[worst]:.3g} s: {_remedy(not len(long))}",
-            len(gaps),
-            is_fatal=len(long) > 0,
-        )
+    worst = int(long[0] if len(long) else gaps[np.argmax(step[gaps])])
+    sentence = (
+        f"{place(worst + 1)}: expected an IMU sample every {1e-6 * np.median(step):.3g} ms, "
+        f"found a gap of {1e-9 * step[worst]:.3g} s: {_remedy(not len(long))}"
     )
+    findings.append(SequenceFinding("imu gap", sentence, len(gaps), is_fatal=len(long) > 0))
 
 
 def _remedy(is_short: bool) -> str:
@@ -221,14 +216,11 @@ def _tracks(sequence: Sequence, place: Place, findings: list[SequenceFinding]) -
         gaps = np.flatnonzero(step > GAP * np.median(step))
         if len(gaps):
             worst = int(gaps[np.argmax(step[gaps])])
-            findings.append(
-                SequenceFinding(
-                    "image gap",
-                    f"{place(int(begin[worst + 1]))}: expected an image every "
-                    f"{1e-6 * np.median(step):.3g} ms, found a gap of {1e-9 * step[worst]:.3g} s",
-                    len(gaps),
-                )
+            sentence = (
+                f"{place(int(begin[worst + 1]))}: expected an image every "
+                f"{1e-6 * np.median(step):.3g} ms, found a gap of {1e-9 * step[worst]:.3g} s"
             )
+            findings.append(SequenceFinding("image gap", sentence, len(gaps)))
     _, first, views = np.unique(sequence.track_ids, return_index=True, return_counts=True)
     single = views == 1
     if single.mean() > ONE_VIEW:
@@ -249,10 +241,9 @@ def _tracks(sequence: Sequence, place: Place, findings: list[SequenceFinding]) -
 #     samples elsewhere in n samples, a run of r repetitions is expected n p^r times.
 #
 # repeated
-#     Samples equal those of an earlier time, such as a block of rows that was written twice. Two of
-#     n samples are equal with the probability q = sum c (c - 1) / n^2, with the counts c of equal
-#     samples. A run of r samples that equal those at one distance before is expected at most
-#     n^2 q^r times.
+#     A block of rows is written twice. Two of n samples are equal with the probability
+#     q = sum c (c - 1) / n^2, with the counts c of equal samples, so that a run of r samples that
+#     equal those at one distance before is expected at most n^2 q^r times.
 #
 # saturated
 #     The largest or smallest value of an axis, if it occurs in runs and its distribution piles up
@@ -266,7 +257,6 @@ def _tracks(sequence: Sequence, place: Place, findings: list[SequenceFinding]) -
 #
 # The sensor did measure something else in this time, so that :class:`ImuSlices` treats a stretch as
 # a gap: its samples are replaced by interpolation, with a larger uncertainty.
-
 
 LONGEST_BRIDGE = 2.0  # s; over a longer stretch, depths and with them the scale get lost
 FROZEN_RUN = 5  # usual runs
