@@ -47,6 +47,13 @@ def test_the_smallest_model_that_explains_the_field_is_proposed(radial, tangenti
     assert shares["radial"] == pytest.approx(radial**2 / (radial**2 + tangential**2))
 
 
+def test_terms_of_the_present_model_explain_nothing():
+    # Those of a strong distortion are left in part, but a larger model adds only the others.
+    for radial, tangential, larger in ((1.0, 0.3, "FULL_OPENCV"), (0.3, 1.0, "OPENCV")):
+        found = lens_model(MEASURED, [replace(field(radial, tangential), model="RADIAL")])
+        assert found.evidence["larger_model"] == larger
+
+
 def test_the_largest_significant_field_counts():
     small, large = field(1.0, 0.0, size=0.2), replace(field(0.0, 1.0), size=0.5)
     noise = field(1.0, 0.0, size=9.0, significant=False)
