@@ -65,6 +65,13 @@ def test_coarse_samples_at_rest_repeat_by_chance() -> None:
     assert _repeated(coarse) == [(7000, 7019)]
 
 
+def test_a_periodic_simulation_without_noise_is_right() -> None:
+    t = 5e-3 * np.arange(SIZE)[:, None]
+    gyro, accel = (np.round(np.sin(2 * np.pi * t + phase), 6) for phase in ([0, 1, 2], [3, 4, 5]))
+    assert found(gyro, accel) == []
+    assert _repeated(gyro[:400]) == [(200, 399)]  # as long as its distance: it may be a block
+
+
 def test_a_frozen_part_of_a_block_that_is_written_twice_is_frozen() -> None:
     gyro, accel = samples()
     gyro[100:110] = gyro[100]

@@ -243,7 +243,8 @@ def _tracks(sequence: Sequence, place: Place, findings: list[SequenceFinding]) -
 # repeated
 #     A block of rows is written twice. Two of n samples are equal with the probability
 #     q = sum c (c - 1) / n^2, with the counts c of equal samples, so that a run of r samples that
-#     equal those at one distance before is expected at most n^2 q^r times.
+#     equal those at one distance before is expected at most n^2 q^r times. A run longer than this
+#     distance shows the period of a simulation without noise.
 #
 # saturated
 #     The largest or smallest value of an axis, if it occurs in runs and its distribution piles up
@@ -336,6 +337,8 @@ def _repeated(values: Array) -> list[tuple[int, int]]:
     runs = _runs((before[1:] == before[:-1]) & (before[1:] >= FROZEN_RUN))
     runs[:, 1] += 1
     length = runs[:, 1] - runs[:, 0] + 1.0
+    if (length > before[runs[:, 1]]).any():
+        return []
     improbable = len(values) ** 2 * share**length < FROZEN_EXPECTED
     return [(int(a), int(b)) for a, b in runs[(length >= FROZEN_RUN) & improbable]]
 
