@@ -86,7 +86,9 @@ SIGNATURES: tuple[Callable[[Evidence], None], ...] = (
 
 def classify(evidence: Evidence) -> list[Finding]:
     """Return findings that together contain every wrong column."""
-    _not_finite(evidence)
+    bad = [j for j in evidence.wrong if not np.isfinite(evidence.analytic[..., j]).all()]
+    if bad:
+        evidence.found("not_finite", bad, f"{evidence.names(bad)}: not a finite number")
     with np.errstate(over="ignore", invalid="ignore"):  # a guess that overflows explains nothing
         for signature in SIGNATURES:
             if evidence.wrong:
@@ -193,12 +195,6 @@ def _hold(deviations: JacobianDeviation, wrong: np.ndarray, source: np.ndarray) 
     left, deviation = left[..., columns], deviation[..., columns]
     size = norm(deviation)
     return size < np.inf and norm(left) <= 1e-3 * size
-
-
-def _not_finite(evidence: Evidence) -> None:
-    bad = [j for j in evidence.wrong if not np.isfinite(evidence.analytic[..., j]).all()]
-    if bad:
-        evidence.found("not_finite", bad, f"{evidence.names(bad)}: not a finite number")
 
 
 def _by_size(evidence: Evidence) -> None:

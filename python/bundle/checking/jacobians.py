@@ -74,8 +74,7 @@ def check_problem(
     check_function("progress", progress)
     num_threads = number("num_threads", num_threads, minimum=0, whole=True)
     observations = _choose(problem, samples_per_image, seed)
-    settings = _Settings(resolve_cheirality(problem, cheirality), num_threads, tolerance)
-    check = _Check(problem, settings)
+    check = _Check(problem, resolve_cheirality(problem, cheirality), num_threads, tolerance)
     offsets = TURN * np.random.default_rng(seed).standard_normal((len(observations), 3))
     offsets[::2] = 0.0
     for begin in range(0, len(observations), CHUNK):
@@ -94,16 +93,12 @@ _Answer = tuple[
 ]
 
 
-@dataclass(frozen=True)
-class _Settings:
-    cheirality: str
-    num_threads: int
-    tolerance: float
-
-
 class _Check:
-    def __init__(self, problem: Problem, settings: _Settings) -> None:
-        self.problem, self.settings = problem, settings
+    def __init__(
+        self, problem: Problem, cheirality: str, num_threads: int, tolerance: float
+    ) -> None:
+        self.problem, self.tolerance = problem, tolerance
+        self.cheirality, self.num_threads = cheirality, num_threads
         self.models: dict[str, ModelCheck] = {}
         self.num_checked = self.num_skipped = 0
         self.probes = np.zeros(5, np.int64)
@@ -114,7 +109,7 @@ class _Check:
         """Check some observations."""
         answer = self._ask(self.problem, observations, offsets)
         ceres, rounding, counts, agrees, stable = answer[3:]
-        close = CLOSE_UNITS * rounding > self.settings.tolerance
+        close = CLOSE_UNITS * rounding > self.tolerance
         self.num_checked += int(counts.sum())
         self.num_skipped += int((~counts).sum())
         self.unstable += observations[~stable].tolist()
@@ -127,16 +122,15 @@ class _Check:
             rows = rows[rounding[rows] <= CENTER]
             if name not in self.models:
                 rolls = self.problem.rolling_shutter is not None
-                self.models[name] = ModelCheck.make(name, self.settings.tolerance, rolls=rolls)
+                self.models[name] = ModelCheck.make(name, self.tolerance, rolls=rolls)
             model = self.models[name]
             analytic, reference, uncertainty = (
                 matrix[rows][..., model.source] for matrix in answer[:3]
             )
             uncertainty = uncertainty + _rounding_errors(reference, rounding[rows])
-            deviations = JacobianDeviation(
-                analytic, reference, uncertainty, self.settings.tolerance
-            )
-            decided = self._decide(deviations)
+            deviations = JacobianDeviation(analytic, reference, uncertainty, self.tolerance)
+            known = (deviations.doubt <= self.tolerance).mean(axis=(1, 2)) > 0.5
+            decided = (deviations.error > self.tolerance).any(axis=(1, 2)) | known
             for reason, group in (
                 ("camera_center", np.append(hopeless, rows[~decided & close[rows]])),
                 ("rough", rows[~decided & ~close[rows]]),
@@ -149,8 +143,11 @@ class _Check:
             model.look_at(observations[rows[found]], observations[rows[~found]])
             for row in rows[found]:
                 model.offsets[int(observations[row])] = offsets[row]
-            if not found.any() and self.settings.tolerance <= TOLERANCE:
-                self._look_for_floats(model, deviations)
+            if not found.any() and self.tolerance <= TOLERANCE:
+                names = tuple(column.name for column in model.tally.columns)
+                finding = float_precision(deviations, names)
+                if finding is not None and not model.findings:
+                    model.findings.append(finding)
             wrong[rows] = found
         gave_up = ~np.isfinite(ceres).all(axis=(1, 2))
         self.probes += [
@@ -198,7 +195,7 @@ class _Check:
         """
         found = []
         for model in self.models.values():
-            points = np.unique(model.looked_at)[:MOST_DRAWN].astype(np.int64)
+            points = np.unique(model.wrong + model.right)[:MOST_DRAWN].astype(np.int64)
             if not len(points):
                 continue
             turns = offsets[np.searchsorted(observations, points)]
@@ -210,37 +207,23 @@ class _Check:
                 make_details(
                     [column.name for column in model.tally.columns],
                     [column.group for column in model.tally.columns],
-                    JacobianDeviation(analytic, reference, uncertainty, self.settings.tolerance),
-                    self.settings.tolerance,
+                    JacobianDeviation(analytic, reference, uncertainty, self.tolerance),
+                    self.tolerance,
                     lines.line,
                     lambda k, points=points: self._place(int(points[k])),  # type: ignore[misc]
                 )
             )
         return tuple(found)
 
-    def _decide(self, deviations: JacobianDeviation) -> NDArray[np.bool_]:
-        """Return the mask of points with a mistake, or with most entries known to be correct."""
-        tolerance = self.settings.tolerance
-        wrong = (deviations.error > tolerance).any(axis=(1, 2))
-        known = (deviations.doubt <= tolerance).mean(axis=(1, 2)) > 0.5
-        decided: NDArray[np.bool_] = wrong | known
-        return decided
-
     def _ask(self, problem: Problem, observations: NDArray[np.int64], offsets: Array) -> _Answer:
         return _core.check_reprojections(
             problem,
             observations,
             np.ascontiguousarray(offsets),
-            self.settings.cheirality,
+            self.cheirality,
             CHECKER_PRECISION,
-            self.settings.num_threads,
+            self.num_threads,
         )
-
-    def _look_for_floats(self, model: ModelCheck, deviations: JacobianDeviation) -> None:
-        names = tuple(column.name for column in model.tally.columns)
-        finding = float_precision(deviations, names)
-        if finding is not None and not model.findings:
-            model.findings.append(finding)
 
     def _classify(self, model: ModelCheck) -> list[Finding]:
         kept = model.tally.kept
@@ -276,7 +259,7 @@ class _Check:
             points,
             reference_at,
             model.tally.wrong_columns,
-            self.settings.tolerance,
+            self.tolerance,
         )
         return classify(evidence)
 
@@ -470,11 +453,6 @@ class ModelCheck:
         """Keep some observations for a page."""
         for kept, new in ((self.wrong, wrong), (self.right, right)):
             kept += new[: max(MOST_KEPT - len(kept), 0)].tolist()
-
-    @property
-    def looked_at(self) -> list[int]:
-        """Observations of which a page shows the errors."""
-        return self.wrong + self.right
 
     @property
     def blocks(self) -> list[Block]:

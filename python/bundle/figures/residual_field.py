@@ -13,6 +13,7 @@ Rayleigh distribution: 1 % of the cells exceed 3.03.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -122,14 +123,6 @@ class ResidualField:
         return round_down(min(self.cell_size) / typical, 1e-3) if typical > 0 else 1.0
 
 
-@dataclass(frozen=True, eq=False)
-class _Cells:
-    count: NDArray[np.int64]
-    mean: NDArray[np.float64]
-    rms: NDArray[np.float64]
-    standard_error: NDArray[np.float64]
-
-
 def residual_fields(
     problem: Problem, found: Residuals, most: int = MOST_CAMERAS
 ) -> list[ResidualField]:
@@ -184,7 +177,6 @@ def field_of(problem: Problem, found: Residuals, cameras: Sequence[int]) -> Resi
     num_outside = int((~inside).sum())
     xy, residual = xy[inside], residual[inside]
     columns, rows = _cells(box, len(xy))
-    cells = _statistics(xy, residual, box, columns, rows)
     step = max(-(-len(xy) // MOST_DOTS), 1)
     return ResidualField(
         camera_ids=tuple(int(problem.camera_ids[index]) for index in cameras),
@@ -192,10 +184,7 @@ def field_of(problem: Problem, found: Residuals, cameras: Sequence[int]) -> Resi
         box=box,
         center=center,
         num_outside=num_outside,
-        count=cells.count,
-        mean=cells.mean,
-        rms=cells.rms,
-        standard_error=cells.standard_error,
+        **_statistics(xy, residual, box, columns, rows),
         profile=_profile(xy - center, residual),
         dots=xy[::step],
         dot_residuals=residual[::step],
@@ -234,7 +223,7 @@ def _statistics(
     box: NDArray[np.float64],
     columns: int,
     rows: int,
-) -> _Cells:
+) -> dict[str, NDArray[Any]]:
     place = (xy - box[:2]) / (box[2:] - box[:2]) * (columns, rows)
     column, row = np.minimum(place.astype(np.int64), (columns - 1, rows - 1)).T
     cell, size = row * columns + column, rows * columns
@@ -245,12 +234,12 @@ def _statistics(
         spread = np.bincount(cell, ((residual - mean[cell]) ** 2).sum(axis=1), size)
         error = np.sqrt(spread / (2.0 * (count - 1) * count))
     error[count < FEWEST] = np.nan
-    return _Cells(
-        count=count.reshape(rows, columns),
-        mean=mean.reshape(rows, columns, 2),
-        rms=np.sqrt(squares / np.where(count, count, np.nan)).reshape(rows, columns),
-        standard_error=error.reshape(rows, columns),
-    )
+    return {
+        "count": count.reshape(rows, columns),
+        "mean": mean.reshape(rows, columns, 2),
+        "rms": np.sqrt(squares / np.where(count, count, np.nan)).reshape(rows, columns),
+        "standard_error": error.reshape(rows, columns),
+    }
 
 
 def _profile(offset: NDArray[np.float64], residual: NDArray[np.float64]) -> RadialProfile:

@@ -83,7 +83,10 @@ class IncrementalSmoother(Displayed):
     """
 
     def __init__(self, relinearize_threshold: float = 0.01, relinearize_skip: int = 1) -> None:
-        self._gtsam = _import_gtsam()
+        require_package("gtsam", "gtsam", "IncrementalSmoother")
+        import gtsam  # optional dependency
+
+        self._gtsam: ModuleType = gtsam
         parameters = self._gtsam.ISAM2Params()
         parameters.setRelinearizeThreshold(
             number("relinearize_threshold", relinearize_threshold, above=0)
@@ -292,11 +295,3 @@ class _Estimate(Mapping[Key, Array]):
 
     def __len__(self) -> int:
         return self._size
-
-
-def _import_gtsam() -> ModuleType:
-    require_package("gtsam", "gtsam", "IncrementalSmoother")
-    import gtsam  # optional dependency
-
-    found: ModuleType = gtsam
-    return found

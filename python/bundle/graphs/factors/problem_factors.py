@@ -89,7 +89,7 @@ class ProblemFactors:
         self._problem, self._values = problem, estimates(problem)
         known = kinds() if problem.rolling_shutter is None else (*kinds(), *kinds(SHUTTER))
         self._keys = ProblemKeys(problem, known, "variable")
-        self._graph = FactorGraph()
+        self.graph = FactorGraph()  # factors and variables, at the problem's values
         self._places: list[tuple[str, int]] = []
         for position, factor in enumerate(as_list("factors", "factors", factors)):
             if not isinstance(factor, Factor):
@@ -99,26 +99,21 @@ class ProblemFactors:
                 )
             for key in factor.keys:
                 self._add(f"factor {position}, {factor.name}", key)
-            self._graph.add_factor(factor)
-
-    @property
-    def graph(self) -> FactorGraph:
-        """Factors and their variables, at the problem's values."""
-        return self._graph
+            self.graph.add_factor(factor)
 
     def values_in(self, output: Mapping[str, Any]) -> dict[Key, Array]:
         """Return the values of the variables in the output of the core's solver, by key."""
         return {
             key: np.atleast_1d(np.asarray(output[variable_of(kind).name])[index])[: len(value)]
             for (kind, index), (key, value) in zip(
-                self._places, self._graph.values.items(), strict=True
+                self._places, self.graph.values.items(), strict=True
             )
         }
 
     @property
     def factors(self) -> tuple[Factor, ...]:
         """Factors in the order given."""
-        return self._graph.factors
+        return self.graph.factors
 
     @property
     def locate(self) -> bool:
@@ -134,7 +129,7 @@ class ProblemFactors:
     def _kinds_on_scene(self) -> list[str]:
         """Return the kinds of the factors that depend on more than cameras."""
         kinds: dict[Key, str] = {
-            key: kind for key, (kind, _) in zip(self._graph.keys, self._places, strict=True)
+            key: kind for key, (kind, _) in zip(self.graph.keys, self._places, strict=True)
         }
         return [
             factor.kind
@@ -148,25 +143,25 @@ class ProblemFactors:
         The information matrix (n, n) is in the variables' tangent coordinates, n the sum of their
         sizes; see :meth:`bundle.FactorGraph.information`.
         """
-        values = self._graph.values
+        values = self.graph.values
         variables = [
             (kind, index, variable_of(kind).tangent or len(values[key]))
-            for (kind, index), key in zip(self._places, self._graph.keys, strict=True)
+            for (kind, index), key in zip(self._places, self.graph.keys, strict=True)
         ]
-        return variables, self._graph.information()[0]
+        return variables, self.graph.information()[0]
 
     def core(self) -> tuple[list[Any], list[Any], list[tuple[str, int]]] | None:
         """Return arguments of ``_core.solve``: variables, factors, and ids of the variables."""
-        if not self._graph.factors:
+        if not self.graph.factors:
             return None
-        return (*self._graph.core(), self._places)
+        return (*self.graph.core(), self._places)
 
     def _add(self, name: str, key: Key) -> None:
         kind, index = self._keys.find(name, key)
-        if key in self._graph.values:
+        if key in self.graph.values:
             return
         value, manifold = self._value(name, kind, index)
-        self._graph.add_variable(key, value, manifold)
+        self.graph.add_variable(key, value, manifold)
         self._places.append((kind, index))
 
     def _value(self, name: str, kind: str, index: int) -> tuple[Array, str]:

@@ -157,13 +157,13 @@ class ClosureLoop(SolveLoop):
             )
         self._last_put_ns = keyframe.timestamp_ns
         self._keyframes.put(keyframe)
-        self._worker.notify()
+        self._news.set()
 
     def put_closure(self, closure: Closure) -> None:
         """Queue a closure, after its keyframes; return at once."""
         check_type("ClosureLoop.put_closure", closure, Closure)
         self._closures.put(closure)
-        self._worker.notify()
+        self._news.set()
 
     def _work(self) -> None:
         closures = self._closures.take_all()  # before the keyframes, which were queued earlier

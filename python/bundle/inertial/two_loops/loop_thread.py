@@ -7,7 +7,7 @@ import os
 import sys
 import threading
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Generic, TypeVar
 
@@ -15,90 +15,18 @@ from bundle.base.display import Displayed
 from bundle.interface.option_fields import number
 
 
-class LoopThread:
-    """Thread that calls a function whenever there is new work.
-
-    Args:
-        name: name of the thread.
-        work: function to call on the thread; its exception ends the thread and is raised by
-            :meth:`close`.
-    """
-
-    def __init__(self, name: str, work: Callable[[], None]) -> None:
-        self._work = work
-        self._news = threading.Event()
-        self._stopping = False
-        self._waiting: deque[threading.Event] = deque()
-        self.error: BaseException | None = None
-        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
-        self._thread.start()
-
-    def notify(self) -> None:
-        """Announce new work; return at once."""
-        self._news.set()
-
-    def settle(self, timeout: float | None = None) -> bool:
-        """Wait until all earlier work is done; return False after a time-out.
-
-        Raises:
-            Exception: the exception that the function of the thread raised.
-        """
-        done = threading.Event()
-        self._waiting.append(done)
-        self._news.set()
-        if not self._thread.is_alive():
-            done.set()
-        in_time = done.wait(timeout)
-        self._raise_error()
-        return in_time
-
-    def close(self, timeout: float | None = None) -> bool:
-        """Let the thread finish pending work; return False after a time-out.
-
-        Args:
-            timeout: seconds to wait for it; None: without limit.
-
-        Raises:
-            Exception: the exception that the function of the thread raised.
-        """
-        self._stopping = True
-        self._news.set()
-        self._thread.join(timeout)
-        self._raise_error()
-        return not self._thread.is_alive()
-
-    def _raise_error(self) -> None:
-        if self.error is not None:
-            error, self.error = self.error, None
-            raise error
-
-    def _run(self) -> None:
-        try:
-            while True:
-                self._news.wait()
-                self._news.clear()
-                last = self._stopping
-                waiting = len(self._waiting)
-                self._work()
-                for _ in range(waiting):
-                    self._waiting.popleft().set()
-                if last:
-                    return
-        except BaseException as error:  # raised by close(): nobody reads a thread's traceback
-            self.error = error
-        finally:
-            while self._waiting:
-                self._waiting.popleft().set()
-
-
 class SolveLoop(Displayed):
-    """Base class of solving loops: a thread, a count of solves, and an end."""
+    """Base class of solving loops: a thread that calls ``_work`` whenever there is new work."""
 
-    _worker: LoopThread
     _num_solves = 0
 
     def _start(self, name: str) -> None:
-        self._worker = LoopThread(name, self._work)
+        self._news = threading.Event()
+        self._stopping = False
+        self._waiting: deque[threading.Event] = deque()
+        self._error: BaseException | None = None
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+        self._thread.start()
 
     def _work(self) -> None:
         raise NotImplementedError
@@ -106,7 +34,7 @@ class SolveLoop(Displayed):
     @property
     def error(self) -> BaseException | None:
         """Exception that ended the thread, if any."""
-        return self._worker.error
+        return self._error
 
     @property
     def num_solves(self) -> int:
@@ -122,7 +50,14 @@ class SolveLoop(Displayed):
         Raises:
             Exception: exception of the solve.
         """
-        return self._worker.settle(timeout)
+        done = threading.Event()
+        self._waiting.append(done)
+        self._news.set()
+        if not self._thread.is_alive():
+            done.set()
+        in_time = done.wait(timeout)
+        self._raise_error()
+        return in_time
 
     def close(self, timeout: float | None = None) -> bool:
         """Solve all queued input and end the thread; return False after a time-out.
@@ -133,7 +68,34 @@ class SolveLoop(Displayed):
         Raises:
             Exception: exception of the solve.
         """
-        return self._worker.close(timeout)
+        self._stopping = True
+        self._news.set()
+        self._thread.join(timeout)
+        self._raise_error()
+        return not self._thread.is_alive()
+
+    def _raise_error(self) -> None:
+        if self._error is not None:
+            error, self._error = self._error, None
+            raise error
+
+    def _run(self) -> None:
+        try:
+            while True:
+                self._news.wait()
+                self._news.clear()
+                last = self._stopping
+                waiting = len(self._waiting)
+                self._work()
+                for _ in range(waiting):
+                    self._waiting.popleft().set()
+                if last:
+                    return
+        except BaseException as error:  # raised by close(): nobody reads a thread's traceback
+            self._error = error
+        finally:
+            while self._waiting:
+                self._waiting.popleft().set()
 
 
 Record = TypeVar("Record")

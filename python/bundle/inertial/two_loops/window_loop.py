@@ -74,7 +74,7 @@ class WindowLoop(SolveLoop):
     def put(self, frame: Any) -> None:
         """Queue a frame; return at once."""
         self._frames.put(frame)
-        self._worker.notify()
+        self._news.set()
 
     def _work(self) -> None:
         frames = self._frames.take_all()

@@ -119,17 +119,13 @@ def open_input(
             found = pose_format(path)
         if found is not None:
             return load_poses(given, found, direction)
-        if path.is_file() and format is None and _is_text_of_poses(path):
+        is_text_of_poses = path.suffix.lower() in (".tum", ".kitti", ".poses", ".csv")
+        if path.is_file() and format is None and is_text_of_poses:  # with a wrong first line
             return load_poses(given, None, direction)
     problem = as_problem(given, name)
     if format in ("colmap", "bal") and problem.format != format and is_path(given):
         raise InputError(f"{shown(given)}: expected {format}, found {problem.format}")
     return problem
-
-
-def _is_text_of_poses(path: Path) -> bool:
-    """Return True for the name of a file of poses whose first line has a wrong format."""
-    return path.suffix.lower() in (".tum", ".kitti", ".poses", ".csv")
 
 
 def _word(given: Any, otherwise: str) -> str:
@@ -165,7 +161,14 @@ def _evaluate(
     if isinstance(a, Problem) and isinstance(b, Problem):
         if word == "identical" and options.sigmas == "auto":
             options = options.replace(sigmas="off")
-        common, notes = _of_models(a, b, pairs, compared, options)
+        rows = pairs.rows_a, pairs.rows_b
+        points = shared_points(a, b, *rows)
+        movement, notes = _movement(a, b, pairs, options)
+        common = {
+            "lenses": lens_differences(a, b, *rows),
+            "points": point_difference(a, b, points, compared.similarity) if len(points) else None,
+            "movement": movement,
+        }
     elif options.sigmas == "on":
         raise InputError("sigmas: expected two models, found poses")
     findings = [*findings_of(compared), *_missing(pairs)]
@@ -214,20 +217,6 @@ def _directions(
         command = f"bundle evaluate {words[0]} --reference {words[1]} {flag} {other}"
         commands[name] = command if table.format == "poses" else ""
     return commands
-
-
-def _of_models(
-    a: Problem, b: Problem, pairs: Association, compared: Compared, options: EvaluateOptions
-) -> tuple[dict[str, Any], list[str]]:
-    rows = pairs.rows_a, pairs.rows_b
-    points = shared_points(a, b, *rows)
-    movement, notes = _movement(a, b, pairs, options)
-    found = {
-        "lenses": lens_differences(a, b, *rows),
-        "points": point_difference(a, b, points, compared.similarity) if len(points) else None,
-        "movement": movement,
-    }
-    return found, notes
 
 
 def _movement(

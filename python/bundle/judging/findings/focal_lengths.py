@@ -123,7 +123,11 @@ def shared_lens(measured: Measured, groups: Groups, *, is_jointed: bool = False)
     """Return the finding about cameras that have one lens, or None."""
     factor = JOINTED if is_jointed else 1.0
     for group in sorted(groups, key=lambda one: -len(one.cameras)):
-        if not _is_comparable(group, factor):
+        if not (
+            len(group.cameras) >= FEWEST_CAMERAS
+            and group.is_determined.all()
+            and not _drifts(group, DRIFT_STATISTIC / 2 * factor)
+        ):
             continue
         joint = joint_statistic(measured, group)
         if joint is not None and joint[0] < PAYS * factor * joint[1]:
@@ -301,14 +305,6 @@ def focal_lengths(measured: Measured) -> Iterator[FocalLengths]:
             order=np.linspace(-1.0, 1.0, len(rows)) if len(rows) > 1 else np.zeros(1),
             is_covered=len(groups) == 1,
         )
-
-
-def _is_comparable(group: FocalLengths, factor: float) -> bool:
-    return bool(
-        len(group.cameras) >= FEWEST_CAMERAS
-        and group.is_determined.all()
-        and not _drifts(group, DRIFT_STATISTIC / 2 * factor)
-    )
 
 
 def _mean(values: Floats, sigma: Floats) -> float:

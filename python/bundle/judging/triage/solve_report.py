@@ -54,19 +54,15 @@ def read_report(path: str | os.PathLike[str]) -> SolveReport:
                 f"{place}: expected a report of {name} {known}, found {name} "
                 f"{brief(report.get(name))}; solve the input again with this version"
             )
-    check_shape(report, shape_of(report), place)
-    _check_places(report, place)
-    return _report(str(path), report)
-
-
-def _check_places(report: Entry, place: str) -> None:
-    """Refuse a comparison with a run of an input that it does not list."""
+    has_models = report["command"] == "compare" and "inputs" in report
+    check_shape(report, SHAPES["compare models" if has_models else report["command"]], place)
     for k, run in enumerate(report["runs"] if "inputs" in report else ()):
         if run["input"] not in range(len(report["inputs"])):
             raise InputError(
                 f"{place}: runs[{k}].input: expected the index of one of "
                 f"{len(report['inputs'])} inputs, found {brief(run['input'])}"
             )
+    return _report(str(path), report)
 
 
 def _finite(text: str) -> float:
@@ -270,12 +266,6 @@ SHAPES = {
 }
 
 
-def shape_of(report: Mapping[str, Any]) -> Any:
-    """Return the shape of a report of a known command."""
-    has_models = report["command"] == "compare" and "inputs" in report
-    return SHAPES["compare models" if has_models else report["command"]]
-
-
 def check_shape(value: Any, shape: Any, place: str, name: str = "") -> None:
     """Refuse a value that lacks entries of its shape.
 
@@ -292,25 +282,22 @@ def check_shape(value: Any, shape: Any, place: str, name: str = "") -> None:
             check_shape(item, shape[0], place, f"{name}[{k}]")
     elif isinstance(shape, dict):
         _expect(isinstance(value, dict), "a table", value, place, name)
-        _check_table(value, shape, place, f"{name}." if name else "")
+        parent = f"{name}." if name else ""
+        known = set()
+        for entry, part in shape.items():
+            key = entry.removesuffix("?")
+            known.add(key)
+            if key in value:
+                check_shape(value[key], part, place, parent + key)
+            elif entry == key != "*":
+                raise InputError(f"{place}: expected an entry {brief(parent + key)}, it is missing")
+        for key in value.keys() - known if "*" in shape else ():
+            check_shape(value[key], shape["*"], place, parent + key)
     else:
         is_kind = isinstance(value, KINDS[shape])
         if shape == NUMBER:
             is_kind = is_kind and not isinstance(value, bool)
         _expect(is_kind, shape, value, place, name)
-
-
-def _check_table(value: Mapping[str, Any], shape: Any, place: str, parent: str) -> None:
-    known = set()
-    for entry, part in shape.items():
-        key = entry.removesuffix("?")
-        known.add(key)
-        if key in value:
-            check_shape(value[key], part, place, parent + key)
-        elif entry == key != "*":
-            raise InputError(f"{place}: expected an entry {brief(parent + key)}, it is missing")
-    for key in value.keys() - known if "*" in shape else ():
-        check_shape(value[key], shape["*"], place, parent + key)
 
 
 def _expect(is_kind: bool, kind: str, value: Any, place: str, name: str) -> None:

@@ -107,7 +107,10 @@ def decide(
     takes_part = has_fit & np.array([not veto for veto in vetoes or [""] * len(values)])
     if not takes_part.any():
         raise InputError("candidates: expected a candidate with a fit and without a veto, found 0")
-    sums, counts = _sums_by_image(values, of_image, rule.clip)
+    count = int(of_image.max(initial=-1)) + 1
+    clipped = np.minimum(np.where(np.isfinite(values), values, rule.clip), rule.clip) ** 2
+    sums = np.array([np.bincount(of_image, row, count) for row in clipped])
+    counts = np.bincount(of_image, minlength=count).astype(float)
     scores = np.where(has_fit, np.sqrt(sums.sum(1) / counts.sum()), np.nan)
     best = int(np.argmin(np.where(takes_part, scores, np.inf)))
     spread = np.array([jackknife(row, sums[best], counts) for row in sums])
@@ -148,13 +151,3 @@ def jackknife(sums: _Floats, others: _Floats, counts: _Floats) -> float:
     count = len(counts)
     deviations = difference - difference.mean()
     return float(np.sqrt((count - 1) / count * (deviations @ deviations)))
-
-
-def _sums_by_image(
-    values: _Floats, image: NDArray[np.int64], clip: float
-) -> tuple[_Floats, _Floats]:
-    """Return the sums of clipped squares by candidate and image, and counts by image."""
-    count = int(image.max(initial=-1)) + 1
-    clipped = np.minimum(np.where(np.isfinite(values), values, clip), clip) ** 2
-    sums = np.array([np.bincount(image, row, count) for row in clipped])
-    return sums, np.bincount(image, minlength=count).astype(float)

@@ -80,7 +80,9 @@ def judged(
     )
     errors = np.hypot(residuals[..., 0], residuals[..., 1])
     image = problem.observation_image[rows].astype(np.int64)
-    counts = _independent(problem, fitting.folds)[rows]
+    # observations without repetitions decide, if they are most
+    repeated = are_repeated(problem, fitting.folds)
+    counts = (~repeated if repeated.mean() < MOST_REPEATED else np.ones_like(repeated))[rows]
     shared = _largest_shared(fits, problem)
     test = None if shared is None else row_test(shared.refined, shared.residuals)
     order, rolling = "", {}
@@ -168,12 +170,6 @@ def _distance(source: _Floats | None, target: _Floats | None) -> float:
     except InputError:  # on one line
         return float("nan")
     return float(np.sqrt(((aligned - target) ** 2).sum(axis=1).mean()))
-
-
-def _independent(problem: Problem, folds: NDArray[np.int16]) -> NDArray[np.bool_]:
-    """Return the observations for the decision: those without repetitions, if they are most."""
-    repeated = are_repeated(problem, folds)
-    return ~repeated if repeated.mean() < MOST_REPEATED else np.ones_like(repeated)
 
 
 def _reference(fits: Sequence[CandidateFit]) -> CandidateFit:

@@ -14,7 +14,7 @@ from bundle.errors import InputError
 from bundle.interface.option_fields import choice, number
 from bundle.interface.options import LOSSES, SolveOptions
 from bundle.io.files import Source, as_problem
-from bundle.judging.validation.candidate_fits import CandidateFit, Fitting, Progress, fit_candidates
+from bundle.judging.validation.candidate_fits import Fitting, Progress, fit_candidates
 from bundle.judging.validation.candidates import SHARES, Candidate, default_candidates
 from bundle.judging.validation.decision import DecisionRule
 from bundle.judging.validation.judgement import judged
@@ -123,7 +123,8 @@ def validate(
         progress=progress,
     )
     fits = fit_candidates(candidates, fitting)
-    _check_fits(fits)
+    if all(fit.error for fit in fits):
+        raise InputError(f"candidates: {fits[0].candidate.name}: {fits[0].error}")
     return judged(
         fitting,
         fits,
@@ -164,9 +165,3 @@ def _candidates(problem: Problem, *wanted: Any) -> list[Candidate]:
             f"candidates: expected at most {MOST_CANDIDATES} combinations, found {len(candidates)}"
         )
     return candidates
-
-
-def _check_fits(fits: Sequence[CandidateFit]) -> None:
-    if all(fit.error for fit in fits):
-        first = fits[0]
-        raise InputError(f"candidates: {first.candidate.name}: {first.error}")

@@ -83,7 +83,9 @@ def write_inspection(
     options = SolveOptions.of(options, {}, "options")
     if isinstance(inspection, Inspection):
         title = f"Solver cost of {name}" if name else "Solver cost"
-        processes = processes_section(ranks, network)
+        rows = sorted(ranks, key=lambda row: row.num_processes)
+        figures = [_time(rows), _memory(rows)] if len(rows) > 1 else []
+        processes = [replace(section, figures=figures) for section in rank_sections(rows, network)]
         _write_problem(inspection, path, title, problem, options, name, processes)
     elif isinstance(inspection, GraphInspection):
         write_graph(_with_rivals(inspection), path)
@@ -261,15 +263,6 @@ def _matrices(problem: Problem, options: SolveOptions) -> list[Section | str]:
         Section(title="The information matrix", text=[arrow]),
         first,
     ]
-
-
-def processes_section(
-    predictions: Sequence[RankPrediction], network: tuple[float, float]
-) -> list[Section]:
-    """Return a table, and charts of step time and memory against the number of processes."""
-    rows = sorted(predictions, key=lambda row: row.num_processes)
-    figures = [_time(rows), _memory(rows)] if len(rows) > 1 else []
-    return [replace(section, figures=figures) for section in rank_sections(rows, network)]
 
 
 def _time(rows: Sequence[RankPrediction]) -> Figure:
