@@ -46,12 +46,10 @@ class Evidence:
     points: Array  # (K, N) the parameters at these points
     # function of (k, j) that returns the reference at point k with parameter j set to zero, or None
     reference_at: ReferenceAt
-    # indices of unexplained wrong columns; a signature removes those that it explains
-    wrong: list[int]
+    wrong: list[int]  # unexplained wrong columns; signatures remove what they explain
     tolerance: float = 0.0  # relative error above which an entry is wrong
     findings: list[Finding] = field(default_factory=list)
-    # (K,) sample numbers of the points, for blocks with data per sample
-    numbers: NDArray[np.intp] | None = None
+    numbers: NDArray[np.intp] | None = None  # (K,) sample numbers, for data per sample
     residuals: Array | None = None  # (K, R) residuals at the points, if available to signatures
 
     def __post_init__(self) -> None:

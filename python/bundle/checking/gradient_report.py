@@ -34,8 +34,7 @@ class Verdict:
     num_entries: int  # number of compared entries of the Jacobians
     num_wrong: int  # entries above the tolerance
     num_undecided: int  # entries whose reference is less accurate than the tolerance
-    # largest relative error, minus the uncertainty of the reference for undecided entries
-    max_error: float
+    max_error: float  # relative, minus the reference's uncertainty for undecided entries
 
 
 @dataclass(frozen=True)
@@ -63,8 +62,7 @@ class Undecided:
     # has no value on both sides of the point)
     reason: str
     count: int  # number of points
-    # places of the first few points: "image IMG_17.jpg, point 12", "sample 3"
-    places: tuple[str, ...]
+    places: tuple[str, ...]  # the first few, in words: "image IMG_17.jpg, point 12"
     sentence: str  # reason, count and places in words
 
 

@@ -424,13 +424,11 @@ class ModelCheck:
     name: str  # COLMAP's name of the model
     source: NDArray[np.intp]  # columns of the core's Jacobian that belong to this model
     tally: Tally  # statistics of its Jacobians
-    # by observation, the rotation vector at which it was checked
-    offsets: dict[int, Array] = field(default_factory=dict)
+    offsets: dict[int, Array] = field(default_factory=dict)  # rotation vector by observation
     num_params: int = 0  # number of the model's parameters
     findings: list[Finding] = field(default_factory=list)  # mistakes found so far
     wrong: list[int] = field(default_factory=list)  # observations with a mistake, at most MOST_KEPT
-    # observations without a mistake, at most MOST_KEPT
-    right: list[int] = field(default_factory=list)
+    right: list[int] = field(default_factory=list)  # the same without a mistake
 
     @staticmethod
     def make(name: str, tolerance: float, *, rolls: bool = False) -> ModelCheck:

@@ -26,8 +26,7 @@ class Finding:
     kind: str  # stable name for programs, such as "outliers"
     sentence: str  # the fact with its numbers, in words
     command: str = ""  # command line to run next; "" if no command helps
-    # numbers behind the sentence, by name
-    evidence: Mapping[str, Any] = field(default_factory=dict)
+    evidence: Mapping[str, Any] = field(default_factory=dict)  # numbers behind it, by name
     is_problem: bool = False  # True if the problem is not determined or not usable as it is
 
 

@@ -50,8 +50,7 @@ class BestOrder:
     ordering: str  # name of the order
     flops: float  # flops of a factorisation
     nonzeros: float  # nnz(L)
-    # lower bound of the flops in the order used, if the solver does not count them
-    used_flops: float = 0.0
+    used_flops: float = 0.0  # lower bound in the order used, if the solver counts none
 
 
 def with_ordering_alarm(

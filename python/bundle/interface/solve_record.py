@@ -23,8 +23,7 @@ class SolveRecord(Displayed, Tabular):
 
     options: SolveOptions  # every option as used
     summary: Summary  # summary of the solver
-    # one array per field of Ceres' IterationSummary, with one entry per iteration
-    iterations: dict[str, NDArray[np.generic]]
+    iterations: dict[str, NDArray[np.generic]]  # an array per field of IterationSummary
     build_time_in_seconds: float  # time outside the solver
     solve_time_in_seconds: float  # time inside the solver
 

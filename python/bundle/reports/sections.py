@@ -137,16 +137,13 @@ class Report:
     """Report of a command."""
 
     command: str
-    # path, format and counts of the input; None if the data contain them
-    input: Mapping[str, Any] | None = None
+    input: Mapping[str, Any] | None = None  # path, format, counts; None if the data contain them
     headline: Sequence[str] = ()  # verdict in sentences
     warnings: Sequence[str] = ()  # sentences that restrict the headline
     findings: Sequence[Finding] = ()  # facts to act on, the most important first
     sections: Sequence[Section] = ()
-    # data for programs, in addition to schema, command, version and input
-    data: Mapping[str, Any] = field(default_factory=dict)
-    # title of the page with these sections; "" if the command has another page, or none
-    title: str = ""
+    data: Mapping[str, Any] = field(default_factory=dict)  # beside schema, command, version, input
+    title: str = ""  # title of the page of these sections; "": another page, or none
 
     def json(self) -> dict[str, Any]:
         """Return the JSON report, in JSON types."""

@@ -175,11 +175,8 @@ ROUNDING = 1e-6
 class Density:
     """Nonzeros per pixel of a square matrix."""
 
-    # (pixels, pixels) nonzeros of the matrix on each pixel; fractional if a block covers several
-    # pixels
-    entries: NDArray[np.float64]
-    # (pixels, pixels) fill-in: nonzeros of the factor that are zero in the matrix
-    fill: NDArray[np.float64]
+    entries: NDArray[np.float64]  # (pixels, pixels) nonzeros of the matrix; fractional in blocks
+    fill: NDArray[np.float64]  # (pixels, pixels) nonzeros of the factor that the matrix lacks
     num_unknowns: int  # scalar rows of the matrix
 
     @property

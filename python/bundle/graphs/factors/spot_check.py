@@ -57,10 +57,8 @@ class Candidate:
     """Factor that may be checked."""
 
     name: str  # name of the factor
-    # function that returns the residual and, if requested, the Jacobians at given values
-    evaluate: Evaluate
-    # name, manifold and names of the tangent coordinates of each variable
-    variables: Sequence[tuple[str, str, Sequence[str]]]
+    evaluate: Evaluate  # function from values to the residual and, on demand, Jacobians
+    variables: Sequence[tuple[str, str, Sequence[str]]]  # name, manifold, tangent names of each
     free: Sequence[Sequence[int]]  # coordinates of each variable that a solve may change
     points: Sequence[list[Array]]  # values of the variables at which to check
     seconds_a_call: float  # duration of a call of its function
@@ -72,8 +70,7 @@ class Kind:
 
     members: Sequence[Any]  # the factors
     candidate: Callable[[Any], Candidate]  # function that makes a candidate of a member
-    # number of decided entries, by variable and coordinate
-    decided: dict[tuple[int, int], int] = field(default_factory=dict)
+    decided: dict[tuple[int, int], int] = field(default_factory=dict)  # by variable and coordinate
     # wrong entries, with the ratio to the correct derivative
     convicted: dict[tuple[int, int], list[tuple[Candidate, float | None]]] = field(
         default_factory=dict

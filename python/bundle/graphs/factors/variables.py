@@ -241,8 +241,7 @@ class Tangent:
     """Tangent coordinates of one manifold."""
 
     motion: str = "right"  # motion of a variable, one of MOTIONS
-    # order of the coordinates; in the plane, False for the angle first
-    is_translation_first: bool = False
+    is_translation_first: bool = False  # order; in the plane, False for the angle first
     is_half: bool = False  # True if the rotation is the vector part of a quaternion
 
     def order(self, manifold: str) -> list[int]:

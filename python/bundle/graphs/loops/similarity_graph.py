@@ -89,8 +89,7 @@ class SimilarityGraph:
     edges: NDArray[np.int64]  # (m, 2) nodes i and j
     mounts: Array  # (m, 2, 7) node_from_camera of both cameras
     measurements: Array  # (m, 7) camera_i_from_camera_j
-    # (m, 7, 7) of rotation, translation and log scale, symmetric positive semidefinite
-    information: Array
+    information: Array  # (m, 7, 7) of rotation, translation, log scale; semidefinite
     held: NDArray[np.bool_]  # (n,) constant nodes
     has_free_scales: bool  # True if nodes may change their scale
 

@@ -58,8 +58,7 @@ class Joint:
     # (d,) ascending eigenvalues of the information of these edges on the cluster, with the other
     # clusters held constant, in units of typical sigmas. A typical edge has eigenvalues of about 1
     eigenvalues: Floats
-    # (d, d), one column each, in the frame of the reference pose, in typical sigmas
-    vectors: Floats
+    vectors: Floats  # (d, d), in columns, in the reference pose's frame, typical sigmas
 
     @property
     def num_open(self) -> int:

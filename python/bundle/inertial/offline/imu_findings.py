@@ -65,10 +65,8 @@ class Evidence(NamedTuple):
     is_quadratic: bool  # True without a robust loss
     rotations: RotationMap  # map between the rotations
     axes: str  # sentence on the axes of the accelerometer, or ""
-    # function that returns the error of the arm; called if nothing else is wrong
-    arm: Callable[[], ArmError]
-    # function that returns the scale of the forces; called if the arm is right, too
-    forces: Callable[[], ForceScale]
+    arm: Callable[[], ArmError]  # error of the arm; called if nothing else is wrong
+    forces: Callable[[], ForceScale]  # scale of the forces; called if the arm is right
     clocks: ClockErrors  # errors of single times
     offset: ClockOffset  # offset of the clocks
     noise: tuple[float, float]  # calibrated noise densities over those of the samples

@@ -49,8 +49,7 @@ class InertialAdjustment(Displayed):
     # without priors, 3 with headings, 0 with positions
     gauge_freedom: int
     agreement: Agreement  # chi2 of images and IMU, as a whole and by interval
-    # findings about samples, calibration and clocks; a problem makes the result not usable
-    findings: tuple[ImuFinding, ...]
+    findings: tuple[ImuFinding, ...]  # on samples, calibration, clocks; a problem: not usable
 
     @property
     def headline(self) -> tuple[list[str], list[str]]:

@@ -160,8 +160,7 @@ class ForceScale(NamedTuple):
 
     ratio: float = 1.0  # f
     sigma: float = math.inf  # its standard deviation
-    # rms movement of the positions by f over their rms distance from their mean
-    movement: float = 0.0
+    movement: float = 0.0  # rms movement of positions by f over their rms distance
 
     @staticmethod
     def of(

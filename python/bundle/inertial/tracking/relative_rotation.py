@@ -45,8 +45,7 @@ FEWEST = 12  # common tracks
 class Turn(NamedTuple):
     """Rotation of the camera between two images, by their tracks."""
 
-    # earlier, later: stamps of the images on the IMU's clock, ns
-    earlier: int
+    earlier: int  # stamps of the images on the IMU's clock, ns
     later: int
     rotation: Array  # (3, 3), later_from_earlier
     information: Array  # (3, 3) on a small rotation of the later image

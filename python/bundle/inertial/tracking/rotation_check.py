@@ -57,17 +57,13 @@ class RotationCheck:
     """Agreement of tracks and gyroscope."""
 
     num_pairs: int = 0  # number of image pairs with enough rotation; 0: nothing can be compared
-    # share of the rotation that the calibration leaves unexplained
-    unexplained: float = float("nan")
+    unexplained: float = float("nan")  # share of the rotation beyond the calibration
     cause: str = ""  # "" for agreement, "degrees", "inverse", "axes", "turned", or "unknown"
-    # share that this cause leaves unexplained; nan without one
-    cause_unexplained: float = float("nan")
+    cause_unexplained: float = float("nan")  # share beyond this cause; nan without one
     axes: str = ""  # the IMU's axes for cause "axes", such as "+y -x +z"
     ratio: float = float("nan")  # median rotation by the gyroscope / by the tracks
-    # angle between the rotation of camera_from_imu and that which tracks imply [degrees]
-    angle: float = float("nan")
-    # its standard deviation; nan if the camera turned about one axis only
-    angle_sigma: float = float("nan")
+    angle: float = float("nan")  # from camera_from_imu to the rotation of the tracks [degrees]
+    angle_sigma: float = float("nan")  # nan if the camera turned about one axis only
     time_shift: float = float("nan")  # seconds to add to the time offset, by the tracks
     time_sigma: float = float("nan")  # its standard deviation; nan if it is not determined
 

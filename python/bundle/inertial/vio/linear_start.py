@@ -54,23 +54,19 @@ class Observations(NamedTuple):
 class LinearStart(NamedTuple):
     """Result in the IMU frame of the first image."""
 
-    # gyro_bias, accel_bias: (3,) rad/s, m/s^2
-    gyro_bias: Array
-    accel_bias: Array
-    # velocity, gravity: (3,) m/s, m/s^2
-    velocity: Array
-    gravity: Array
-    # rotations, positions, velocities: motion of the images, (k, 3, 3), (k, 3), (k, 3)
-    rotations: Array
-    positions: Array
-    velocities: Array
+    gyro_bias: Array  # (3,) rad/s
+    accel_bias: Array  # (3,) m/s^2
+    velocity: Array  # (3,) m/s
+    gravity: Array  # (3,) m/s^2
+    rotations: Array  # (k, 3, 3), motion of the images
+    positions: Array  # (k, 3)
+    velocities: Array  # (k, 3)
     points: Array  # (m, 3)
     depths: Array  # (n,) depth of each observation [m]
     predicted: Array  # (n, 2) normalised coordinates
     residuals: Array  # (n, 2) in sigmas, of the last linearisation, weighted
     gravity_sigma: float  # standard deviation of the direction of gravity [rad]
-    # relative standard deviation of the distance from the first image to the last
-    scale_sigma: float
+    scale_sigma: float  # relative sigma of the distance from the first image to the last
 
 
 class _Motion(NamedTuple):

@@ -49,14 +49,12 @@ class MarginalPrior:
     Its cost is 1/2 |M d + v|^2, or c - v^T d + 1/2 d^T M d.
     """
 
-    # (stamp of a frame in ns, POSE or MOTION), or (CAMERA, 0), (TIME, 0)
-    keys: tuple[tuple[int | str, int], ...]
+    keys: tuple[tuple[int | str, int], ...]  # (stamp [ns], POSE or MOTION), (CAMERA, 0), (TIME, 0)
     points: Array  # (len(keys), 16), the linearization points, where d is 0
     square_root: bool  # True for the first form
-    # matrix, vector, constant: M, v, c
-    matrix: Array
-    vector: Array
-    constant: float = 0.0
+    matrix: Array  # M
+    vector: Array  # v
+    constant: float = 0.0  # c
     # relative asymmetry of the information matrix from marginalisation; None for the prior of a
     # start
     asymmetry: float | None = None

@@ -133,22 +133,17 @@ Array = NDArray[np.float64]
 class SequenceStatistics:
     """Statistics of a sequence."""
 
-    # imu_rate, camera_rate: rates from the median step [Hz]
-    imu_rate: float
+    imu_rate: float  # from the median step [Hz]
     camera_rate: float
-    # num_imu_gaps, num_image_gaps: steps of more than 2.5 periods
-    num_imu_gaps: int
+    num_imu_gaps: int  # steps of more than 2.5 periods
     num_image_gaps: int
     overlap: float  # seconds covered by both sensors
     static_start: float  # seconds of rest at the start; 0 if it starts in motion
-    # gyro_noise_density, accel_noise_density: measured over the rest at the start; nan without rest
-    gyro_noise_density: float
+    gyro_noise_density: float  # measured over the rest at the start; nan without rest
     accel_noise_density: float
-    # standard deviation of the magnitude of the specific force while there are images [m/s^2]
-    excitation: float
+    excitation: float  # standard deviation of |specific force| over the images [m/s^2]
     verdict: str  # observability of the scale: "healthy", "marginal" or "unobservable"
-    # tracks_per_image, track_length: min, median, mean, max
-    tracks_per_image: dict[str, float]
+    tracks_per_image: dict[str, float]  # min, median, mean, max
     track_length: dict[str, float]
 
 

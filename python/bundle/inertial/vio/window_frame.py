@@ -70,8 +70,7 @@ class WindowFrame:
     tracks: FrameTracks  # tracks of its image, without those marginalised into a prior
     interval: ImuInterval | None = None  # samples since the previous frame; None for the first
     inertia: Preintegration | None = None  # the same samples, preintegrated
-    # first estimate, once the frame is in a prior (first-estimate Jacobians, FEJ)
-    anchor: Array | None = None
+    anchor: Array | None = None  # first estimate (FEJ), once the frame is in a prior
     is_keyframe: bool = False  # False for the newest frame until it becomes one
 
 

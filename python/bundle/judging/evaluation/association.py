@@ -49,8 +49,7 @@ class Association:
 
     rows_a: Indices  # (n,) indices of the poses of A
     rows_b: Indices  # (n,) indices of the poses of B
-    # n names of the pairs: those of A if it has names, otherwise of B, times or numbers
-    names: tuple[str, ...]
+    names: tuple[str, ...]  # n names: those of A if it has names, else of B, times or numbers
     only_a: tuple[str, ...]  # names of the poses of A without a partner
     only_b: tuple[str, ...]  # names of the poses of B without a partner
     by: str  # "name", "base name", "stem", "time", "frame number" or "order"

@@ -58,8 +58,7 @@ class LensDifference:
     # see or no observation of A has determined
     field: Array
     angle: float  # angle of the removed rotation in degrees
-    # statistics of the lengths of the differences; NaN if the lenses share no rays
-    pixels: ErrorStatistics
+    pixels: ErrorStatistics  # statistics of |field|; NaN if the lenses share no rays
 
 
 def lens_differences(

@@ -82,8 +82,7 @@ class SigmaMovement:
 
     sigmas: Array  # (n,) m_i; NaN for an image without a covariance
     sigma0: float  # scale of the covariance in pixels
-    # False if a step would lower the cost of A under the loss; the sigmas are then rough
-    is_minimum: bool
+    is_minimum: bool  # False if a step would lower the cost of A under the loss
     notes: tuple[str, ...]  # remarks on the covariance
     # parameters that were assumed to be constant, such as "the principal point"; "": nothing
     # depends on it

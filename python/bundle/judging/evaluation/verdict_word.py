@@ -79,8 +79,7 @@ class Compared:
     position: Array  # (n,) position errors
     rotation: Array  # (n,) rotation errors in degrees
     association: Association  # names of the pairs
-    # command that reads A or B as inverse poses, by "A" and "B", for tables of poses
-    directions: Mapping[str, str]
+    directions: Mapping[str, str]  # command that reads A or B as inverse poses, by "A" and "B"
 
     @property
     def size(self) -> float:

@@ -64,8 +64,7 @@ class FocalLengths:
     focal: Floats  # (m,) focal lengths [px], means over x and y
     sigma: Floats  # (m,) their standard deviations
     distortion: float  # largest Q / d over the distortion parameters; 0 without any
-    # scale of the errors over sigma0, at most 1: without outliers and heavy tails
-    inlier_factor: float
+    inlier_factor: float  # scale of the errors over sigma0 without outliers, at most 1
     order: Floats  # (m,) order of the images of the cameras, from -1 to 1
     is_covered: bool  # True if the group has all observed cameras of the model
 

@@ -27,8 +27,7 @@ class NextCommand:
 
     source: str = "INPUT"  # path of the input
     target: str = "OUTPUT"  # path of the output
-    # flags of this run that the next run repeats, each before its values, as words
-    given: Sequence[str] = ()
+    given: Sequence[str] = ()  # flags that the next run repeats, each before its values
 
     def refine(self, *flags: str) -> str:
         """Return `bundle refine` with the flags of this run and these, which replace the former."""

@@ -48,9 +48,8 @@ class SolveFacts:
     least_flops: float | None = None  # flops in the best order that was tried
     prior_columns: float | None = None  # coordinates that a window's prior couples
     densest: float | None = None  # largest d for which d variables have d - 1 neighbours or more
-    # initial_cost, final_cost: costs; of odometry the second only, per residual
-    initial_cost: float | None = None
-    final_cost: float | None = None
+    initial_cost: float | None = None  # None for odometry
+    final_cost: float | None = None  # per residual for odometry
     start_gradient: float | None = None  # largest entry of the gradient at the start
     steps: float | None = None  # attempted steps
     rejected: float | None = None  # rejected steps
@@ -193,8 +192,7 @@ LESS_RADIUS, MORE_REJECTED = 0.2, 0.15
 class Difference:
     """Two solves of one input by one method."""
 
-    # old, new: facts of both solves
-    old: SolveFacts
+    old: SolveFacts  # facts of both solves
     new: SolveFacts
     inputs: tuple[Entry, Entry]  # path, format, counts and digests of both inputs
     environments: tuple[Entry, Entry]  # machine, load and versions of both; empty if unknown

@@ -18,8 +18,7 @@ class Quantity:
     """A fact of both solves."""
 
     name: str  # name of the fact
-    # old, new: values; None if unknown
-    old: float | str | None
+    old: float | str | None  # None if unknown
     new: float | str | None
 
     @property

@@ -51,8 +51,7 @@ class Candidate:
     camera_model: str  # COLMAP's name of the model of all cameras; "" keeps the models of the input
     share: str  # one of :data:`SHARES`
     loss: str = "cauchy"  # robust loss of the fit
-    # groups of variables to refine, as in :class:`bundle.SolveOptions`
-    refine: tuple[str, ...] = SolveOptions().refine
+    refine: tuple[str, ...] = SolveOptions().refine  # groups of variables, as in SolveOptions
 
     @property
     def name(self) -> str:

@@ -62,8 +62,7 @@ class Cameras:
     """Cameras of the candidates; NaN if not known."""
 
     distances: _Floats  # (n, n) rms distances of the centres of two fits after a similarity
-    # (n,) rms standard deviation of the centres in each fit, without a free similarity
-    sigmas: _Floats
+    sigmas: _Floats  # (n,) rms standard deviation of the centres, without a similarity
     certainties: _Floats  # (n,) median standard deviation of a position beside cameras and points
 
 
@@ -77,8 +76,7 @@ class Decision:
     differences: _Floats  # score minus the score of the best candidate
     standard_errors: _Floats  # standard error of each difference over the images; 0 for the best
     is_equal: NDArray[np.bool_]  # True for a candidate as good as the best; False if vetoed
-    # True for one that predicts worse, but costs less certainty than the best
-    by_price: NDArray[np.bool_]
+    by_price: NDArray[np.bool_]  # True: predicts worse, but costs less certainty than the best
 
 
 def decide(
