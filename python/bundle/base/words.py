@@ -19,6 +19,13 @@ def join(words: Iterable[str]) -> str:
     return f"{', '.join(most)} or {last}" if most else last
 
 
+def few(words: Iterable[int | str], most: int = 3) -> str:
+    """Return "a, b", or "a, b, c and 4 more" of more than ``most`` words."""
+    listed = [*map(str, words)]
+    more = f" and {len(listed) - most} more" if len(listed) > most else ""
+    return ", ".join(listed[:most]) + more
+
+
 def number(value: float) -> str:
     """Format a number with four significant digits; "-" if it is not finite."""
     if not math.isfinite(value):
@@ -156,9 +163,7 @@ def format_name(name: str) -> str:
 def named(what: str, ids: Iterable[int | str]) -> str:
     """Return "image 3", "images 3, 4" or "images 3, 4, 5, 6, 7 and 12 more"."""
     listed = [*ids]
-    first = ", ".join(map(str, listed[:_LISTED]))
-    more = f" and {len(listed) - _LISTED} more" if len(listed) > _LISTED else ""
-    return f"{what}{'' if len(listed) == 1 else 's'} {first}{more}"
+    return f"{what}{'' if len(listed) == 1 else 's'} {few(listed, _LISTED)}"
 
 
 def noun(count: int, one: str, many: str) -> str:

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from bundle.checking.evidence import EXPLAINED, Evidence
 from bundle.checking.jacobian_deviation import Array
 from bundle.checking.residual_blocks import Block
+from bundle.model.rigid_motions import cross_matrices
 
 DEGREE = np.pi / 180
 
@@ -358,22 +359,22 @@ def _algebras(evidence: Evidence) -> Iterator[tuple[list[int], Array, str]]:
     for block in evidence.blocks:
         if block.rotation == "vector":
             columns = list(block.columns)
-            yield columns, _skew(evidence.points[:, columns]), "SO(3)"
+            yield columns, cross_matrices(evidence.points[:, columns]), "SO(3)"
     for block in evidence.blocks:
         if block.rotation:
             continue
         for columns in _windows(block, 3):
             w = evidence.points[:, columns]
             if _turns(w):
-                yield columns, _skew(w), "SO(3)"
+                yield columns, cross_matrices(w), "SO(3)"
         for columns in _windows(block, 6):
             for turn, move in ((slice(0, 3), slice(3, 6)), (slice(3, 6), slice(0, 3))):
                 twist = evidence.points[:, columns]
                 if not _turns(twist[:, turn]):
                     continue
                 ad = np.zeros((len(twist), 6, 6))
-                ad[:, turn, turn] = ad[:, move, move] = _skew(twist[:, turn])
-                ad[:, move, turn] = _skew(twist[:, move])
+                ad[:, turn, turn] = ad[:, move, move] = cross_matrices(twist[:, turn])
+                ad[:, move, turn] = cross_matrices(twist[:, move])
                 yield columns, ad, "SE(3)"
 
 
@@ -384,11 +385,6 @@ def _turns(w: Array) -> bool:
 
 def _windows(block: Block, size: int) -> list[list[int]]:
     return [list(range(j, j + size)) for j in range(block.start, block.stop - size + 1)]
-
-
-def _skew(w: Array) -> Array:
-    matrices: Array = np.cross(w[:, None, :], np.eye(3)).transpose(0, 2, 1)
-    return matrices
 
 
 def _same_gram(evidence: Evidence, columns: list[int]) -> bool:

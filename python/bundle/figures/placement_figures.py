@@ -236,13 +236,14 @@ def block(problem: Problem) -> Block | None:
     heights = np.split(-rays[order, 2], np.flatnonzero(np.diff(image[order])) + 1)
     return Block(
         height=float(np.median([np.median(one) for one in heights])),
-        ground_pixel=float(np.median(depth / _focal_lengths(problem)[problem.image_camera[image]])),
+        ground_pixel=float(np.median(depth / focal_lengths(problem)[problem.image_camera[image]])),
         extent=_extent(problem.points[:, :2]),
         overlap=_overlap(problem),
     )
 
 
-def _focal_lengths(problem: Problem) -> NDArray[np.float64]:
+def focal_lengths(problem: Problem) -> NDArray[np.float64]:
+    """Return the mean focal length of each camera [px]; NaN for a model without any."""
     found = []
     for model, params in zip(problem.camera_models, problem.camera_params, strict=True):
         kinds = param_kinds(model)

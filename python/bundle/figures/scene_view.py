@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.base.records import dataclass
-from bundle.model.cameras import camera_models, param_kinds
+from bundle.figures.placement_figures import focal_lengths
 from bundle.model.problem import Problem
 from bundle.model.reprojection import Residuals
 from bundle.model.rigid_motions import rotation_matrices
@@ -168,12 +168,9 @@ def _errors(problem: Problem, found: Residuals | None) -> NDArray[np.float64]:
 def _half_fields(problem: Problem) -> NDArray[np.float64]:
     """Return half the field of view of each camera, as for a pinhole camera."""
     fields = np.full((problem.num_cameras, 2), USUAL)
-    for index, model in enumerate(problem.camera_models):
-        kinds = np.array(param_kinds(model))
-        focal = problem.camera_params[index, : len(camera_models()[model])][kinds == "focal"]
-        size = problem.camera_sizes[index]
-        if len(focal) and (size > 0).all():
-            fields[index] = np.minimum(size / (2 * focal.mean()), 1.0)
+    focal, sizes = focal_lengths(problem), problem.camera_sizes
+    known = np.isfinite(focal) & (sizes > 0).all(axis=1)
+    fields[known] = np.minimum(sizes[known] / (2 * focal[known, None]), 1.0)
     return fields
 
 

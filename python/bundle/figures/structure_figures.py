@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
-from math import erf, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 from bundle.analysis.diagnosis.track_table import shared_points
 from bundle.base.arrays import check_type
 from bundle.base.records import dataclass
+from bundle.base.tails import chi2_tail
 from bundle.base.words import amount, plural
 from bundle.figures.marks import (
     GREY,
@@ -314,7 +314,7 @@ def error_figure(chi2: Floats, sizes: NDArray[np.int64], kinds: Sequence[str]) -
             marks.append(Line(name, shown, 100 * QUANTILES, colour=k))
     degrees = int(np.median(sizes))
     grid = np.geomspace(1e-3, 20, 200)
-    expected = 100 * np.array([_share_below(value * degrees, degrees) for value in grid])
+    expected = 100 * np.array([1 - chi2_tail(value * degrees, degrees) for value in grid])
     marks.append(Line("expected", grid, expected, colour=GREY, dash=1))
     low = max(float(np.quantile(known, 0.02)), 1e-12)
     return Figure(
@@ -326,10 +326,3 @@ def error_figure(chi2: Floats, sizes: NDArray[np.int64], kinds: Sequence[str]) -
         note=f"Expected: chi2 with {plural(degrees, 'degree')} of freedom. A curve to the left has "
         "information that is too cautious, a curve to the right too optimistic.",
     )
-
-
-def _share_below(chi2: float, degrees: int) -> float:
-    """Return the distribution function of chi2 (Wilson and Hilferty)."""
-    variance = 2 / (9 * degrees)
-    normal = ((chi2 / degrees) ** (1 / 3) - (1 - variance)) / sqrt(variance)
-    return 0.5 * (1 + erf(normal / sqrt(2)))

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from typing import Any
 
 from bundle.base.records import dataclass
-from bundle.errors import InputError, brief
+from bundle.errors import InputError
 from bundle.interface.option_class import Options, documented
-from bundle.interface.option_fields import option
+from bundle.interface.option_fields import choice, option
 
 PARTS = ("poses", "points", "intrinsics")
 GAUGES = ("inner", "two_cameras", "three_points", "none")
@@ -123,19 +122,10 @@ class InfluenceOptions(Options):
     )
 
 
-def one_of(name: str, value: Any, choices: tuple[str, ...]) -> str:
-    """Return the choice that equals a word; case, hyphens and underscores are ignored."""
-    word = value.lower().replace("-", "_") if isinstance(value, str) else value
-    if word not in choices:
-        expected = ", ".join(choices[:-1])
-        raise InputError(f"{name}: expected {expected} or {choices[-1]}, found {brief(value)}")
-    return str(word)
-
-
 def parts_of(name: str, value: str | Iterable[str]) -> tuple[str, ...]:
     """Return the named parts, in the order of ``PARTS``."""
     words = value.split(",") if isinstance(value, str) else list(value)
-    named = {one_of(name, word.strip() if isinstance(word, str) else word, PARTS) for word in words}
+    named = {choice(name, word.strip() if isinstance(word, str) else word, PARTS) for word in words}
     if not named:
         raise InputError(f"{name}: expected at least one of {', '.join(PARTS)}, found ''")
     return tuple(part for part in PARTS if part in named)

@@ -193,12 +193,8 @@ class _Declared(NamedTuple):
     spellings: Mapping[str, str]
 
 
-def _declared(kind: Any) -> _Declared:
-    return _cached_declared(kind)
-
-
 @functools.cache
-def _cached_declared(kind: Any) -> _Declared:
+def _declared(kind: Any) -> _Declared:
     fields = dataclasses.fields(kind)
     flags = {field.metadata["flag"]: field.name for field in fields}
     names = {field.name: field.name for field in fields}
@@ -209,12 +205,8 @@ def _cached_declared(kind: Any) -> _Declared:
     )
 
 
-def _defaults(kind: Any) -> Any:
-    return _cached_defaults(kind)
-
-
 @functools.cache
-def _cached_defaults(kind: Any) -> Any:
+def _defaults(kind: Any) -> Any:
     """Return the immutable defaults, checked once."""
     return kind()
 

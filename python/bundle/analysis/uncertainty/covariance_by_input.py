@@ -24,8 +24,9 @@ from bundle.base.arrays import freeze
 from bundle.base.records import dataclass
 from bundle.base.words import not_converged, plural
 from bundle.errors import InputError
-from bundle.interface.analysis_options import GAUGES, PARTS, ROBUST, SCALES, one_of, parts_of
+from bundle.interface.analysis_options import GAUGES, PARTS, ROBUST, SCALES, parts_of
 from bundle.interface.option_class import takes_options
+from bundle.interface.option_fields import choice
 from bundle.interface.options import SolveOptions
 from bundle.interface.pose_graph_options import PoseGraphOptions
 from bundle.io.files import Source, as_problem
@@ -480,7 +481,7 @@ def covariance(
 
         refuse_for_graphs(of=of)
         return graph_covariance(problem, options, **given, **changes)  # type: ignore[arg-type]
-    gauge = one_of("gauge", "inner" if gauge is None else gauge, GAUGES)
+    gauge = choice("gauge", "inner" if gauge is None else gauge, GAUGES)
     recipe = Recipe(
         request=request_at(
             problem,
@@ -496,8 +497,8 @@ def covariance(
         ),
         of=parts_of("of", of),  # type: ignore[arg-type]
         gauge=gauge,
-        scale=one_of("scale", scale, SCALES),
-        robust=one_of("robust", robust, ROBUST),
+        scale=choice("scale", scale, SCALES),
+        robust=choice("robust", robust, ROBUST),
     )
     if recipe.robust == "sandwich" and recipe.scale == "sigma0":
         raise InputError(

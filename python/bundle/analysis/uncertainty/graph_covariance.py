@@ -38,7 +38,8 @@ from bundle.graphs.factors.same_problem import AsPoseGraph, pose_graph_of
 from bundle.graphs.factors.variables import Key, as_list, variable_name
 from bundle.graphs.pose_graphs.edge_weights import check_edges_exist, weighted_graph
 from bundle.graphs.pose_graphs.lie_groups import adjoint_between, adjoints
-from bundle.interface.analysis_options import SCALES, one_of
+from bundle.interface.analysis_options import SCALES
+from bundle.interface.option_fields import choice
 from bundle.interface.pose_graph_options import PoseGraphOptions
 from bundle.interface.tabular import Tabular
 from bundle.model.rigid_motions import rotation_matrices
@@ -156,7 +157,7 @@ def graph_covariance(
     **changes: Any,
 ) -> Covariance:
     """Compute the covariances of the poses of a graph; see :func:`bundle.covariance`."""
-    gauge, scale = one_of("gauge", gauge, GRAPH_GAUGES), one_of("scale", scale, SCALES)
+    gauge, scale = choice("gauge", gauge, GRAPH_GAUGES), choice("scale", scale, SCALES)
     weighted = weighted_graph(graph, options, changes, "covariance")
     used = weighted.graph
     if used.num_poses > 1:
@@ -257,7 +258,7 @@ def factor_graph_covariance(
     A graph of relative poses has those of the pose graph that it states, whose gauge is known
     without a search for null directions.
     """
-    gauge, scale = one_of("gauge", gauge, GRAPH_GAUGES), one_of("scale", scale, SCALES)
+    gauge, scale = choice("gauge", gauge, GRAPH_GAUGES), choice("scale", scale, SCALES)
     keys = graph.keys if of is None else _known(graph, "of", as_list("of", "keys", of))
     pairs = [_pair(graph, pair, k) for k, pair in enumerate(as_list("relative", "pairs", relative))]
     if (poses := pose_graph_of(graph)) is not None:

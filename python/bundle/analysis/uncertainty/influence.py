@@ -27,8 +27,9 @@ from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
 from bundle.base.words import number
 from bundle.errors import InputError
-from bundle.interface.analysis_options import WITHOUT, one_of
+from bundle.interface.analysis_options import WITHOUT
 from bundle.interface.option_class import takes_options
+from bundle.interface.option_fields import choice
 from bundle.interface.options import SolveOptions
 from bundle.interface.tabular import Tabular
 from bundle.io.files import Source
@@ -196,7 +197,7 @@ def influence(
         >>> found = bundle.influence("sparse/0", "distance 12 87 / baseline 1 8")
         >>> found.sigma, found.hangs_on
     """
-    without = one_of("without", without, WITHOUT)
+    without = choice("without", without, WITHOUT)
     request = request_at(
         problem, options, changes, "influence", factors=factors, priors=priors, align=align,
         bounds=bounds, constraints=constraints,

@@ -45,9 +45,10 @@ from bundle.base.arrays import freeze
 from bundle.base.words import named, not_converged, plural
 from bundle.errors import InputError
 from bundle.interface import option_fields
-from bundle.interface.analysis_options import DELTA0, SCALES, one_of
+from bundle.interface.analysis_options import DELTA0, SCALES
 from bundle.interface.finding import Finding
 from bundle.interface.option_class import takes_options
+from bundle.interface.option_fields import choice
 from bundle.interface.options import SolveOptions
 from bundle.io.files import Source
 from bundle.model.problem import Problem
@@ -117,7 +118,7 @@ def reliability(
 def reliability_of(prepared: Prepared, delta0: float = DELTA0, scale: str = "unit") -> Reliability:
     """Compute the reliability at the start of a prepared request; see :func:`reliability`."""
     delta0 = option_fields.number("delta0", delta0, above=0.0)
-    scale = one_of("scale", scale, SCALES)
+    scale = choice("scale", scale, SCALES)
     start, layout, given = prepared.start, prepared.layout, prepared.request.problem
     if not given.num_observations:
         raise InputError("problem: expected observations, found 0")

@@ -34,7 +34,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.base.records import dataclass
-from bundle.base.words import noun, number, plural
+from bundle.base.words import few, noun, number, plural
 from bundle.errors import InputError
 from bundle.georeference.consensus import agreeing
 from bundle.georeference.pose_alignment import align_centers, angle_about_line, moved_poses
@@ -145,13 +145,12 @@ def _outlier_images(given: Compared) -> Finding | None:
     if not len(far) or usual > EXPLAINED * given.rms()[0]:
         return None
     far = far[np.argsort(-errors[far])]
-    names = ", ".join(given.association.names[row] for row in far[:MOST_NAMES])
-    more = f" and {len(far) - MOST_NAMES} more" if len(far) > MOST_NAMES else ""
+    names = few((given.association.names[row] for row in far), MOST_NAMES)
     rest = ErrorStatistics.of(np.delete(errors, far)).rmse
     return Finding(
         kind="outlier_images",
-        sentence=f"{plural(len(far), 'image')} {noun(len(far), 'is', 'are')} far off ({names}"
-        f"{more}; up to {number(float(errors.max()))}). The other {count - len(far)} agree within "
+        sentence=f"{plural(len(far), 'image')} {noun(len(far), 'is', 'are')} far off ({names}; "
+        f"up to {number(float(errors.max()))}). The other {count - len(far)} agree within "
         f"{number(rest)} rms if they alone determine the alignment.",
         evidence={
             "images": [given.association.names[row] for row in far],

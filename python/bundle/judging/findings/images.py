@@ -62,7 +62,7 @@ from numpy.typing import NDArray
 
 from bundle.base.arrays import median
 from bundle.base.records import dataclass
-from bundle.base.words import noun, number
+from bundle.base.words import few, noun, number
 from bundle.errors import InputError, shown
 from bundle.interface.finding import Finding
 from bundle.judging.findings.larger_lens import Step, explains_more, is_cheap
@@ -188,11 +188,10 @@ def image_residuals(
     if not chosen or 3 * len(systematic) > len(images) or 3 * len(weak) > problem.num_images:
         return None
     order = sorted(chosen, key=lambda image: -ratio[image])
-    words = ", ".join(
-        f"{_name(problem, image)} ({chosen[image]}, {ratio[image]:.2f} times)"
-        for image in order[:NAMED]
+    words = few(
+        (f"{_name(problem, image)} ({chosen[image]}, {ratio[image]:.2f} times)" for image in order),
+        NAMED,
     )
-    more = f" and {len(order) - NAMED} more" if len(order) > NAMED else ""
     squares = np.bincount(problem.observation_image, minlength=problem.num_images) * ratio**2
     share = float(squares[order].sum() / squares.sum())
     gains = measured.options.loss == "trivial" and not is_jointed and share >= MOST_SQUARES
@@ -200,7 +199,7 @@ def image_residuals(
     return Finding(
         kind="image_residuals",
         sentence=f"{len(order)} {noun(len(order), 'image has', 'images have')} larger or "
-        f"systematic residuals (noise against the median image): {words}{more}. They are "
+        f"systematic residuals (noise against the median image): {words}. They are "
         f"{number(100 * share)} % of the squares.",
         command=measured.command.refine("--loss", "huber", "--loss-scale", loss_scale)
         if gains

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.analysis.statistics.description import Description
-from bundle.base.words import contents, number, pixels, plural, seconds
+from bundle.base.words import contents, few, number, pixels, plural, seconds
 from bundle.figures import structure_figures
 from bundle.figures.cost_figures import iteration_figure
 from bundle.figures.lens_figures import LensCurve, focal_figure, lens_figure, most_observed_cameras
@@ -138,9 +138,7 @@ def _errors_of(result: Result) -> Table:
 
 def _value(value: object) -> str:
     if isinstance(value, list | tuple):
-        words: Sequence[str] = [str(one) for one in value]
-        more = f" and {len(words) - 20} more" if len(words) > 20 else ""
-        return (", ".join(words[:20]) + more) or "none"
+        return few(value, 20) or "none"
     return str(value)
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from bundle.base.words import pixels, plural
+from bundle.base.words import few, pixels, plural
 from bundle.errors import shown
 from bundle.figures.residual_field import SIGNIFICANT, ResidualField, RowResiduals, row_figure
 from bundle.figures.residual_figures import (
@@ -152,11 +152,9 @@ class Photographs:
                 self.pictures[image.error.image_id] = found
                 size += len(found.address)
         if missing:
-            self.notes.append(f"No photograph in {shown(str(folder))} for {_listed(missing)}.")
+            self.notes.append(f"No photograph in {shown(str(folder))} for {few(missing)}.")
         if misfits:
-            self.notes.append(
-                f"Photographs in another shape than their cameras: {_listed(misfits)}."
-            )
+            self.notes.append(f"Photographs in another shape than their cameras: {few(misfits)}.")
 
 
 def worst_section(images: Sequence[ImageResiduals], photographs: Photographs) -> list[Section]:
@@ -218,8 +216,3 @@ def _fits(picture: Photograph, image: ImageResiduals) -> bool:
         return False
     ratio = picture.size[0] / picture.size[1] * image.size[1] / image.size[0]
     return abs(ratio - 1.0) < SHAPE
-
-
-def _listed(names: Sequence[str]) -> str:
-    more = f" and {len(names) - 3} more" if len(names) > 3 else ""
-    return ", ".join(names[:3]) + more

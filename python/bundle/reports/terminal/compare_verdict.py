@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
-from bundle.base.words import duration, plural
+from bundle.base.words import duration, few, plural
 from bundle.errors import shown
 from bundle.interface.finding import Finding
 from bundle.planning.comparison.comparison_result import Comparison
@@ -15,8 +15,6 @@ from bundle.planning.comparison.recommendation import command_line, comparison_c
 
 SUGGESTED = 1e-3
 """Suggested size of a perturbation: some pixels, from which real models return to their minimum."""
-
-MOST_NAMES = 3
 
 
 def sigmas(distance: float) -> str:
@@ -73,7 +71,7 @@ def _recommended(comparison: Comparison) -> str:
         if run is not winner and reached_best(comparison, run) and _overlap(run, winner)
     ]
     if ties:
-        words += f"; repeats of {_listed(ties)} overlap with it"
+        words += f"; repeats of {few(ties)} overlap with it"
     return f"{words}."
 
 
@@ -84,12 +82,6 @@ def _between(spread: Spread) -> str:
 def _overlap(run: Run, winner: Run) -> bool:
     one, other = run.spread, winner.spread
     return bool(one and other and other.num_repeats > 1 and one.min <= other.max)
-
-
-def _listed(names: Sequence[str]) -> str:
-    words = ", ".join(names[:MOST_NAMES])
-    more = len(names) - MOST_NAMES
-    return f"{words} and {more} more" if more > 0 else words
 
 
 def _solutions(comparison: Comparison) -> Iterator[str]:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bundle.base.words import contents, format_name, number, pixels, plural
+from bundle.base.words import contents, few, format_name, number, pixels, plural
 from bundle.errors import shown
 from bundle.model.problem import Problem
 from bundle.model.pycolmap.problem_source import imported_source
@@ -268,9 +268,8 @@ def solved_sentences(solved: Result, readout_sigma: dict[int, float]) -> list[st
         f"camera {key}: {shutter.readout[problem.camera_ids == key][0]:.4g} +- {sigma:.2g}"
         for key, sigma in readout_sigma.items()
     ]
-    more = f" and {len(refined) - 3} more" if len(refined) > 3 else ""
     if refined:
-        words += f"; readout in frames of {', '.join(refined[:3])}{more}"
+        words += f"; readout in frames of {few(refined)}"
     if solved.options.twists == "hard":
         words += " (hard twists: standard deviations are too small)"
     return [f"{words}."]
@@ -285,10 +284,7 @@ def edit_rows(edits: CameraEdits | None) -> list[tuple[str, str]]:
         return []
     sentences = [*_models(edits)]
     for group in edits.shared_groups:
-        ids = ", ".join(map(str, group[:MOST_IDS]))
-        more = len(group) - MOST_IDS
-        and_more = f" and {more} more" if more > 0 else ""
-        sentences.append(f"{ids}{and_more} become camera {group[0]}")
+        sentences.append(f"{few(group, MOST_IDS)} become camera {group[0]}")
     if edits.num_copies is not None:
         sentences.append(f"one for each image: {plural(edits.num_copies, 'new camera')}")
     if edits.before.num_observations:

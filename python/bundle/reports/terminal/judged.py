@@ -420,10 +420,6 @@ def _row_test(test: RowTest | None) -> dict[str, Any] | None:
     }
 
 
-def _lens_parts(refine: Sequence[str]) -> list[str]:
-    return [name.replace("_", " ") for name in refine if name not in ("poses", "points")]
-
-
 def _difference(one: ValidatedCandidate) -> str:
     if one.difference == 0 and one.standard_error == 0:
         return "best"

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from bundle.base.own_process import Waiting
-from bundle.base.words import number, plural
+from bundle.base.words import few, number, plural
 from bundle.errors import InputError
 from bundle.graphs.pose_graphs.edge_weights import (
     bad_information,
@@ -279,8 +279,6 @@ def _gauge(solved: PoseGraphResult) -> str:
     summary = solved.summary
     if not summary.held_pose_ids:
         return "held by fixed poses"
-    ids = ", ".join(map(str, summary.held_pose_ids[:3]))
-    more = len(summary.held_pose_ids) - 3
-    others = f" and {more} more" if more > 0 else ""
     noun = "pose" if len(summary.held_pose_ids) == 1 else "poses"
-    return f"{summary.num_gauge_freedoms} degrees of freedom: {noun} {ids}{others} held"
+    ids = few(summary.held_pose_ids)
+    return f"{summary.num_gauge_freedoms} degrees of freedom: {noun} {ids} held"

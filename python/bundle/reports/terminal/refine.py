@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from bundle.base.own_process import Waiting
-from bundle.base.words import change, format_size, pixels, plural
+from bundle.base.words import change, few, format_size, pixels, plural
 from bundle.errors import shown
 from bundle.interface.summary import Summary, sizes
 from bundle.model.content_digests import content_digests
@@ -211,8 +211,7 @@ def _part(solved: Result) -> list[tuple[str, str]]:
     shared = [str(key) for key in part.shared_camera_ids if key not in held]
     if not shared or not {"focal", "principal_point", "extra"} & set(solved.options.refine):
         return [("", adjusted)]
-    more = f" and {len(shared) - 3} more" if len(shared) > 3 else ""
-    cameras = f"{'camera' if len(shared) == 1 else 'cameras'} {', '.join(shared[:3])}{more}"
+    cameras = f"{'camera' if len(shared) == 1 else 'cameras'} {few(shared)}"
     return [
         ("", adjusted),
         ("", f"{cameras} also have constant images, whose errors change (--fix-cameras)"),

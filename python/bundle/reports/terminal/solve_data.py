@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from bundle.base.own_process import Waiting
 from bundle.base.records import dataclass
-from bundle.base.words import change, format_size, number, pixels, plural, seconds
+from bundle.base.words import change, few, format_size, number, pixels, plural, seconds
 from bundle.errors import shown
 from bundle.interface.environment import Environment
 from bundle.interface.options import SolveOptions
@@ -222,12 +222,10 @@ def _moved(prior: PriorEnd) -> str:
 
 
 def _members(tie: TieEnd) -> str:
-    names = [
+    return few(
         f"{name} of camera {camera}"
         for camera, name in zip(tie.camera_ids, tie.parameters, strict=True)
-    ]
-    more = f" and {len(names) - 3} more" if len(names) > 3 else ""
-    return ", ".join(names[:3]) + more
+    )
 
 
 PRIORS = (
