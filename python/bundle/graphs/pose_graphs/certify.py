@@ -28,7 +28,7 @@ from bundle.base.arrays import check_function, check_type, freeze
 from bundle.base.paths import as_path, is_path
 from bundle.base.records import dataclass
 from bundle.errors import InputError
-from bundle.graphs.pose_graphs.edge_weights import checked_information
+from bundle.graphs.pose_graphs.edge_weights import checked_information, with_edges
 from bundle.graphs.pose_graphs.pose_graph_result import (
     CERTIFIED,
     CHORDAL_MINIMUM,
@@ -148,14 +148,7 @@ def _kept(solved: PoseGraphResult) -> PoseGraph:
     graph = solved.problem
     kept = np.ones(graph.num_edges, bool)
     kept[[entry.edge for entry in solved.left_out]] = False
-    if kept.all():
-        return graph
-    return graph.replace(
-        edges=graph.edges[kept],
-        measurements=graph.measurements[kept],
-        information=graph.information[kept],
-        edge_lines=graph.edge_lines[kept],
-    )
+    return graph if kept.all() else with_edges(graph, kept)
 
 
 def _certificate(

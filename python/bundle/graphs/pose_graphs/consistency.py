@@ -63,7 +63,7 @@ from bundle.base.records import dataclass
 from bundle.base.tails import ONE_IN_A_MILLION
 from bundle.base.words import plural
 from bundle.errors import InputError
-from bundle.graphs.pose_graphs.edge_weights import checked_information
+from bundle.graphs.pose_graphs.edge_weights import checked_information, with_edges
 from bundle.graphs.pose_graphs.lie_groups import adjoints, compose, inverse, logarithm
 from bundle.graphs.pose_graphs.pose_graph_result import LeftOutEdge, PoseGraphResult
 from bundle.interface.pose_graph_options import PoseGraphOptions
@@ -182,15 +182,7 @@ def solve_consistent(graph: PoseGraph, options: PoseGraphOptions, solve: Solve) 
     kept[[entry.edge for entry in found.left_out]] = False
     edges = np.flatnonzero(kept)
     check_time = perf_counter() - begun
-    solved, start = solve(
-        graph.replace(
-            edges=graph.edges[edges],
-            measurements=graph.measurements[edges],
-            information=graph.information[edges],
-            edge_lines=graph.edge_lines[edges],
-        ),
-        options.replace(consistency=False),
-    )
+    solved, start = solve(with_edges(graph, edges), options.replace(consistency=False))
     after = _core.edge_chi2(weighed, options.error, solved.problem.poses).copy()
     before = _core.edge_chi2(weighed, options.error, start).copy()
     after[edges], before[edges] = solved.chi2_after, solved.chi2_before

@@ -113,13 +113,19 @@ def weighted_graph(
     if weights is None:
         weights = _weights(weighed, options)
     kept = np.flatnonzero(weights > 0)
-    used = weighed.replace(
-        edges=weighed.edges[kept],
-        measurements=weighed.measurements[kept],
-        information=weights[kept, None, None] * weighed.information[kept],
-        edge_lines=weighed.edge_lines[kept],
-    )
+    used = with_edges(weighed, kept)
+    used = used.replace(information=weights[kept, None, None] * used.information)
     return WeightedGraph(graph, used, kept, weights, options)
+
+
+def with_edges(graph: PoseGraph, edges: NDArray[Any]) -> PoseGraph:
+    """Return the graph with some of its edges, given by positions or a mask."""
+    return graph.replace(
+        edges=graph.edges[edges],
+        measurements=graph.measurements[edges],
+        information=graph.information[edges],
+        edge_lines=graph.edge_lines[edges],
+    )
 
 
 def _weights(graph: PoseGraph, options: PoseGraphOptions) -> NDArray[np.float64]:

@@ -46,6 +46,7 @@ import bundle._core as _core
 from bundle.base.records import dataclass
 from bundle.base.tails import chi2_quantile
 from bundle.base.words import number, plural
+from bundle.graphs.pose_graphs.edge_weights import with_edges
 from bundle.interface.pose_graph_options import PoseGraphOptions
 from bundle.model.pose_graph_arrays import PoseGraph
 
@@ -185,12 +186,7 @@ def flip_gains(
     gains = np.full(graph.num_edges, -np.inf)
     inside, outside = np.flatnonzero(used), np.flatnonzero(doubted & ~used)
     found = _core.graph_covariance(
-        graph.replace(
-            edges=graph.edges[inside],
-            measurements=graph.measurements[inside],
-            information=graph.information[inside],
-            edge_lines=graph.edge_lines[inside],
-        ),
+        with_edges(graph, inside),
         error,
         inner=False,
         of_edges=True,
