@@ -193,8 +193,12 @@ class _Declared(NamedTuple):
     spellings: Mapping[str, str]
 
 
-@functools.cache
 def _declared(kind: Any) -> _Declared:
+    return _cached_declared(kind)
+
+
+@functools.cache
+def _cached_declared(kind: Any) -> _Declared:
     fields = dataclasses.fields(kind)
     flags = {field.metadata["flag"]: field.name for field in fields}
     names = {field.name: field.name for field in fields}
@@ -205,8 +209,12 @@ def _declared(kind: Any) -> _Declared:
     )
 
 
-@functools.cache
 def _defaults(kind: Any) -> Any:
+    return _cached_defaults(kind)
+
+
+@functools.cache
+def _cached_defaults(kind: Any) -> Any:
     """Return the immutable defaults, checked once."""
     return kind()
 
