@@ -104,7 +104,7 @@ def publish(report: Report, asked: argparse.Namespace | Request) -> None:
 
     Reports without a title have no page of their own.
     """
-    page, config = getattr(asked, "html", None), asked.config
+    page, config = (getattr(asked, name, None) for name in ("html", "config"))
     if config is not None:
         section = Section(facts=[("config", config.fact)])
         data = {**report.data, "config": config._asdict()}

@@ -113,8 +113,7 @@ def plan(run: Run) -> list[str]:
     with asked.naming_flags():
         ready = prepare(_request(asked, opened, None))
         inspection = inspect(ready.start, ready.options)
-    adjustments = asked.rounds.num_rounds + 1 if asked.rounds.num_rounds else 1
-    return predicted(inspection, ready.options, adjustments)
+    return predicted(inspection, ready.options, asked.num_adjustments)
 
 
 def _close_loops(given: LoopOptions, opened: Opened, progress: Progress) -> LoopClosing | None:

@@ -171,6 +171,11 @@ class Refinement:
         """Rounds of the run, its checkpoints, and its held-out observations."""
         return RunPlan(rounds=self.rounds, held_out=self.held_out, **self.checkpoints.asdict())
 
+    @property
+    def num_adjustments(self) -> int:
+        """Most adjustments of the run."""
+        return self.rounds.num_rounds + 1
+
     def naming_flags(self) -> AbstractContextManager[None]:
         """Return a context whose errors about options name their flags."""
         classes = (SolveOptions, RoundOptions, LocalOptions, CheckpointOptions, HoldOutOptions)

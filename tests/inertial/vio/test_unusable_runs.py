@@ -20,6 +20,7 @@ from bundle.inertial.vio.window_run import WindowRun, _lost_reason, _out_of_time
 from bundle.interface.window_options import WindowOptions
 from bundle.io.sequences.sequence_folder import save_sequence
 from bundle.io.sequences.trajectory_files import load_tum
+from bundle.reports.terminal.vio_reports import odometry_headline
 from bundle.synthetic.synthetic_flight import SyntheticFlight, synthesize_flight
 
 SECOND = 10**9
@@ -39,6 +40,14 @@ def records(result: OdometryResult, changed: dict[int, dict[str, Any]]) -> list[
     """Return 100 records, one every half second, some of them changed."""
     plain = replace(result.keyframes[-1], alarms=(), prior_definiteness=0.0)
     return [replace(plain, timestamp_ns=k * SECOND // 2, **changed.get(k, {})) for k in range(100)]
+
+
+@pytest.mark.parametrize(("factor", "expected"), [(0.5, "2 times faster"), (4, "4 times slower")])
+def test_the_pace_is_relative_to_real_time(
+    result: OdometryResult, factor: float, expected: str
+) -> None:
+    slowed = replace(result, solve_time=factor * result.duration)
+    assert f"({expected} than real time)" in odometry_headline(slowed, None)[0]
 
 
 def test_camera_and_imu_may_contradict_each_other_at_a_fifth_of_the_keyframes(

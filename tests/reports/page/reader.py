@@ -6,7 +6,7 @@ import re
 from html.parser import HTMLParser
 from pathlib import Path
 
-VOID = {"area", "br", "col", "hr", "img", "input", "link", "meta", "source"}
+VOID = {"area", "br", "col", "hr", "img", "input", "link", "meta", "source", "wbr"}
 LOADING = {"src", "href", "srcset", "data", "action", "poster", "background"}
 
 

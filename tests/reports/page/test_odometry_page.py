@@ -15,6 +15,7 @@ from bundle.inertial.vio.trajectory_comparison import aligned_in_yaw
 from bundle.io.sequences.sequence_folder import save_sequence
 from bundle.io.sequences.trajectory_files import Trajectory
 from bundle.reports.page.result_pages import write_odometry
+from bundle.reports.terminal.vio_reports import odometry_headline
 from bundle.synthetic.synthetic_flight import synthesize_flight
 from tests.reports.page.browser import check_nothing_is_clipped
 from tests.reports.page.reader import Page, check_self_contained
@@ -65,6 +66,11 @@ def test_the_page_stands_alone_and_escapes_names(page):
     check_self_contained(page[1])
     assert "<flight>" not in page[1].source.replace("&lt;flight&gt;", "")
     assert list(numbers(page)) == NAMES
+
+
+def test_the_page_begins_with_the_headline_of_the_report(page, told):
+    headline, *_ = odometry_headline(told, None)
+    assert f"<h1>{headline}</h1>" in page[1].source
 
 
 FIELDS = {

@@ -37,6 +37,10 @@ def corners(markup):
     return found
 
 
+def test_labels_of_bars_break_at_underscores():
+    assert "SPARSE_<wbr>SCHUR" in bars({"SPARSE_SCHUR": 1.0})
+
+
 def test_larger_values_stand_higher_and_further_right():
     line = [0.0, 5.0, 10.0], [0.0, 1.0, 4.0]
     found = corners(curves([line], linear([10.0]), linear([4.0])))

@@ -27,13 +27,13 @@ from bundle.judging.evaluation.check_points import CheckPointEvaluation
 from bundle.judging.evaluation.evaluation_result import Evaluation
 from bundle.planning.comparison.comparison_result import Comparison
 from bundle.planning.comparison.graph_comparison import GraphComparison
-from bundle.reports.page.page import tag, write_page
+from bundle.reports.page.page import lead, tag, write_page
 from bundle.reports.page.table import findings_list, rendered
 from bundle.reports.sections import Column, Report, Section, Table
 from bundle.reports.terminal.compare import compared
 from bundle.reports.terminal.graph_costs import compared_runs
 from bundle.reports.terminal.judged import evaluated
-from bundle.reports.terminal.vio_reports import odometry_facts
+from bundle.reports.terminal.vio_reports import odometry_facts, odometry_headline
 
 
 def write_reported(report: Report, path: str | os.PathLike[str]) -> None:
@@ -128,6 +128,7 @@ def write_odometry(
     figures = {figure.name: figure for figure in odometry_figures(result, truth)}
     facts = [("result", result.message), *odometry_facts(name, result, error)]
     sections = [Section(facts=facts), _alarms(result)]
+    headline, *more = odometry_headline(result, error)
     for title, names in SECTIONS.items():
         drawn = [figures[key] for key in names if key in figures]
         sections.append(Section(title=title, figures=drawn))
@@ -138,7 +139,8 @@ def write_odometry(
         for key, figure in figures.items()
     }
     data = {"figures": [{"name": key, "lines": of_one} for key, of_one in lines.items()]}
-    write_page(as_path(path), title, rendered(sections), data, script="")
+    written = [*([lead(more)] if more else []), *rendered(sections)]
+    write_page(as_path(path), title, written, data, headline=headline, script="")
 
 
 def _alarms(result: OdometryResult) -> Section:

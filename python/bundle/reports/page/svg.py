@@ -107,7 +107,8 @@ def stacked_bars(mark: StackedBars) -> str:
 
 def _row(name: str, bar: str, words: str) -> list[str]:
     value = tag("div", escape(words), class_="value")
-    return [tag("div", escape(name)), tag("div", bar, value, class_="track")]
+    label = escape(name).replace("_", "_<wbr>")
+    return [tag("div", label), tag("div", bar, value, class_="track")]
 
 
 def _paint(index: int, phase: str) -> str:

@@ -70,7 +70,7 @@ def odometry_report(
             "digests": content_digests(sequence),
         },
         headline=[
-            *_headline(result, error),
+            *odometry_headline(result, error),
             *([] if tracking is None else [tracking_headline(tracking)]),
         ],
         warnings=said,
@@ -106,17 +106,15 @@ def odometry_report(
     )
 
 
-def _headline(result: OdometryResult, error: TrajectoryError | None) -> list[str]:
+def odometry_headline(result: OdometryResult, error: TrajectoryError | None) -> list[str]:
+    """Return whether the odometry is usable, its pace, uncertain scale and errors."""
     if not result.is_usable:
         return [f"Not usable: {result.message}. The trajectory ends there or is wrong."]
     end = "Interrupted: the trajectory ends early; " if result.interrupted else ""
-    stamps = result.trajectory.timestamps_ns
-    motion = 1e-9 * float(stamps[-1] - stamps[0])
-    speed = f"{number(motion / max(result.solve_time, 1e-9))} times faster than real time"
     images = plural(result.num_images, "image", grouped=True)
     said = [
-        f"{end}{images} over {number(motion)} s solved in {number(result.solve_time)} s ({speed}), "
-        f"{plural(len(result.keyframes), 'keyframe')}."
+        f"{end}{images} over {number(result.duration)} s solved in {number(result.solve_time)} s "
+        f"({_pace(result)}), {plural(len(result.keyframes), 'keyframe')}."
     ]
     uncertain = [
         record.speed_sigma
@@ -136,28 +134,28 @@ def _headline(result: OdometryResult, error: TrajectoryError | None) -> list[str
     return said
 
 
+def _pace(result: OdometryResult) -> str:
+    ratio = max(result.duration, 1e-9) / max(result.solve_time, 1e-9)
+    kind = "faster" if ratio >= 1 else "slower"
+    return f"{number(max(ratio, 1 / ratio))} times {kind} than real time"
+
+
 def odometry_facts(
     source: str, result: OdometryResult, error: TrajectoryError | None
 ) -> list[tuple[str, str]]:
     """Return start, keyframes, time, and the errors if there is a truth."""
-    stamps = result.trajectory.timestamps_ns
-    seconds = 1e-9 * float(stamps[-1] - stamps[0])
     records = result.keyframes
     reasons = Counter(record.reason for record in records)
     chi2 = [r.mean_visual_chi2 for r in records if r.mean_visual_chi2 is not None]
     rows = [
-        ("sequence", f"{shown(source)}, {number(seconds)} s"),
+        ("sequence", f"{shown(source)}, {number(result.duration)} s"),
         ("start", result.start),
         ("images", f"{result.num_images} solved for"),
         (
             "keyframes",
             f"{len(records)}: " + ", ".join(f"{name} {count}" for name, count in reasons.items()),
         ),
-        (
-            "time",
-            f"{number(result.solve_time)} s, "
-            f"{number(seconds / max(result.solve_time, 1e-9))} times faster than real time",
-        ),
+        ("time", f"{number(result.solve_time)} s, {_pace(result)}"),
         ("visual cost", f"{number(float(np.mean(chi2)) if chi2 else 0.0)} per residual (mean)"),
     ]
     if error is not None:
