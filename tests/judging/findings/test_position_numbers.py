@@ -82,6 +82,10 @@ def test_a_start_far_from_its_positions_gets_their_distance_as_sigma():
     assert found.command == "bundle refine INPUT -o OUTPUT --gps-sigma-scale 2"
     assert found.evidence["ratio"] == pytest.approx(2.36 / np.sqrt(1.3863))
     assert "by 2.004 times their sigmas (0.1 m)" in found.sentence
+    for scale, advised in (("1", "2"), ("3/2", "6/4"), ("2/0.9", None)):
+        command = NextCommand("INPUT", "OUTPUT", ("--gps-sigma-scale", scale))
+        found = positions_of_start(measured(problem, away).of_command(command))
+        assert (found and found.command.split()[-1]) == advised  # those of a drift are not undone
     away[:, 0] -= 0.001
     assert positions_of_start(measured(problem, away)) is None
     few = dataclasses.replace(measured(problem, away + 9.0), priors=())

@@ -138,13 +138,14 @@ def positions_of_start(measured: Measured) -> Finding | None:
     """Return the finding about positions that a start contradicts, or None.
 
     Their sigmas are so small that they pull the cameras away before the images can follow. With
-    those that the start shows, the solve begins with the images.
+    those of the start, the solve begins with the images. But a scale below 1 is against a drift.
     """
     rows, priors = _used(measured)
     if len(rows) < FEWEST:
         return None
     _, _, ratio, limit = _distances(measured, rows, priors)
-    if not ratio > limit:
+    scale = measured.command.value("--gps-sigma-scale", "1").split("/")
+    if not ratio > limit or min(map(float, scale)) < 1.0:
         return None
     given = [_sigma(priors, axis) for axis in (0, 2)]
     return Finding(
