@@ -209,20 +209,15 @@ class Index(NamedTuple):
 
 
 class Array(NamedTuple):
-    """Declaration of an array that a field or an argument takes.
+    """Declaration of an array that a field or an argument takes."""
 
-    Attributes:
-        shape: length of each axis: a number, or the name of a size. The first array with the name
-            fixes the size; until then messages show the name.
-        values: what the numbers must be: a key of ``VALUES``, or an ``Index``.
-        dtype: type of the array.
-        default: what None stands for: a number in all places, "range" (0, 1, 2, ...), "none" (the
-            field may stay None) or "required".
-    """
-
+    # length of each axis: a number, or the name of a size. The first array with the name fixes the
+    # size; until then messages show the name
     shape: tuple[int | str, ...]
-    values: str | Index = "any"
-    dtype: type = np.float64
+    values: str | Index = "any"  # what the numbers must be: a key of ``VALUES``, or an ``Index``
+    dtype: type = np.float64  # type of the array
+    # what None stands for: a number in all places, "range" (0, 1, 2, ...), "none" (the field may
+    # stay None) or "required"
     default: float | Literal["range", "none", "required"] = "required"
 
 

@@ -7,23 +7,15 @@ from bundle.base.records import dataclass
 
 @dataclass(frozen=True, kw_only=True)
 class Display:
-    """Content of a repr.
+    """Content of a repr."""
 
-    Attributes:
-        title: first line.
-        facts: pairs (label, fact), one per line.
-        head: column titles of a table; its first column is text, the other columns are numbers.
-        rows: cells of the table.
-        left: number of columns of text in reports.
-        most: largest number of rows that reports show; None: all.
-    """
-
-    title: str
-    facts: tuple[tuple[str, str], ...] = ()
+    title: str  # first line
+    facts: tuple[tuple[str, str], ...] = ()  # pairs (label, fact), one per line
+    # column titles of a table; its first column is text, the other columns are numbers
     head: tuple[str, ...] = ()
-    rows: tuple[tuple[str, ...], ...] = ()
-    left: int = 1
-    most: int | None = None
+    rows: tuple[tuple[str, ...], ...] = ()  # cells of the table
+    left: int = 1  # number of columns of text in reports
+    most: int | None = None  # largest number of rows that reports show; None: all
 
     def text(self) -> str:
         """Return the content as lines of text."""

@@ -238,15 +238,10 @@ def _logger() -> Any:
 
 @dataclass(frozen=True)
 class Waiting:
-    """Time that this process waited for a core, so far or in an interval.
+    """Time that this process waited for a core, so far or in an interval."""
 
-    Attributes:
-        waiting: seconds of the calling thread; 0 if the system does not report it.
-        preemptions: involuntary context switches of all threads.
-    """
-
-    waiting: float
-    preemptions: int
+    waiting: float  # seconds of the calling thread; 0 if the system does not report it
+    preemptions: int  # involuntary context switches of all threads
 
     @staticmethod
     def now() -> Waiting:

@@ -41,10 +41,6 @@ def numbered_lines(path: str | os.PathLike[str]) -> list[tuple[int, str]]:
     """Return the lines of a text file with their numbers from 1.
 
     Byte order marks, UTF-16 and the line ends of all systems are supported.
-
-    Raises:
-        InputError: the file is not text.
-        OSError: the file cannot be read.
     """
     content = Path(path).read_bytes()
     try:
@@ -74,11 +70,7 @@ def cache_folder() -> Path:
 
 
 def write_cached(path: Path, text: str) -> None:
-    """Replace a file of the folder in one step; only its user can read it.
-
-    Raises:
-        OSError: the file cannot be written.
-    """
+    """Replace a file of the folder in one step; only its user can read it."""
     path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
     partial = path.with_name(f"{path.name}.{os.getpid()}")
     try:

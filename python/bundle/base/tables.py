@@ -251,13 +251,9 @@ def columns(
 
 
 class Bar(NamedTuple):
-    """A bar of at most `BAR_WIDTH` characters; shorter on a narrow terminal.
+    """A bar of at most `BAR_WIDTH` characters; shorter on a narrow terminal."""
 
-    Attributes:
-        share: length, 0 to 1; a positive share has at least one character.
-    """
-
-    share: float
+    share: float  # length, 0 to 1; a positive share has at least one character
 
 
 def _size(cell: str | Bar) -> _Size:

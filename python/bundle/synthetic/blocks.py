@@ -48,23 +48,14 @@ _SCENES: dict[str, Callable[[np.random.Generator, SceneOptions], Scene]] = {
 
 @dataclass(frozen=True)
 class Block:
-    """Points and their observations.
+    """Points and their observations."""
 
-    Attributes:
-        first_point: index of the first point in the scene.
-        points: (n, 3) true positions.
-        image: (M,) image index of each observation; sorted by point, then image.
-        point: (M,) index of each observation's point in the scene.
-        xy: (M, 2) measured positions in pixels.
-        is_outlier: (M,) True for outliers.
-    """
-
-    first_point: int
-    points: Array
-    image: NDArray[np.int32]
-    point: NDArray[np.int32]
-    xy: Array
-    is_outlier: NDArray[np.bool_]
+    first_point: int  # index of the first point in the scene
+    points: Array  # (n, 3) true positions
+    image: NDArray[np.int32]  # (M,) image index of each observation; sorted by point, then image
+    point: NDArray[np.int32]  # (M,) index of each observation's point in the scene
+    xy: Array  # (M, 2) measured positions in pixels
+    is_outlier: NDArray[np.bool_]  # (M,) True for outliers
 
 
 class SceneInBlocks:

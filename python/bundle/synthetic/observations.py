@@ -36,12 +36,10 @@ class Cells:
     Attributes:
         centers: (num_cells, 3) centres of the cells.
         half_diagonal: half the diagonal of a cell.
-        order: (n,) points, cell by cell.
-        starts: (num_cells + 1,) begin of each cell in ``order``.
     """
 
-    order: NDArray[np.int64]
-    starts: NDArray[np.int64]
+    order: NDArray[np.int64]  # (n,) points, cell by cell
+    starts: NDArray[np.int64]  # (num_cells + 1,) begin of each cell in ``order``
 
     def __init__(self, keys: Array, size: float) -> None:
         grid = np.floor((keys - keys.min(axis=0)) / size).astype(np.int64)

@@ -30,42 +30,25 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Images:
-    """True images.
+    """True images."""
 
-    Attributes:
-        centers: (N, 3) projection centres in the world, length units.
-        rotations: (N, 3, 3) camera-from-world.
-        focal: (N,) focal length relative to the longer side of the image.
-        sizes: (N, 2) width and height in pixels.
-        richness: (N,) relative number of observations that an image tends to have.
-        ball_centers: (N, 3) centres of the balls in the space of the points' keys.
-        ball_radii: (N,) radii of the balls.
-    """
-
-    centers: Array
-    rotations: Array
-    focal: Array
-    sizes: NDArray[np.int64]
-    richness: Array
-    ball_centers: Array
-    ball_radii: Array
+    centers: Array  # (N, 3) projection centres in the world, length units
+    rotations: Array  # (N, 3, 3) camera-from-world
+    focal: Array  # (N,) focal length relative to the longer side of the image
+    sizes: NDArray[np.int64]  # (N, 2) width and height in pixels
+    richness: Array  # (N,) relative number of observations that an image tends to have
+    ball_centers: Array  # (N, 3) centres of the balls in the space of the points' keys
+    ball_radii: Array  # (N,) radii of the balls
 
 
 @dataclass(frozen=True)
 class Points:
-    """Points on surfaces.
+    """Points on surfaces."""
 
-    Attributes:
-        positions: (n, 3) world coordinates, length units.
-        normals: (n, 3) unit outward normals; zero for points visible from all sides.
-        reach: (n,) distance beyond which a point is not recognised, length units.
-        keys: (n, 3) keys for the approximate test of visibility.
-    """
-
-    positions: Array
-    normals: Array
-    reach: Array
-    keys: Array
+    positions: Array  # (n, 3) world coordinates, length units
+    normals: Array  # (n, 3) unit outward normals; zero for points visible from all sides
+    reach: Array  # (n,) distance beyond which a point is not recognised, length units
+    keys: Array  # (n, 3) keys for the approximate test of visibility
 
     def __len__(self) -> int:
         return len(self.positions)
@@ -89,17 +72,11 @@ class Points:
 
 @dataclass(frozen=True)
 class Pairs:
-    """Point-image pairs, sorted by point, then image.
+    """Point-image pairs, sorted by point, then image."""
 
-    Attributes:
-        point: (M,) point indices.
-        image: (M,) image indices.
-        starts: (num_points + 1,) begin of the pairs of each point.
-    """
-
-    point: NDArray[np.int32]
-    image: NDArray[np.int32]
-    starts: NDArray[np.int64]
+    point: NDArray[np.int32]  # (M,) point indices
+    image: NDArray[np.int32]  # (M,) image indices
+    starts: NDArray[np.int64]  # (num_points + 1,) begin of the pairs of each point
 
     @staticmethod
     def from_sorted(point: NDArray[np.int32], image: NDArray[np.int32], num_points: int) -> Pairs:
@@ -146,18 +123,13 @@ class Pairs:
 
 
 class Scene(ABC):
-    """Kind of scene, built for given options.
+    """Kind of scene, built for given options."""
 
-    Attributes:
-        images: the true images.
-        min_cosine: smallest cosine between a surface normal and the direction to the camera.
-        blocks: occluding blocks of a town, as two numbers. Roads run along every multiple of the
-            first number in x and in y. The second number is the distance of the blocks from the
-            middle of the roads. 0: no blocks.
-    """
-
-    images: Images
-    min_cosine: float
+    images: Images  # the true images
+    min_cosine: float  # smallest cosine between a surface normal and the direction to the camera
+    # occluding blocks of a town, as two numbers. Roads run along every multiple of the first number
+    # in x and in y. The second number is the distance of the blocks from the middle of the roads.
+    # 0: no blocks
     blocks: tuple[float, float] = (0.0, 0.0)
 
     @abstractmethod
@@ -180,21 +152,13 @@ TANGENTIAL_PARAMS = ("p1", "p2")
 
 @dataclass(frozen=True)
 class Intrinsics:
-    """Cameras of a scene, which all have the same model.
+    """Cameras of a scene, which all have the same model."""
 
-    Attributes:
-        model: COLMAP's name of the model.
-        names: parameter names, in COLMAP's order.
-        params: (num_cameras, num_params) parameters.
-        sizes: (num_cameras, 2) width and height in pixels.
-        image_camera: (num_images,) camera index of each image.
-    """
-
-    model: str
-    names: tuple[str, ...]
-    params: NDArray[np.float64]
-    sizes: NDArray[np.int64]
-    image_camera: NDArray[np.int32]
+    model: str  # COLMAP's name of the model
+    names: tuple[str, ...]  # parameter names, in COLMAP's order
+    params: NDArray[np.float64]  # (num_cameras, num_params) parameters
+    sizes: NDArray[np.int64]  # (num_cameras, 2) width and height in pixels
+    image_camera: NDArray[np.int32]  # (num_images,) camera index of each image
 
     def of_image(self, image: int) -> NDArray[np.float64]:
         """Return the parameters (num_params,) of the camera of an image."""

@@ -149,11 +149,6 @@ def write_bal_scene(
 
     Returns:
         Counts of the written scene.
-
-    Raises:
-        InputError: the scene is impossible, see ``synthesize``; a BAL file cannot store its
-            cameras; a path cannot be replaced.
-        OSError: a file cannot be written. After any error, neither file exists.
     """
     options, truth = scene.options, scene.images()
     bal.radial_params(truth)

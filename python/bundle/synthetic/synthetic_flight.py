@@ -52,19 +52,12 @@ class Pinhole(NamedTuple):
 
 
 class Tracked(NamedTuple):
-    """Observations sorted by image, then id.
+    """Observations sorted by image, then id."""
 
-    Attributes:
-        image: (m,) index of the image.
-        track: (m,) id of the track.
-        point: (m,) index of the point.
-        xy: (m, 2) pixels without noise.
-    """
-
-    image: NDArray[np.int64]
-    track: NDArray[np.int64]
-    point: NDArray[np.int64]
-    xy: Array
+    image: NDArray[np.int64]  # (m,) index of the image
+    track: NDArray[np.int64]  # (m,) id of the track
+    point: NDArray[np.int64]  # (m,) index of the point
+    xy: Array  # (m, 2) pixels without noise
 
 
 def follow(
@@ -196,12 +189,7 @@ def synthesize_flight(
 
 
 def save_flight(flight: SyntheticFlight, path: str | os.PathLike[str]) -> None:
-    """Write a flight as a sequence folder, with ground truth as EuRoC's ``ground_truth.csv``.
-
-    Raises:
-        InputError: the path is a file or a folder with other content.
-        OSError: the folder cannot be written.
-    """
+    """Write a flight as a sequence folder, with ground truth as EuRoC's ``ground_truth.csv``."""
     save_sequence(flight.sequence, path)
     truth = flight.ground_truth
     save_ground_truth(

@@ -43,28 +43,21 @@ _DIRECTIONS = ("columns", "rows")
 
 @dataclass(frozen=True, eq=False)
 class FilmedScene:
-    """A filmed scene and its start.
+    """A filmed scene and its start."""
 
-    Attributes:
-        problem: start of a solve: measured observations, perturbed poses, points and cameras, zero
-            twists.
-        ground_truth: the same observations with the true values.
-        is_outlier: (num_observations,) True for observations replaced by random pixels.
-        twists: (num_images, 6) true twist m of each image, per height; zero for a global shutter.
-        readout: readout as a share of the frame time.
-        frames: (num_images,) frame number of each image.
-        ties: (num_images, 3) index of the image before and after, and the frames between them; at
-            the ends of a strip the image itself. Zero frames: no neighbour.
-        shake: standard deviations of a tie, rotation [rad/frame] and translation [m/frame].
-    """
-
+    # start of a solve: measured observations, perturbed poses, points and cameras, zero twists
     problem: Problem
-    ground_truth: Problem
+    ground_truth: Problem  # the same observations with the true values
+    # (num_observations,) True for observations replaced by random pixels
     is_outlier: NDArray[np.bool_]
+    # (num_images, 6) true twist m of each image, per height; zero for a global shutter
     twists: Array
-    readout: float
-    frames: NDArray[np.int64]
+    readout: float  # readout as a share of the frame time
+    frames: NDArray[np.int64]  # (num_images,) frame number of each image
+    # (num_images, 3) index of the image before and after, and the frames between them; at the ends
+    # of a strip the image itself. Zero frames: no neighbour
     ties: NDArray[np.int64]
+    # standard deviations of a tie, rotation [rad/frame] and translation [m/frame]
     shake: tuple[float, float]
 
 
@@ -268,20 +261,14 @@ _STEP = 0.01
 
 
 class Motion(ABC):
-    """A motion with its images and its structure.
+    """A motion with its images and its structure."""
 
-    Attributes:
-        frames: (num_images,) frame number of each image.
-        strips: (num_images,) part of the motion; neighbours in time are neighbours in a part only.
-        focal: focal length relative to the longer side of the image.
-        reach: largest depth at which a point is recognised [m].
-        shake: standard deviations of the twists' rotation [rad/frame] and translation [m/frame].
-    """
-
-    frames: NDArray[np.int64]
+    frames: NDArray[np.int64]  # (num_images,) frame number of each image
+    # (num_images,) part of the motion; neighbours in time are neighbours in a part only
     strips: NDArray[np.int64]
-    focal: float
-    reach: float
+    focal: float  # focal length relative to the longer side of the image
+    reach: float  # largest depth at which a point is recognised [m]
+    # standard deviations of the twists' rotation [rad/frame] and translation [m/frame]
     shake: tuple[float, float]
 
     @abstractmethod
