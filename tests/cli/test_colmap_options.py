@@ -63,7 +63,7 @@ def test_flags_replace_the_file(tmp_path, capsys):
     ("ini", "message"),
     [
         ("[BundleAdjustment]\nmin_track_length=3\n", "min_track_length: expected at most 2"),
-        ("[BundleAdjustment]\nnew=3\n", "project.ini:2: BundleAdjustment.new: unknown"),
+        ("[BundleAdjustment]\nnew=3\n", "project.ini:2: BundleAdjustment.new: expected an option"),
     ],
 )
 def test_what_no_flag_expresses_is_refused(tmp_path, ini, message, capsys):
