@@ -1,5 +1,7 @@
 """Hypotheses about wrong columns, on both sides of each of their limits."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -7,8 +9,10 @@ from scipy.spatial.transform import Rotation
 import bundle
 from bundle.checking import classify, column_signatures, row_signatures
 from bundle.checking.evidence import Evidence, join_names
+from bundle.checking.gradient_report import GradientCheckerSummary
 from bundle.checking.jacobian_deviation import JacobianDeviation
 from bundle.checking.residual_blocks import Block, Column
+from bundle.checking.sample_check import _Check
 
 TOLERANCE = 1e-7
 
@@ -68,6 +72,86 @@ def test_half_of_the_entries_are_known(unknown, is_explained):
     doubt[:unknown] = 0.11  # above a tenth
     given = evidence(np.full((4, 1, 1), 2.0), np.ones((4, 1, 1)), doubt)
     assert given.explains(np.full((4, 1, 1), 2.0), [0]) == is_explained
+
+
+def test_rows_of_zeros_in_a_column_that_is_right_elsewhere():
+    right = np.random.default_rng(1).normal(size=(4, 3, 3))
+    given = right.copy()
+    given[:, 1, 0] = 0.0  # in all points
+    given[0, 1, 1] = 0.0  # in one
+    given[:, 1, 2], given[:, 2, 2] = 0.0, 2.0  # and other rows are wrong
+    found = evidence(given, right)
+    column_signatures.zero_entries(found)
+    assert [(one.kind, one.columns, one.rows) for one in found.findings] == [
+        ("missing_term", ("x 0",), (1,))
+    ]
+    assert found.wrong == [1, 2]
+
+
+@pytest.mark.parametrize(
+    ("factor", "kind", "num_wrong", "has_note"),
+    [(2.0, "factor", 2, True), (2.0, "factor", 1, False), (-1.0, "sign", 2, False)],
+)
+def test_weights_may_multiply_the_jacobians_only(factor, kind, num_wrong, has_note):
+    right = np.random.default_rng(1).normal(size=(4, 3, 2))
+    given = right.copy()
+    given[..., :num_wrong] *= factor
+    found = evidence(given, right)
+    found.wrong = list(range(num_wrong))
+    column_signatures.factors(found)
+    (finding,) = found.findings
+    assert (finding.kind, finding.factor) == (kind, factor)
+    assert ("weights" in finding.sentence) == has_note
+
+
+@pytest.mark.parametrize(("width", "is_square"), [(3, True), (2, False)])
+def test_transposed_blocks(width, is_square):
+    right = np.random.default_rng(1).normal(size=(4, 3, width))
+    found = evidence(right.transpose(0, 2, 1).reshape(right.shape), right)
+    column_signatures._find_transposed(found, is_square=not is_square)
+    assert found.findings == []
+    column_signatures._find_transposed(found, is_square=is_square)
+    assert [one.kind for one in found.findings] == ["transposed"]
+    assert ("in memory" in found.findings[0].sentence) != is_square
+
+
+def test_adjoints_of_twists_are_those_of_matrices():
+    """hat(ad(x) y) is the commutator of hat(x) and hat(y)."""
+    rng = np.random.default_rng(2)
+    values, others = rng.normal(size=(2, 3, 6))
+    yielded = row_signatures._algebras(
+        evidence(np.ones((3, 2, 6)), np.ones((3, 2, 6)), None, values)
+    )
+    found = [ad for columns, ad, name in yielded if name == "SE(3)" and columns == list(range(6))]
+
+    def hat(turn, move):
+        matrix = np.zeros((4, 4))
+        matrix[:3, :3] = np.cross(turn, -np.eye(3))
+        matrix[:3, 3] = move
+        return matrix
+
+    orders = ((slice(0, 3), slice(3, 6)), (slice(3, 6), slice(0, 3)))
+    for matrices, (turn, move) in zip(found, orders, strict=True):
+        for ad, x, y in zip(matrices, values, others, strict=True):
+            one, other = hat(x[turn], x[move]), hat(y[turn], y[move])
+            bracket = hat((ad @ y)[turn], (ad @ y)[move])
+            np.testing.assert_allclose(bracket, one @ other - other @ one, atol=1e-12)
+
+
+def test_probes_of_the_gradient_checker_are_counted():
+    some = np.zeros((1, 1))
+    probes = [
+        # agreed, its Jacobian if it did not give up; is the Jacobian wrong?
+        *((True, some, False), (False, some, False), (False, None, False)),
+        *((True, some, True), (False, some, True)),
+    ]
+    analytic = np.array([[[float(is_wrong)]] for *_, is_wrong in probes])
+    space = JacobianDeviation(1 + analytic, np.ones((5, 1, 1)), np.zeros((5, 1, 1)), TOLERANCE)
+    checker = [(agreed, found, None, "") for agreed, found, _ in probes]
+    summary = _Check._summary(SimpleNamespace(tolerance=TOLERANCE), space, checker)
+    assert summary == GradientCheckerSummary(
+        num_probes=5, num_agreed=2, num_false_alarms=1, num_gave_up=1, num_overlooked=1
+    )
 
 
 @pytest.mark.parametrize(("size", "ratio"), [(0.9e-12, 1.0), (1.1e-12, 5.0)])

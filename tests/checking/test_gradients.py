@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
@@ -293,6 +294,7 @@ def test_points_without_a_value_are_skipped():
     assert report.num_checked + report.num_skipped == 40
     nothing = check_few(function, [[-1.0]], radius=1e-3)
     assert nothing.kinds == {"not_finite"}
+    assert set(dataclasses.asdict(nothing.gradient_checker).values()) == {0}
 
 
 def test_a_jacobian_that_is_not_finite():

@@ -4,7 +4,10 @@ import numpy as np
 import pytest
 
 import bundle
+from bundle.analysis.diagnosis.shutter_modes import shutter_jacobians
+from bundle.checking.jacobians import ReprojectionLines
 from bundle.checking.step_curve import Line, acquitted, walk
+from bundle.synthetic.video_scene import film
 from tests.checking.reprojection import check_few
 
 
@@ -15,6 +18,23 @@ def line(function, center=0.0):
 def is_acquitted(function, claimed, right):
     claimed = np.array([float(claimed)])
     return bool(acquitted(line(function), claimed, np.abs(claimed - right), 1.0)[0])
+
+
+def test_lines_of_observations_that_are_read_row_by_row():
+    options = bundle.SceneOptions(
+        scene="orbit", num_images=3, num_points=30, rolling_shutter=0.8, seed=1
+    )
+    problem = film(options).ground_truth
+    rows = np.arange(0, problem.num_observations, 9)
+    motion, by_point, _ = shutter_jacobians(problem, rows)
+    expected = np.concatenate([motion[:, :, 6:], by_point], axis=2)
+    lines = ReprojectionLines(problem, rows, np.full((len(rows), 3), 0.3))
+    first = 6 + len(bundle.camera_models()[problem.camera_models[0]])
+    for k in range(len(rows)):
+        for column in range(9):  # twist, point
+            found = lines.line(k, first + column)
+            slope = found.central[np.argmin(np.abs(found.steps - 1e-5))]
+            np.testing.assert_allclose(slope, expected[k, :, column], rtol=1e-5, atol=1e-3)
 
 
 def test_a_slope_of_one_side_is_a_derivative():

@@ -6,7 +6,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from bundle.judging.findings.lens_terms import LensField, lens_model
+from bundle import camera_models
+from bundle.judging.findings.lens_terms import LARGER, START, LensField, larger_models, lens_model
 from bundle.judging.findings.next_command import NextCommand
 
 MEASURED = SimpleNamespace(command=NextCommand("IN", "OUT", ()), scale=3.0)
@@ -52,6 +53,16 @@ def test_terms_of_the_present_model_explain_nothing():
     for radial, tangential, larger in ((1.0, 0.3, "FULL_OPENCV"), (0.3, 1.0, "OPENCV")):
         found = lens_model(MEASURED, [replace(field(radial, tangential), model="RADIAL")])
         assert found.evidence["larger_model"] == larger
+
+
+@pytest.mark.parametrize("model", START)
+def test_larger_models_have_more_parameters_and_keep_both_focal_lengths(model):
+    def is_larger(other):
+        given, found = (set(camera_models()[one]) for one in (model, other))
+        return len(found) > len(given) and ("fy" in found or "fy" not in given)
+
+    family = [name for name, _ in LARGER[START[model][0]]]
+    assert [name for name, _ in larger_models(model)] == list(filter(is_larger, family))
 
 
 def test_the_largest_significant_field_counts():
