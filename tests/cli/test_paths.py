@@ -73,7 +73,8 @@ def test_every_path_is_declared():
 @pytest.mark.parametrize("command", COMMANDS)
 def test_no_path_is_replaced(here, command):
     """Every two paths of a command by one form of the same name, which take turns."""
-    (here / "file").write_text("something")
+    (here / "file").write_text("# something")
+    (here / "page.v2").touch()
     os.link(here / "file", here / "hard")
     (here / "soft").symlink_to("file")
     forms = [
@@ -83,7 +84,8 @@ def test_no_path_is_replaced(here, command):
     ]  # fmt: skip
     given = [(written, other) for of, written, other in pairs() if of == command]
     for turn, (written, other) in enumerate(given):
-        one, two = forms[turn % len(forms)]
+        existing = forms[:5] if other == "config" else forms  # a config is read at once
+        one, two = existing[turn % len(existing)]
         with pytest.raises(InputError, match="would replace the file of"):
             parse(command, {written: one, other: two})
         parse(command, {written: "page.v1", other: "page.v2"})
