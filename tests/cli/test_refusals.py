@@ -354,7 +354,7 @@ def test_flags_of_models_are_refused_for_every_other_kind(name, kind):
     """Set each flag as if it had been given."""
     row = COMMANDS[name]
     way = row.ways[kind]
-    every = {"json", "quiet", "verbose", "output", "overwrite"}
+    every = {"json", "quiet", "verbose", "output", "overwrite", "config", "dry_run"}
     names = resolve(way.names) if isinstance(way.names, str) else way.names
     names = names or (option_class(way.options).names() if way.options else ())
     accepted = {*every, *names, *way.accepts.split()}
