@@ -73,6 +73,8 @@ class CovarianceOptions(Options):
 
 DELTA0 = 4.13
 """Shift of a standardised residual that a test finds: level 0.1 %, power 80 % (W. Baarda)."""
+NOT_CHECKABLE = 0.02
+"""Redundancy below which an error cannot be checked."""
 
 
 @documented

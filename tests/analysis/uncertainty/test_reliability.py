@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import bundle
-from bundle.analysis.uncertainty.reliability_result import NOT_CHECKABLE, WEAK
+from bundle.analysis.uncertainty.reliability_result import WEAK
+from bundle.interface.analysis_options import NOT_CHECKABLE
 from tests import rolling
 from tests.analysis.uncertainty.dense import Dense, SingularError
 from tests.analysis.uncertainty.random_problems import Case, random_case

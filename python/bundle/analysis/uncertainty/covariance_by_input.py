@@ -32,7 +32,8 @@ from bundle.interface.pose_graph_options import PoseGraphOptions
 from bundle.io.files import Source, as_problem
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.model.problem import Problem
-from bundle.solving.prepare import prepare
+from bundle.solving.executors import ThisProcess, solve_prepared
+from bundle.solving.prepare import Prepared, prepare
 from bundle.solving.request import SolveRequest
 from bundle.solving.result import Result
 
@@ -91,7 +92,7 @@ class Recipe:
         if not given.num_observations:
             raise InputError("problem: expected observations, found 0")
         refuse_huge(given)
-        ready = prepare(self.request)
+        ready = at_control_points(prepare(self.request))
         layout = ready.layout
         factors = layout.core_factors()
 
@@ -123,8 +124,7 @@ class Recipe:
         if out["gauge_degrees"] > 0 and (moved := note_on_inner_constraints(ready.start, out)):
             notes.append(moved)
         cost = 0.5 * out["weighted_squares"]
-        # Control points start at the intersection of their rays, not at the result of a solve.
-        if ready.placed.targets is None and out["predicted_decrease"] > AT_MINIMUM * cost:
+        if out["predicted_decrease"] > AT_MINIMUM * cost:
             share = 100 * out["predicted_decrease"] / cost if cost > 0 else float("inf")
             notes.append(not_converged(share, layout.options.loss == "trivial"))
         factor = 1.0
@@ -209,6 +209,27 @@ FAR = 100.0
 """Multiple of the median distance of points from the median of the cameras."""
 
 MOST_NAMED = 5
+
+
+def at_control_points(prepared: Prepared) -> Prepared:
+    """Return a prepared request with its control points at a minimum for the present cameras.
+
+    They are prepared at the intersection of their rays, where their residuals are no minimum's.
+    """
+    targets, start = prepared.placed.targets, prepared.start
+    if targets is None or not targets.used:
+        return prepared
+    added = np.isin(start.point_ids, targets.point_ids)
+    part = start.select(points=added).problem
+    options = SolveOptions(
+        refine=("points",), loss=prepared.options.loss, loss_scale=prepared.options.loss_scale,
+        cheirality=prepared.options.cheirality, num_threads=prepared.options.num_threads,
+        function_tolerance=1e-15, gradient_tolerance=0.0, gauge="none", check_solution=False,
+    )  # fmt: skip
+    own = SolveRequest(problem=part, options=options, factors=targets.factors(part))
+    points = start.points.copy()
+    points[added] = solve_prepared(prepare(own), None, ThisProcess()).problem.points
+    return prepared.at(start.replace(points=points))
 
 
 def note_on_inner_constraints(problem: Problem, out: dict[str, Any]) -> str:

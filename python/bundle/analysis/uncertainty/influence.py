@@ -18,16 +18,19 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 import bundle._core as _core
-from bundle.analysis.uncertainty.covariance_by_input import refuse_huge, request_at
+from bundle.analysis.uncertainty.covariance_by_input import (
+    at_control_points,
+    refuse_huge,
+    request_at,
+)
 from bundle.analysis.uncertainty.quantity import Quantity, lacking, quantity_of
 from bundle.analysis.uncertainty.reliability import directions_of, notes_of
-from bundle.analysis.uncertainty.reliability_result import NOT_CHECKABLE
 from bundle.base.arrays import FrozenArrays, filled, freeze
 from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
 from bundle.base.words import number
 from bundle.errors import InputError
-from bundle.interface.analysis_options import WITHOUT
+from bundle.interface.analysis_options import NOT_CHECKABLE, WITHOUT
 from bundle.interface.option_class import takes_options
 from bundle.interface.option_fields import choice
 from bundle.interface.options import SolveOptions
@@ -202,7 +205,7 @@ def influence(
         problem, options, changes, "influence", factors=factors, priors=priors, align=align,
         bounds=bounds, constraints=constraints,
     )  # fmt: skip
-    prepared = prepare(request)
+    prepared = at_control_points(prepare(request))
     if not prepared.request.problem.num_observations:
         raise InputError("problem: expected observations, found 0")
     refuse_huge(prepared.start)

@@ -29,11 +29,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 import bundle._core as _core
-from bundle.analysis.uncertainty.covariance_by_input import AT_MINIMUM, refuse_huge, request_at
+from bundle.analysis.uncertainty.covariance_by_input import (
+    AT_MINIMUM,
+    at_control_points,
+    refuse_huge,
+    request_at,
+)
 from bundle.analysis.uncertainty.reliability_result import (
     CONTROL_POINT,
     DOWNWEIGHTED,
-    NOT_CHECKABLE,
     NUM_WORST,
     WEAK,
     ImageReliability,
@@ -45,7 +49,7 @@ from bundle.base.arrays import freeze
 from bundle.base.words import named, not_converged, plural
 from bundle.errors import InputError
 from bundle.interface import option_fields
-from bundle.interface.analysis_options import DELTA0, SCALES
+from bundle.interface.analysis_options import DELTA0, NOT_CHECKABLE, SCALES
 from bundle.interface.finding import Finding
 from bundle.interface.option_class import takes_options
 from bundle.interface.option_fields import choice
@@ -119,6 +123,7 @@ def reliability_of(prepared: Prepared, delta0: float = DELTA0, scale: str = "uni
     """Compute the reliability at the start of a prepared request; see :func:`reliability`."""
     delta0 = option_fields.number("delta0", delta0, above=0.0)
     scale = choice("scale", scale, SCALES)
+    prepared = at_control_points(prepared)
     start, layout, given = prepared.start, prepared.layout, prepared.request.problem
     if not given.num_observations:
         raise InputError("problem: expected observations, found 0")
@@ -196,7 +201,7 @@ def reliability_of(prepared: Prepared, delta0: float = DELTA0, scale: str = "uni
 def notes_of(prepared: Prepared, out: Mapping[str, Any]) -> tuple[str, ...]:
     """Return the warnings of the core, and whether the problem is no minimum."""
     cost, decrease = 0.5 * out["weighted_squares"], out["predicted_decrease"]
-    if prepared.placed.targets is not None or not decrease > AT_MINIMUM * cost > 0:
+    if not decrease > AT_MINIMUM * cost > 0:
         return tuple(out["warnings"])
     is_plain = prepared.layout.options.loss == "trivial"
     return (*out["warnings"], not_converged(100 * decrease / cost, is_plain))

@@ -17,8 +17,6 @@ from bundle.errors import shown
 from bundle.interface.finding import Finding
 from bundle.interface.tabular import Tabular
 
-NOT_CHECKABLE = 0.02
-"""Redundancy below which an error cannot be checked."""
 WEAK = 0.1
 """Mean redundancy of an image below which its errors are badly checked (W. Foerstner)."""
 DOWNWEIGHTED = 0.1
