@@ -7,6 +7,7 @@ import pytest
 
 import bundle
 from tests.analysis.diagnosis import blocks
+from tests.reports.page.reader import Page
 from tests.scenes import make_problem, scene
 
 NAMES = {
@@ -133,6 +134,20 @@ def test_reliability_has_an_answer_entries_and_arrays(run, checked_model, tmp_pa
     long = run("diagnose", checked_model, "--reliability", "--verbose", "--quiet")
     assert "image0.jpg" in long.out
     assert "reliability" in json.loads(run("diagnose", checked_model, "--json", "-").out)
+
+
+def test_reliability_has_a_page(run, checked_model, tmp_path):
+    page = tmp_path / "page.html"
+    done = run("diagnose", checked_model, "--reliability", "--html", page, "--quiet")
+    assert (done.code, done.err) == (0, "")
+    found = bundle.reliability(checked_model)
+    text = " ".join(Page(page).words)
+    assert "Redundancy over the images" in text and "Errors that would go unnoticed" in text
+    for one in found.worst:
+        assert f"{one.least_redundancy:.3f}" in text
+    assert len(found.worst) == 20
+    assert run("diagnose", checked_model, "--html", page, "--quiet").code == 0
+    assert "Redundancy over the images" not in " ".join(Page(page).words)
 
 
 def test_delta0_scales_the_errors(run, checked_model, tmp_path):

@@ -365,6 +365,7 @@ COMMANDS: dict[str, Command] = {
             a.options("SolveOptions", "what would be refined", a.LINEARIZATION),
             a.RELIABILITY_ARRAYS,
             a.options("ReliabilityOptions", "errors that would go unnoticed"),
+            a.page("page", "also write a page; with --reliability, redundancy over the images"),
             a.RULES,
             a.measurements(
                 "Priors of a refinement with the same flags. The model is examined in metres "
@@ -395,7 +396,7 @@ COMMANDS: dict[str, Command] = {
                 stage="diagnosing",
                 options="PoseGraphOptions",
                 names=_OF_GRAPHS,
-                accepts="num_threads",
+                accepts="num_threads html",
                 report="reports.terminal.analyses:diagnosed",
                 tells="source input found asked wall",
             ),

@@ -25,7 +25,7 @@ from bundle.figures.marks import (
     over_image,
     round_down,
 )
-from bundle.figures.residual_field import SIGNIFICANT, ResidualField
+from bundle.figures.residual_field import SIGNIFICANT, ResidualField, residual_fields
 from bundle.model.problem import Problem
 from bundle.model.reprojection import ImageError, Residuals, worst_of_errors
 
@@ -183,6 +183,15 @@ def cell_figure(field: ResidualField, name: str) -> Figure:
     top = max(top, 2 * SIGNIFICANT) if name == "significance" else top
     title, unit = CELL_NUMBERS[name]
     return over_image(field.box, name, title, Cells(values, top, unit))
+
+
+def redundancy_figure(problem: Problem, redundancy: Array) -> Figure:
+    """Return (n, 2) redundancies over the image plane of the camera, or kind, with the most."""
+    counted = ~np.isnan(redundancy[:, 0])
+    field = residual_fields(problem, Residuals(redundancy, counted), 1)[0]
+    note = "Mean share of an error that its own residual shows; where it is pale, errors hide."
+    cells = Cells(field.mean.mean(axis=2), 1.0, "of an error")
+    return over_image(field.box, "redundancy", "Redundancy over the images", cells, note=note)
 
 
 def profile_figure(field: ResidualField) -> Figure:

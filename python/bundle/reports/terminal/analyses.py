@@ -248,6 +248,7 @@ def diagnosed(
     notes = [entry.sentence for entry in diagnosis.findings if not entry.is_problem]
     return Report(
         command="diagnose",
+        title=f"Diagnosis of {path}",
         input=about_input(path, given),
         headline=[*_headline(diagnosis), *(reliability.sentences if reliability else ())],
         findings=one_list(problems, reliability.findings if reliability else (), found),
@@ -282,6 +283,8 @@ _PERCENT = "{:.0%}".format
 
 def _unnoticed(given: Any, found: Reliability) -> list[Section]:
     """Return the tables of errors that would go unnoticed, and of what nothing checks."""
+    from bundle.figures.residual_figures import redundancy_figure  # with --reliability only
+
     names = {
         int(key): shown(name) or str(key)
         for key, name in zip(given.image_ids, given.image_names, strict=True)
@@ -311,8 +314,9 @@ def _unnoticed(given: Any, found: Reliability) -> list[Section]:
     tables = [Table(worst, found.worst), Table(images, found.images[:MOST_ROWS])]
     if found.priors:
         tables.append(Table(priors, found.priors[:MOST_ROWS]))
+    title, drawn = "Errors that would go unnoticed", [redundancy_figure(given, found.redundancy)]
     return [
-        Section(title="Errors that would go unnoticed", tables=tables, is_detail=True),
+        Section(title=title, tables=tables, figures=drawn, is_detail=True),
         *([Section(notes=found.notes)] if found.notes else []),
     ]
 
