@@ -21,6 +21,7 @@ from tests.campaigns import (
     kills,
     library_mistakes,
     mutants,
+    standardized,
     step_problems,
     steps,
     two_loops,
@@ -158,3 +159,20 @@ def test_rules_of_the_radius():
     assert rule.radius == 9e4
     rule.rejected()
     assert rule.radius == 4.5e4
+
+
+def test_planted_errors_are_found_with_the_promised_power():
+    """80 % of 80 errors within three standard deviations (4.5 %), 0.1 % false alarms."""
+    done = [standardized.plant(seed) for seed in range(8)]
+    sizes = [size for one in done for size in one.sizes]
+    assert min(sizes) < 8 and max(sizes) > 100
+    assert 0.665 < sum(one.num_found for one in done) / len(sizes) < 0.935
+    num_clean = sum(one.num_clean for one in done)
+    assert sum(one.num_false for one in done) <= 0.001 * num_clean + 3 * np.sqrt(0.001 * num_clean)
+
+
+@pytest.mark.parametrize("seed", [1, 9])
+def test_standardized_errors_leave_better_models_than_raw_ones(seed):
+    """Least squares with 1 and 10 % of outliers of 3 to 200 px around an object."""
+    found = standardized.compare(seed)
+    assert found.standardized < 0.8 * found.raw

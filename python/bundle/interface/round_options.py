@@ -69,6 +69,14 @@ class RoundOptions(Options):
         metavar="N",
         needs=("num_rounds",),
     )
+    standardized: bool = option(
+        False,
+        "--standardized",
+        "compare each error with --max-error as it is relative to a model of all other "
+        "observations: a residual is divided by the root of its redundancy",
+        negatable=False,
+        needs=("num_rounds",),
+    )
     database: str | None = option(
         None,
         "--database",

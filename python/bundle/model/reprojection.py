@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,10 +12,15 @@ from numpy.typing import ArrayLike, NDArray
 import bundle._core as _core
 from bundle.base.arrays import check_shape
 from bundle.base.records import dataclass
+from bundle.interface.analysis_options import NOT_CHECKABLE
 from bundle.interface.option_fields import choice, number
 from bundle.interface.options import CHEIRALITIES
 from bundle.model.cameras import reach
 from bundle.model.problem import Problem
+
+RAYLEIGH_MEDIAN = 1.1774100225154747
+"""Median length of two standard normal numbers."""
+_Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -195,6 +200,23 @@ class Residuals:
     def lengths(self) -> NDArray[np.float64]:
         """(num_observations,) lengths [pixels]; NaN without a projection."""
         return np.hypot(self.xy[:, 0], self.xy[:, 1])
+
+
+def standardized_errors(problem: Problem, errors: _Floats, given: tuple[Any, Any, Any]) -> _Floats:
+    """Return (n,) standardized errors [px]; ``errors`` (n,) where the leverage is unknown.
+
+    The residual along an eigenvector u of the leverages h (``core/covariance/reliability.h``) has
+    the deviation sqrt(1 - h) sigma (W. Baarda, 1968). ``given``: arguments of the core.
+    """
+    out = _core.reliability(problem, *given, NOT_CHECKABLE, 0, False)
+    known = out["weights"] > 0
+    h, directions = np.linalg.eigh(out["leverages"][known][:, [[0, 1], [1, 2]]])
+    along = np.einsum("nji,nj->ni", directions, out["residuals"][known])  # sqrt(w) u^T r / sigma
+    squares = (along**2 / np.where(1 - h < NOT_CHECKABLE, np.inf, 1 - h)).sum(axis=1)
+    sigma = 1.0 if problem.observation_sigma is None else problem.observation_sigma[known]
+    found = errors.copy()
+    found[known] = sigma * np.sqrt(squares / out["weights"][known])
+    return found
 
 
 def residuals(problem: Problem, cheirality: str = "auto") -> Residuals:

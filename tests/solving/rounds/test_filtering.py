@@ -6,7 +6,11 @@ import pytest
 
 import bundle
 from bundle.model import ray_angles
+from bundle.model.reprojection import standardized_errors
+from bundle.solving.layout import lay_out
 from tests import scenes
+from tests.analysis.uncertainty.dense import Dense
+from tests.analysis.uncertainty.test_reliability import diagonal_blocks, residual_maker
 from tests.scenes import make_problem
 
 
@@ -253,3 +257,69 @@ def test_a_saved_bal_file_has_what_is_left(tmp_path):
 def test_bad_limits_are_refused(name, value):
     with pytest.raises(bundle.InputError, match=rf"^{name}: [^\n]+$"):
         bundle.filter_observations(make_problem(num_points=5), **{name: value})
+
+
+def dense_standardized(problem, loss="trivial", loss_scale=1.0):
+    """Errors by R = I - J J^+ and its eigenvectors; and the blocks of R."""
+    dense = Dense(problem, loss=loss, loss_scale=loss_scale)
+    held = [j for j, name in enumerate(dense.names) if name[0] == "camera" and name[2] in (1, 2)]
+    blocks = diagonal_blocks(residual_maker(np.delete(dense.jacobian, held, axis=1)))
+    values, vectors = np.linalg.eigh(blocks)
+    along = np.einsum("nji,nj->ni", vectors, dense.residual.reshape(-1, 2))
+    squares = np.where(values >= 0.02, along**2 / np.maximum(values, 1e-9), 0).sum(axis=1)
+    sigma = 1.0 if problem.observation_sigma is None else problem.observation_sigma
+    return sigma * np.sqrt(squares / dense.rho_prime)
+
+
+@pytest.fixture(scope="module")
+def uneven():
+    """A refined problem with tracks of 2 to 5 rays, sigmas, and an error of 30 px."""
+    problem = make_problem(num_points=25, seed=2, perturbation=1e-3, shared=True)
+    keep = np.random.default_rng(2).random(problem.num_observations) < 0.8
+    problem = scenes.with_observations(problem, keep)
+    sigmas = np.random.default_rng(3).uniform(0.5, 2, problem.num_observations)
+    xy = problem.observation_xy.copy()
+    xy[40] += [18, -24]
+    return bundle.solve(problem.replace(observation_xy=xy, observation_sigma=sigmas)).problem
+
+
+@pytest.mark.parametrize("loss", ["trivial", "cauchy"])
+def test_standardized_errors_agree_with_dense_matrices(uneven, loss):
+    layout = lay_out(uneven, bundle.SolveOptions(loss=loss), ())
+    errors, _ = bundle.reprojection_errors(uneven)
+    given = layout.options.asdict(), layout.limits, layout.core_factors()
+    found = standardized_errors(uneven, errors, given)
+    np.testing.assert_allclose(found, dense_standardized(uneven, loss), rtol=1e-6, atol=1e-8)
+
+
+@pytest.mark.parametrize("max_error", [0.5, 4.0, 12.0])
+def test_a_standardized_filter_removes_the_largest_error_of_each_point(uneven, max_error):
+    errors = dense_standardized(uneven)
+    limit = max(max_error, 6 * np.median(errors) / 1.17741)
+    largest = np.zeros(uneven.num_points)
+    np.maximum.at(largest, uneven.observation_point, errors)
+    bad = (errors > limit) & (errors == largest[uneven.observation_point])
+    assert 0 < bad.sum() < 10
+    settings = {"max_error": max_error, "min_angle": 0, "min_track_length": 0}
+    found = bundle.filter_observations(uneven, **settings, standardized=True)
+    np.testing.assert_array_equal(found.observation_mask, ~bad)
+    ids = uneven.point_ids[uneven.observation_point[bad]]
+    kept = bundle.filter_observations(uneven, **settings, standardized=True, kept_track_ids=ids)
+    assert kept.num_observations_removed == 0
+
+
+def test_standardized_rounds_can_be_resumed_held_out_and_local(uneven, tmp_path):
+    settings = {"num_rounds": 3, "standardized": True, "min_angle": 0, "deterministic": True}
+    whole = bundle.solve_rounds(uneven, **settings)
+    assert not whole.observation_mask[40]
+    file = tmp_path / "checkpoint"
+    bundle.solve_rounds(uneven, **settings, checkpoint=file)
+    resumed = bundle.solve_rounds(uneven, **settings, resume=file)
+    np.testing.assert_array_equal(resumed.observation_mask, whole.observation_mask)
+    with pytest.raises(bundle.InputError, match="standardized"):
+        bundle.solve_rounds(uneven, **{**settings, "standardized": False}, resume=file)
+    held_out = bundle.solve_rounds(uneven, **settings, hold_out=10)
+    np.testing.assert_array_equal(held_out.observation_mask, whole.observation_mask)
+    image = int(uneven.image_ids[uneven.observation_image[40]])
+    local = bundle.solve_rounds(uneven, **settings, only_images=[image])
+    assert not local.observation_mask[40]

@@ -24,13 +24,12 @@ from bundle.base.records import dataclass
 from bundle.interface.options import SolveOptions
 from bundle.judging.findings.next_command import NextCommand
 from bundle.model.problem import Problem
-from bundle.model.reprojection import Residuals, residuals
+from bundle.model.reprojection import RAYLEIGH_MEDIAN, Residuals, residuals
 from bundle.model.rigid_motions import quaternion_rotate
 
 if TYPE_CHECKING:
     from bundle.georeference.point_check import SurveyChecks
 
-RAYLEIGH_MEDIAN = 1.1774100225154747
 SMALLEST_SCALE = 0.01
 MOST_OBSERVATIONS = 200_000
 CHEAP_COVARIANCE = 100_000

@@ -5,17 +5,21 @@ The filter removes outlier observations and badly determined points by the rules
 make a point look well triangulated:
 
 1. Remove an observation if its reprojection error exceeds ``max_error`` pixels, if the point is
-   behind the camera, or if the point has no projection.
+   behind the camera, or if the point has no projection. Errors may be standardized.
 2. Remove a point and its remaining track if fewer than ``min_track_length`` observations remain.
 3. Remove a point if the largest angle between two of its remaining rays is below ``min_angle``
    degrees. An angle above 90 degrees counts as its supplement.
+
+Standardized errors (``model/reprojection.py``) have the size of the noise wherever they are. As
+outliers bend the model, which makes the errors of its most important observations large, a round
+removes only the largest error of each point, and none below 6 times the noise of all errors.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import os
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -30,15 +34,21 @@ from bundle.base.words import contents, plural
 from bundle.errors import InputError
 from bundle.interface.judging_options import HoldOutOptions
 from bundle.interface.option_fields import number
+from bundle.interface.options import SolveOptions
 from bundle.interface.round_options import CHECKPOINT_INTERVAL, Round, RoundOptions
 from bundle.io.files import Source, as_problem
 from bundle.model.problem import Problem
-from bundle.model.reprojection import reprojection_errors
+from bundle.model.reprojection import RAYLEIGH_MEDIAN, reprojection_errors, standardized_errors
+from bundle.solving.layout import Layout, lay_out
 
 if TYPE_CHECKING:
     from bundle.solving.result import Result
 
+BEYOND = 6.0
+"""Size of an outlier, by the noise."""
+
 _Mask = NDArray[np.bool_]
+_Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -93,6 +103,7 @@ def filter_observations(
     *,
     kept_point_ids: Iterable[int] = (),
     kept_track_ids: Iterable[int] = (),
+    standardized: bool = RoundOptions.standardized,
     num_threads: int = 0,
 ) -> Filtered:
     """Remove observations with large errors, and points with short tracks or small angles.
@@ -113,6 +124,7 @@ def filter_observations(
         kept_point_ids: ids of points that stay with any track and angle, such as surveyed points;
             ``max_error`` still applies to their observations.
         kept_track_ids: ids of points that stay with all their observations.
+        standardized: True to compare standardized errors, of a solve with the default options.
         num_threads: number of threads; 0: all cores.
 
     Raises:
@@ -126,11 +138,37 @@ def filter_observations(
     """
     problem = as_problem(problem)
     limits = RoundOptions(
-        max_error=max_error, min_angle=min_angle, min_track_length=min_track_length
+        max_error=max_error,
+        min_angle=min_angle,
+        min_track_length=min_track_length,
+        standardized=standardized,
     )
+    return filter_adjusted(
+        problem,
+        limits,
+        lambda: lay_out(problem, SolveOptions(num_threads=num_threads), ()),
+        kept_point_ids,
+        kept_track_ids,
+        num_threads,
+    )
+
+
+def filter_adjusted(
+    problem: Problem,
+    limits: RoundOptions,
+    layout: Callable[[], Layout],
+    kept_point_ids: Iterable[int] = (),
+    kept_track_ids: Iterable[int] = (),
+    num_threads: int = 0,
+) -> Filtered:
+    """Filter a problem that a solve with this layout has adjusted."""
     tracks = _mask_of("kept_track_ids", problem, kept_track_ids)
     always = tracks | _mask_of("kept_point_ids", problem, kept_point_ids)
     errors, behind = reprojection_errors(problem, num_threads=num_threads)
+    if limits.standardized:
+        used = layout()
+        given = used.options.asdict(), used.limits, used.core_factors()
+        errors = _of_suspects(problem, standardized_errors(problem, errors, given))
     good = (errors <= limits.max_error) & ~behind  # false for nan
     if tracks.any():
         good |= tracks[problem.observation_point]
@@ -162,6 +200,15 @@ def _filtered(problem: Problem, good: _Mask, limits: RoundOptions, always: _Mask
         num_observations_with_short_track=int(track[short].sum()),
         num_observations_below_min_angle=int(track[~short & ~stays].sum()),
     )
+
+
+def _of_suspects(problem: Problem, errors: _Floats) -> _Floats:
+    """Return the largest error of each point, if it exceeds the noise; 0 for all others."""
+    largest = np.zeros(problem.num_points)
+    np.fmax.at(largest, problem.observation_point, errors)
+    noise = float(np.nanmedian(errors)) / RAYLEIGH_MEDIAN
+    is_far = (errors >= largest[problem.observation_point]) & (errors > BEYOND * noise)
+    return np.where(is_far | np.isnan(errors), errors, 0.0)
 
 
 def _mask_of(name: str, problem: Problem, point_ids: Iterable[int]) -> _Mask:

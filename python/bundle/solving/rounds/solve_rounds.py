@@ -19,7 +19,7 @@ from bundle.solving.executors import finished, solve_prepared
 from bundle.solving.prepare import Prepared, prepare
 from bundle.solving.request import Bounds, PartRequest, SolveRequest
 from bundle.solving.result import Result
-from bundle.solving.rounds.plan import Filtered, RunPlan, State, filter_observations
+from bundle.solving.rounds.plan import Filtered, RunPlan, State, filter_adjusted
 
 if TYPE_CHECKING:
     from typing import Unpack
@@ -47,6 +47,7 @@ def solve_rounds(
     max_error: float = RoundOptions.max_error,
     min_angle: float = RoundOptions.min_angle,
     min_track_length: int = RoundOptions.min_track_length,
+    standardized: bool = RoundOptions.standardized,
     only_images: ImageSelection | None = None,
     rest: str = "fixed",
     factors: Iterable[Factor] = (),
@@ -82,6 +83,7 @@ def solve_rounds(
         max_error: as in :func:`bundle.filter_observations`, in pixels.
         min_angle: as in :func:`bundle.filter_observations`, in degrees.
         min_track_length: as in :func:`bundle.filter_observations`, in observations.
+        standardized: as in :func:`bundle.filter_observations`, of the solve of each round.
         only_images: refine only these images, the points that they see and their cameras. All else
             is constant and stays equal bit for bit. Ids and names, such as ``"1,5-9,left/*.jpg"``
             or ``[1, 5, "left/*.jpg"]``. Only the points that these images see go to the solver and
@@ -141,6 +143,7 @@ def solve_rounds(
         max_error=max_error,
         min_angle=min_angle,
         min_track_length=min_track_length,
+        standardized=standardized,
     )
     part = PartRequest.of(only_images, rest)
     plan = RunPlan(
@@ -280,11 +283,10 @@ def _filtered(prepared: Prepared, state: State, result: Result, limits: RoundOpt
     """
     rules = prepared.applied
     known = touched_ids((*prepared.factors, *(() if rules is None else rules.factors)))["point"]
-    filtered = filter_observations(
+    filtered = filter_adjusted(
         state.problem,
-        limits.max_error,
-        limits.min_angle,
-        limits.min_track_length,
+        limits,
+        lambda: prepared.at(state.problem).layout,
         kept_point_ids=sorted({*known, *prepared.options.fixed_point_ids}),
         kept_track_ids=prepared.placed.control_point_ids,
         num_threads=prepared.options.num_threads,
