@@ -29,7 +29,7 @@ _DEFERRED = {
     "georeference.alignment": "align",
     "georeference.alignment_result": "Alignment",
     "georeference.attitude_priors": "GravityPrior HeadingPrior OrientationPrior",
-    "georeference.control_point": "GroundControlPoint",
+    "georeference.control_point": "GroundControlPoint ScaleBar",
     "georeference.vector_priors": "PositionPrior",
     "georeference.velocities": "VelocityPrior",
     "graphs.factors.checks": "check_gradients check_jacobians",

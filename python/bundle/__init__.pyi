@@ -41,6 +41,7 @@ from bundle.georeference.attitude_priors import GravityPrior as GravityPrior
 from bundle.georeference.attitude_priors import HeadingPrior as HeadingPrior
 from bundle.georeference.attitude_priors import OrientationPrior as OrientationPrior
 from bundle.georeference.control_point import GroundControlPoint as GroundControlPoint
+from bundle.georeference.control_point import ScaleBar as ScaleBar
 from bundle.georeference.vector_priors import PositionPrior as PositionPrior
 from bundle.georeference.velocities import VelocityPrior as VelocityPrior
 from bundle.graphs.factors.checks import check_gradients as check_gradients
@@ -257,6 +258,7 @@ __all__ = [
     "RollingShutter",
     "RotationFactor",
     "ScalarPriorFactor",
+    "ScaleBar",
     "SceneOptions",
     "Selection",
     "Sequence",

@@ -12,6 +12,7 @@ from bundle.georeference.attitudes import Attitudes as Attitudes
 from bundle.georeference.attitudes import read_attitudes as read_attitudes
 from bundle.georeference.control_point import GroundControlPoint as GroundControlPoint
 from bundle.georeference.control_point import Measurement as Measurement
+from bundle.georeference.control_point import ScaleBar as ScaleBar
 from bundle.georeference.exif_gps import read_exif_gps as read_exif_gps
 from bundle.georeference.gcp_list import read_gcp_list as read_gcp_list
 from bundle.georeference.georeferenced import Georeference as Georeference
@@ -19,6 +20,8 @@ from bundle.georeference.gps_positions import GpsPositions as GpsPositions
 from bundle.georeference.gps_positions import read_geo_file as read_geo_file
 from bundle.georeference.local_frame import LocalFrame as LocalFrame
 from bundle.georeference.reference_system import ReferenceSystem as ReferenceSystem
+from bundle.georeference.scale_bars import ScaleBars as ScaleBars
+from bundle.georeference.scale_bars import read_scale_bars as read_scale_bars
 from bundle.georeference.similarity import Similarity as Similarity
 from bundle.georeference.survey_priors import GcpPriors as GcpPriors
 from bundle.georeference.survey_priors import GpsPriors as GpsPriors
@@ -44,6 +47,8 @@ __all__ = [
     "Measurement",
     "PositionPrior",
     "ReferenceSystem",
+    "ScaleBar",
+    "ScaleBars",
     "Similarity",
     "Velocities",
     "VelocityPrior",
@@ -54,5 +59,6 @@ __all__ = [
     "read_exif_gps",
     "read_gcp_list",
     "read_geo_file",
+    "read_scale_bars",
     "read_velocities",
 ]

@@ -1,14 +1,16 @@
-"""Ground control points: surveyed targets and their measurements in images."""
+"""Ground control points and scale bars: surveyed targets, their pixels, and known lengths."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from dataclasses import field
 from typing import Any, NamedTuple
 
+from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
-from bundle.errors import InputError, brief
-from bundle.interface.georeference_options import ROBUST_SCALE
+from bundle.errors import InputError, brief, shown
+from bundle.interface.georeference_options import ROBUST_SCALE, ROBUST_SCALES, SCALE_BAR_SIGMA
 from bundle.interface.option_fields import choice, number
 from bundle.interface.options import LOSSES
 
@@ -174,3 +176,61 @@ def _items(name: str, given: Any) -> list[Any]:
     if isinstance(given, str | bytes) or not isinstance(given, Iterable):
         raise InputError(f"{name}: expected a sequence, found {brief(given)}")
     return list(given)
+
+
+Key = tuple[str, int]
+End = str | Key
+
+
+@dataclass(frozen=True, repr=False)
+class ScaleBar(Displayed):
+    """Known distance between two places of a model.
+
+    Attributes:
+        a: name of a control point or of an image, or ``("point", id)`` or ``("image", id)``.
+        b: the other place, likewise.
+        distance: metres, or the unit of the model.
+        sigma: standard deviation of the distance.
+        role: "control", or "check": a check bar is compared with the model and never changes it.
+        loss: robust loss of :class:`bundle.SolveOptions`.
+        loss_scale: residual in sigmas beyond which the loss is robust.
+
+    Raises:
+        InputError: a value has a wrong type or range, or both places are the same.
+    """
+
+    a: End
+    b: End
+    distance: float
+    sigma: float = SCALE_BAR_SIGMA
+    role: str = "control"
+    loss: str = field(default="trivial", kw_only=True)
+    loss_scale: float = field(default=ROBUST_SCALES[1], kw_only=True)
+
+    def __post_init__(self) -> None:
+        for end in (self.a, self.b):
+            if not isinstance(end, str) and (not isinstance(end, tuple) or len(end) != 2):
+                raise InputError(
+                    f'scale bar: expected names, ("point", id) or ("image", id), found {brief(end)}'
+                )
+        if self.a == self.b:
+            raise InputError(f"{self.name}: expected two places, found the same twice")
+        for name in ("distance", "sigma"):
+            value = number(f"{self.name}: {name}", getattr(self, name), above=0)
+            object.__setattr__(self, name, value)
+        choice(f"{self.name}: role", self.role, ROLES)
+        choice(f"{self.name}: loss", self.loss, LOSSES)
+
+    @property
+    def name(self) -> str:
+        """The bar in messages."""
+        return f"scale bar {self.words}"
+
+    @property
+    def words(self) -> str:
+        """Both places."""
+        ends = (end if isinstance(end, str) else f"{end[0]} {end[1]}" for end in (self.a, self.b))
+        return " - ".join(map(shown, ends))
+
+    def _display(self) -> Display:
+        return Display(title=f"{self.name}: {self.distance:g} +- {self.sigma:g}, {self.role}")

@@ -23,8 +23,9 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from bundle.base.records import dataclass
 from bundle.errors import InputError, brief
-from bundle.interface.georeference_options import GeoreferenceOptions
-from bundle.interface.option_class import Options
+from bundle.interface.georeference_options import SCALE_BAR_SIGMA, GeoreferenceOptions
+from bundle.interface.option_class import Options, documented
+from bundle.interface.option_fields import option
 
 if TYPE_CHECKING:
     from typing import TypeAlias
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
     from bundle.base.display import Display
     from bundle.georeference.alignment_result import ControlPointError
     from bundle.georeference.attitude_priors import AttitudePrior
-    from bundle.georeference.control_point import GroundControlPoint
+    from bundle.georeference.control_point import GroundControlPoint, ScaleBar
     from bundle.georeference.point_check import SurveyChecks
     from bundle.georeference.position_offset import PositionOffset
     from bundle.georeference.similarity import Similarity
@@ -40,7 +41,7 @@ if TYPE_CHECKING:
     from bundle.graphs.factors.factors import Factor
     from bundle.model.problem import Problem
 
-    Prior: TypeAlias = VectorPrior | GroundControlPoint | AttitudePrior
+    Prior: TypeAlias = VectorPrior | GroundControlPoint | AttitudePrior | ScaleBar
 
 
 class Solved(Protocol):
@@ -127,6 +128,10 @@ class FoundPriors:
         """Return the motion of the model that the priors ask for; None if it has no effect."""
         raise NotImplementedError
 
+    def beside(self, problem: Problem, groups: Sequence[FoundPriors]) -> FoundPriors:  # noqa: ARG002
+        """Return the priors with what they need of the others of the solve."""
+        return self
+
     def check(self, problem: Problem, groups: Sequence[FoundPriors]) -> None:
         """Refuse priors without a meaning at the start, beside the other priors of the solve."""
 
@@ -186,6 +191,29 @@ class Measurement:
     moves: bool = True
     needs_axes: bool = False
     options: type[Options] | None = None
+
+
+@documented
+@dataclass(frozen=True, kw_only=True, repr=False)
+class ScaleBarOptions(Options):
+    """Known lengths between control points or images."""
+
+    scale_bars: str | None = option(
+        None,
+        "--scale-bars",
+        "known lengths: lines of A B metres [sigma] [check], where A and B are control points of "
+        "--gcp or images",
+        metavar="FILE",
+        value="path",
+    )
+    scale_bar_sigma: float = option(
+        SCALE_BAR_SIGMA,
+        "--scale-bar-sigma",
+        "standard deviation of lengths without their own, in metres",
+        metavar="METRES",
+        above=0,
+        needs=("scale_bars",),
+    )
 
 
 ROBUST = ("prior_loss", "prior_loss_scale")
@@ -265,6 +293,19 @@ ROWS = [
         entry="velocities",
         moves=False,
         needs_axes=True,
+    ),
+    Measurement(
+        noun="scale bars",
+        source="scale_bars",
+        fields=("scale_bars", "scale_bar_sigma"),
+        title="scale bars",
+        meaning="A model without positions and control points is first scaled to them.",
+        shared=("gcp", *ROBUST),
+        read="scale_bars.read_scale_bars",
+        prior="scale_bars.ScaleBar",
+        found="scale_bars.FoundBars",
+        entry="scale_bars",
+        options=ScaleBarOptions,
     ),
 ]
 """All kinds, in the order of their factors in a solve."""
@@ -371,8 +412,8 @@ def _kinds(priors: Sequence[Any]) -> Iterator[Measurement]:
         row = next((row for kind, row in rows if isinstance(prior, kind)), None)
         if row is None:
             raise InputError(
-                "priors: expected PositionPriors, GroundControlPoints and priors of attitudes and "
-                f"velocities, found {brief(prior)} at [{place}]"
+                "priors: expected PositionPriors, GroundControlPoints, ScaleBars and priors of "
+                f"attitudes and velocities, found {brief(prior)} at [{place}]"
             )
         yield row
 

@@ -20,13 +20,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bundle.base.records import dataclass
 from bundle.base.tails import chi2_tail, f_tail
+
+if TYPE_CHECKING:
+    from bundle.georeference.control_point import ScaleBar
 
 Array = NDArray[np.float64]
 Triple = tuple[float, float, float]
@@ -158,16 +161,42 @@ class PointCheck:
 
 
 @dataclass(frozen=True)
+class BarCheck:
+    """Test of a bar at a minimum.
+
+    Attributes:
+        bar: the bar.
+        length: length in the model.
+        w: length minus distance over its standard deviation; NaN: nothing checks it.
+        redundancy: share of an error of the bar that its residual shows; NaN: unknown.
+        is_suspect: True if the bar is probably wrong.
+    """
+
+    bar: ScaleBar
+    length: float
+    w: float
+    redundancy: float
+    is_suspect: bool
+
+    @property
+    def residual(self) -> float:
+        """Length in the model minus the known length."""
+        return self.length - self.bar.distance
+
+
+@dataclass(frozen=True)
 class SurveyChecks:
     """Tests of measured positions and control points after a solve.
 
     Attributes:
         offset: offset of the positions from the control points; None: nothing determines it.
         points: the test of each control and check point in use, by name.
+        bars: the test of each scale bar, in order.
     """
 
     offset: OffsetCheck | None
     points: Mapping[str, PointCheck]
+    bars: tuple[BarCheck, ...] = ()
 
 
 def scaled_tail(statistic: float, freedom: int, scale2: float, nu: float) -> float:

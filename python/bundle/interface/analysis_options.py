@@ -75,6 +75,8 @@ DELTA0 = 4.13
 """Shift of a standardised residual that a test finds: level 0.1 %, power 80 % (W. Baarda)."""
 NOT_CHECKABLE = 0.02
 """Redundancy below which an error cannot be checked."""
+GAUGE = 1e-7
+"""Relative size of N^T g above which free motions of the world change a quantity."""
 
 
 @documented

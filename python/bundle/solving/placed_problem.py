@@ -79,7 +79,8 @@ def place_at_priors(
     from bundle.georeference.prior_alignment import placement
     from bundle.georeference.similarity import moved
 
-    groups = find_priors(problem, priors)
+    found = find_priors(problem, priors)
+    groups = tuple(group.beside(problem, found) for group in found)
     similarity = None
     if align or (align is None and not factors):
         try:

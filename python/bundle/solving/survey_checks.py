@@ -34,10 +34,18 @@ import bundle._core as _core
 from bundle._core import evaluate_loss
 from bundle.base.records import dataclass
 from bundle.errors import InputError
-from bundle.georeference.point_check import OffsetCheck, PointCheck, SurveyChecks, scaled_tail
+from bundle.georeference.point_check import (
+    BarCheck,
+    OffsetCheck,
+    PointCheck,
+    SurveyChecks,
+    scaled_tail,
+)
 from bundle.georeference.position_offset import PositionOffset
+from bundle.georeference.scale_bars import MOST_TESTED, FoundBars, bars_among
 from bundle.georeference.target_priors import TargetPriors, survey_sigmas
 from bundle.graphs.factors.factors import Factor, PositionFactor
+from bundle.interface.analysis_options import GAUGE, NOT_CHECKABLE
 from bundle.interface.georeference_options import OFFSET_AXES
 from bundle.model.problem import Problem
 from bundle.model.rigid_motions import rotation_matrices
@@ -59,12 +67,48 @@ KNOWN = 1e-100
 
 
 def check_survey(prepared: Prepared, solve: Callable[[Prepared], Problem]) -> SurveyChecks | None:
-    """Test the control points of a solve, and an offset of its positions; None without points."""
+    """Test the control points and scale bars of a solve, and an offset of its positions.
+
+    Return None without points and bars.
+    """
+    kept = tuple(one for one in prepared.factors if not FoundBars.owns(one))
+    others = prepared if len(kept) == len(prepared.factors) else replace(prepared, factors=kept)
+    bars, is_large = _check_bars(others), prepared.start.num_images > MOST_IMAGES
     if prepared.placed.targets is None:
-        return None
-    if prepared.start.num_images > MOST_IMAGES:
-        return SurveyChecks(None, {})
-    return _Adjusted(prepared, solve).checks()
+        return SurveyChecks(None, {}, bars) if bars else None
+    checks = SurveyChecks(None, {}) if is_large else _Adjusted(others, solve).checks()
+    return replace(checks, bars=bars)
+
+
+def _check_bars(prepared: Prepared) -> tuple[BarCheck, ...]:
+    """Test the bars of a solve by the covariance of their lengths without them.
+
+    S_ij is half of the variance of l_i + l_j without those of l_i and l_j.
+    """
+    group, problem = bars_among(prepared.placed.groups), prepared.start
+    if group is None:
+        return ()
+    count, layout = len(group.priors), prepared.layout
+    given = layout.options.replace(gauge="none").asdict(), layout.limits, layout.core_factors()
+    by_bar = [group.gradient(problem, row) for row in range(count)]
+    cameras, s, share = np.zeros_like(problem.camera_params), np.zeros((count, count)), 0.0
+
+    def variance(*rows: int) -> tuple[float, float]:
+        images, points = (np.sum([by_bar[row][k] for row in rows], axis=0) for k in range(2))
+        out = _core.influence(problem, *given, NOT_CHECKABLE, images, cameras, points)
+        return out["variance"], out["gauge_share"]
+
+    if count > MOST_TESTED or problem.num_images > MOST_IMAGES:
+        return group.checks(problem, None, True)
+    try:
+        for i in range(count):
+            s[i, i], share = variance(i)
+        for i in range(count):
+            for j in range(i):
+                s[i, j] = s[j, i] = (variance(i, j)[0] - s[i, i] - s[j, j]) / 2
+    except InputError:  # something is undetermined
+        return group.checks(problem, None, True)
+    return group.checks(problem, s, share > GAUGE)
 
 
 def solve_without_attitudes(

@@ -30,7 +30,7 @@ from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
 from bundle.base.words import number
 from bundle.errors import InputError
-from bundle.interface.analysis_options import NOT_CHECKABLE, WITHOUT
+from bundle.interface.analysis_options import GAUGE, NOT_CHECKABLE, WITHOUT
 from bundle.interface.option_class import takes_options
 from bundle.interface.option_fields import choice
 from bundle.interface.options import SolveOptions
@@ -45,8 +45,6 @@ if TYPE_CHECKING:
     from bundle.solving.constraints.rule_list import Constraints
     from bundle.solving.constraints.rules import Rule
 
-GAUGE = 1e-7
-"""Relative size of N^T g above which free motions of the world change a quantity."""
 MOST = 20
 """Number of listed measurements."""
 
