@@ -12,7 +12,7 @@ from bundle.judging.findings import find as find_module
 from bundle.judging.findings.find import find
 from bundle.judging.findings.next_command import NextCommand
 from bundle.judging.findings.outliers import outliers
-from tests.campaigns.findings import make
+from tests.campaigns.findings import judge, make
 
 
 def kinds(problem, **more):
@@ -225,3 +225,10 @@ def test_the_next_command_keeps_the_flags_of_this_run(spoiled):
     words = shlex.split(found[0].command)
     assert words.count("--loss") == 1 and "huber" not in words
     assert words[words.index("--share-cameras") :][:2] == ["--share-cameras", "all"]
+
+
+def test_a_loss_beside_a_lens_that_is_too_small_has_the_larger_lens():
+    far, lens = judge(make(64_113))  # the loss alone makes positions 21 % worse
+    assert (far.kind, lens.kind) == ("outliers", "lens_model")
+    words = shlex.split(far.command)
+    assert far.command == lens.command and {"--loss", "--camera-model"} <= set(words)

@@ -71,8 +71,11 @@ def find(
         options=SolveOptions() if options is None else options,
         **known,
     )
-    found = [finding for finding in _findings(measured) if finding is not None]
-    return tuple(sorted(found, key=lambda finding: IMPORTANCE.index(finding.kind)))
+    found = {one.kind: one for one in _findings(measured) if one is not None}
+    far, lens = found.get("outliers"), found.get("lens_model")
+    if far is not None and lens is not None and lens.command:  # a loss alone bends
+        found["outliers"] = dataclasses.replace(far, command=lens.command)
+    return tuple(found[kind] for kind in IMPORTANCE if kind in found)
 
 
 def _lens(measured: Measured, fits: ImageFits, fields: Sequence[LensField]) -> Finding | None:

@@ -34,10 +34,10 @@ independent of e and has the covariance D (Hausman 1978). So velocities change t
     L = |u + e|^2 - |b + e|^2 = 2 (u + e)^T d - |d|^2,    E L = E (2 tr D - |d|^2).
 
 This estimate of L has an error of zero mean and of the variance E 4 (d^T C1 d + tr D^2), for any b.
-A shutter is advised if L is negative by 1.28 of these standard deviations, the normal quantile of
-90 %. (Few directions make most of tr D, so that |d|^2 exceeds tr D by far without motion, too.)
-Advice harms if L > 0 beside that: in simulations of 1 to 41 directions, at most 4.8 % for any b.
-The command does not share lenses that differ: ``shared_lens`` decides on that afterwards.
+A shutter is advised if L is negative by 1.28 of these deviations, the normal quantile of 90 %: few
+directions make most of tr D, so that |d|^2 is often much larger by chance. Advice harms if L > 0
+beside that: in simulations of 1 to 41 directions, at most 4.8 % for any b. It does not share lenses
+that differ: ``shared_lens`` decides on that afterwards.
 
 Single images. Without motion in general, an image has systematic residuals if b_i^T V_i^-1 b_i >
 3 + 6 sqrt(6) + 20 + 2 log m and its field has an rms of half a scale. It is weak if its scale is

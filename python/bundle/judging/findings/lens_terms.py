@@ -16,8 +16,7 @@ a field A theta of rms 0.13 scales per coordinate, which makes the RMSE 1 % too 
 0.005 to 0.06 where the lens is right, 0.10 for a pinhole that is nearly enough, 0.25 to 0.44 where
 it is too small.
 
-Model. The smallest larger model whose terms beyond the present ones explain 85 % of the field. A
-part of the present terms is left where the lens distorts much, but these are free already.
+Model. The smallest larger model whose terms beyond the present ones explain 85 % of the field.
 """
 
 from __future__ import annotations
