@@ -73,7 +73,7 @@ def scale_findings(
         sentence = (
             f"{recording.name}: rotations of tracks and gyroscope differ by {variance**0.5:.2g} "
             "times the errors of tracks, whatever scale, angle and time offset: the focal length, "
-            "the lens, a rolling shutter, single stamps or a loose camera"
+            "the lens, a rolling shutter, single stamps, a changing bias or a loose camera"
         )
         return (Finding(kind="rotation", sentence=sentence, evidence={"variance": variance}),)
     if not abs(ratio - 1) > max(SCALE, SIGMAS * sigma):  # nan: nothing follows
