@@ -56,23 +56,15 @@ SMALLEST_TILT = math.radians(1)
 
 @dataclass(frozen=True)
 class ImageAttitude:
-    """Image with an attitude prior.
+    """Image with an attitude prior."""
 
-    Attributes:
-        image: name of the image, or its id without names.
-        degrees: angle between the model and the measurement.
-        apart: the same angle in a model that is turned to the robust mean of the measurements.
-        sigmas: length of the residual in standard deviations.
-        used: True if observations tie the image, or another one of its rig's frame, to the model.
-        agrees: False if the measurement contradicts most others.
-    """
-
-    image: str
-    degrees: float
-    apart: float
-    sigmas: float
+    image: str  # name of the image, or its id without names
+    degrees: float  # angle between the model and the measurement
+    apart: float  # the same angle in a model that is turned to the robust mean of the measurements
+    sigmas: float  # length of the residual in standard deviations
+    # True if observations tie the image, or another one of its rig's frame, to the model
     used: bool
-    agrees: bool
+    agrees: bool  # False if the measurement contradicts most others
 
 
 @dataclass(frozen=True)

@@ -222,25 +222,16 @@ _LONE = {0x01, *range(0xD0, 0xD8)}
 
 
 class DjiRecord(NamedTuple):
-    """Values of a photograph; NaN for values that its packet does not have.
+    """Values of a photograph; NaN for values that its packet does not have."""
 
-    Attributes:
-        yaw: heading in degrees.
-        pitch: degrees above the horizon.
-        roll: degrees.
-        horizontal: standard deviation of the position in each horizontal axis in metres.
-        vertical: standard deviation of the height in metres.
-        north: speed to the north in metres per second.
-        east: speed to the east in metres per second.
-    """
-
-    yaw: float = math.nan
-    pitch: float = math.nan
-    roll: float = math.nan
+    yaw: float = math.nan  # heading in degrees
+    pitch: float = math.nan  # degrees above the horizon
+    roll: float = math.nan  # degrees
+    # standard deviation of the position in each horizontal axis in metres
     horizontal: float = math.nan
-    vertical: float = math.nan
-    north: float = math.nan
-    east: float = math.nan
+    vertical: float = math.nan  # standard deviation of the height in metres
+    north: float = math.nan  # speed to the north in metres per second
+    east: float = math.nan  # speed to the east in metres per second
 
     @property
     def has_angles(self) -> bool:

@@ -359,13 +359,9 @@ def readers(options: Any) -> Iterator[tuple[str, Callable[[Problem], KnownPriors
 
 @dataclass(frozen=True)
 class Measurements:
-    """All that was read for a problem.
+    """All that was read for a problem."""
 
-    Attributes:
-        known: priors by reader.
-    """
-
-    known: tuple[KnownPriors, ...] = ()
+    known: tuple[KnownPriors, ...] = ()  # priors by reader
 
     @property
     def priors(self) -> tuple[Any, ...]:

@@ -39,15 +39,10 @@ _OF_IMAGES = ("cam_from_world", "image_ids", "image_camera", "image_frame", "ima
 
 @dataclass(frozen=True)
 class PositionOffset:
-    """Offset of the positions of a solve.
+    """Offset of the positions of a solve."""
 
-    Attributes:
-        image_id: id of the pose in the solve.
-        axes: "up" or "all".
-    """
-
-    image_id: int
-    axes: str
+    image_id: int  # id of the pose in the solve
+    axes: str  # "up" or "all"
 
     @staticmethod
     def beside(problem: Problem, axes: str) -> PositionOffset:

@@ -42,19 +42,12 @@ NOT_COUNTING = 1e50
 
 @dataclass(frozen=True)
 class ProblemPriors(FoundPriors):
-    """Priors of image positions, and their images in a problem.
+    """Priors of image positions, and their images in a problem."""
 
-    Attributes:
-        priors: priors in the order given.
-        rows: (n,) index of each prior's image.
-        image_ids: n ids of these images.
-        offset: offset that some have in common; None without.
-    """
-
-    priors: tuple[PositionPrior, ...]
-    rows: NDArray[np.int64]
-    image_ids: tuple[int, ...]
-    offset: PositionOffset | None = None
+    priors: tuple[PositionPrior, ...]  # priors in the order given
+    rows: NDArray[np.int64]  # (n,) index of each prior's image
+    image_ids: tuple[int, ...]  # n ids of these images
+    offset: PositionOffset | None = None  # offset that some have in common; None without
 
     @staticmethod
     def make(problem: Problem, priors: Iterable[PositionPrior]) -> ProblemPriors:

@@ -55,19 +55,12 @@ database.
 
 @dataclass(frozen=True)
 class AreaOfUse:
-    """Rectangle of longitudes and latitudes in degrees.
+    """Rectangle of longitudes and latitudes in degrees."""
 
-    Attributes:
-        west: western end; greater than ``east`` if the area contains the date line.
-        south: southern end.
-        east: eastern end.
-        north: northern end.
-    """
-
-    west: float
-    south: float
-    east: float
-    north: float
+    west: float  # western end; greater than ``east`` if the area contains the date line
+    south: float  # southern end
+    east: float  # eastern end
+    north: float  # northern end
 
     @staticmethod
     def of(crs: CRS) -> AreaOfUse | None:

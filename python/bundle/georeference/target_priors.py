@@ -40,19 +40,12 @@ LARGEST_ID = 2**63 - 1
 
 @dataclass(frozen=True)
 class TargetPriors(FoundPriors):
-    """Control points of a solve, in the frame of its priors.
+    """Control points of a solve, in the frame of its priors."""
 
-    Attributes:
-        points: all given points, including check points.
-        used: triangulated points among them that take part in the solve.
-        point_ids: ids of these points in the solve.
-        had_sigmas: True if the observations of the problem had sigmas.
-    """
-
-    points: tuple[GroundControlPoint, ...]
-    used: tuple[Triangulated, ...]
-    point_ids: tuple[int, ...]
-    had_sigmas: bool
+    points: tuple[GroundControlPoint, ...]  # all given points, including check points
+    used: tuple[Triangulated, ...]  # triangulated points among them that take part in the solve
+    point_ids: tuple[int, ...]  # ids of these points in the solve
+    had_sigmas: bool  # True if the observations of the problem had sigmas
 
     adds_points = True
 

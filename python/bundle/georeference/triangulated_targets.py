@@ -31,25 +31,15 @@ WORST_CONDITION = 1e12
 
 @dataclass(frozen=True)
 class Triangulated:
-    """Target in the model, or the reason why it is missing.
+    """Target in the model, or the reason why it is missing."""
 
-    Attributes:
-        point: the target.
-        measurements: measurements in images of the model.
-        images: (m,) indices of these images in the problem.
-        position: (3,) in the model; nan if it could not be triangulated.
-        covariance: (3, 3) of the position, in squared units of the model.
-        residual: (m, 2) projection minus measurement, pixels.
-        reason: reason why the position is missing; "" if it is known.
-    """
-
-    point: GroundControlPoint
-    measurements: tuple[Measurement, ...]
-    images: NDArray[np.int64]
-    position: Array
-    covariance: Array
-    residual: Array
-    reason: str = ""
+    point: GroundControlPoint  # the target
+    measurements: tuple[Measurement, ...]  # measurements in images of the model
+    images: NDArray[np.int64]  # (m,) indices of these images in the problem
+    position: Array  # (3,) in the model; nan if it could not be triangulated
+    covariance: Array  # (3, 3) of the position, in squared units of the model
+    residual: Array  # (m, 2) projection minus measurement, pixels
+    reason: str = ""  # reason why the position is missing; "" if it is known
 
 
 def triangulate(

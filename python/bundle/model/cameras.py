@@ -24,20 +24,16 @@ class CameraParam(NamedTuple):
 
 
 class ProjectionResult(NamedTuple):
-    """Pixels and their derivatives.
+    """Pixels and their derivatives."""
 
-    Attributes:
-        xy: (N, 2) pixels; NaN where the projection does not exist.
-        valid: (N,) True where the camera sees the point by COLMAP's rules. Most models see points
-            in front of the camera. SIMPLE_DIVISION, DIVISION and EQUIRECTANGULAR see all points
-            whose projection exists.
-        d_point: (N, 2, 3) derivative by the point in the camera frame, pixels per length unit.
-        d_params: (N, 2, num_params) derivative by the parameters in COLMAP's order.
-    """
-
-    xy: NDArray[np.float64]
+    xy: NDArray[np.float64]  # (N, 2) pixels; NaN where the projection does not exist
+    # (N,) True where the camera sees the point by COLMAP's rules. Most models see points in front
+    # of the camera. SIMPLE_DIVISION, DIVISION and EQUIRECTANGULAR see all points whose projection
+    # exists
     valid: NDArray[np.bool_]
+    # (N, 2, 3) derivative by the point in the camera frame, pixels per length unit
     d_point: NDArray[np.float64]
+    # (N, 2, num_params) derivative by the parameters in COLMAP's order
     d_params: NDArray[np.float64]
 
 

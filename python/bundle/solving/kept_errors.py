@@ -36,23 +36,14 @@ OUTLIER = 3.0
 
 @dataclass(frozen=True, kw_only=True)
 class Inliers:
-    """Errors without the outliers of a robust loss.
+    """Errors without the outliers of a robust loss."""
 
-    Attributes:
-        limit: error in pixels above which an observation is an outlier.
-        num_outliers: outliers after the solve.
-        rmse: RMSE of the other observations after the solve.
-        num_inliers: observations below the limit before and after the solve.
-        rmse_before: their RMSE before the solve.
-        rmse_after: their RMSE after the solve.
-    """
-
-    limit: float
-    num_outliers: int
-    rmse: float
-    num_inliers: int
-    rmse_before: float
-    rmse_after: float
+    limit: float  # error in pixels above which an observation is an outlier
+    num_outliers: int  # outliers after the solve
+    rmse: float  # RMSE of the other observations after the solve
+    num_inliers: int  # observations below the limit before and after the solve
+    rmse_before: float  # their RMSE before the solve
+    rmse_after: float  # their RMSE after the solve
 
     @staticmethod
     def of_sums(limit: float, sums: NDArray[np.float64]) -> Inliers:
@@ -70,21 +61,14 @@ class Inliers:
 
 @dataclass(frozen=True, kw_only=True)
 class KeptErrors:
-    """Reprojection errors of the observations in the output.
+    """Reprojection errors of the observations in the output."""
 
-    Attributes:
-        before: statistics at the input.
-        after: statistics at the output, of the same observations.
-        num_observations: number of observations in the output. The statistics leave out
-            observations without a projection before or after, and include observations behind
-            their camera.
-        inliers: statistics without outliers; None for least squares, and with sigmas of
-            observations.
-    """
-
-    before: ReprojectionError
-    after: ReprojectionError
+    before: ReprojectionError  # statistics at the input
+    after: ReprojectionError  # statistics at the output, of the same observations
+    # number of observations in the output. The statistics leave out observations without a
+    # projection before or after, and include observations behind their camera
     num_observations: int
+    # statistics without outliers; None for least squares, and with sigmas of observations
     inliers: Inliers | None = None
 
 
@@ -128,17 +112,11 @@ class Deleted:
 
 @dataclass(frozen=True, eq=False)
 class Edit:
-    """A change of the input before the solve.
+    """A change of the input before the solve."""
 
-    Attributes:
-        edit: its name, such as "camera_model".
-        before: problem before the change.
-        after: problem after the change, with the same observations.
-    """
-
-    edit: str
-    before: Problem
-    after: Problem
+    edit: str  # its name, such as "camera_model"
+    before: Problem  # problem before the change
+    after: Problem  # problem after the change, with the same observations
 
 
 class PixelErrors(NamedTuple):

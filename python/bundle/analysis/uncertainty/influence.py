@@ -51,19 +51,12 @@ MOST = 20
 
 @dataclass(frozen=True, kw_only=True)
 class Change:
-    """Value of the quantity without some measurements.
+    """Value of the quantity without some measurements."""
 
-    Attributes:
-        what: the measurements, such as "image a.jpg" or "image a.jpg, point 12".
-        share: their share of the variance.
-        value: value without them.
-        sigmas: change in sigmas.
-    """
-
-    what: str
-    share: float
-    value: float
-    sigmas: float
+    what: str  # the measurements, such as "image a.jpg" or "image a.jpg, point 12"
+    share: float  # their share of the variance
+    value: float  # value without them
+    sigmas: float  # change in sigmas
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)

@@ -41,32 +41,21 @@ _CHUNK = 1 << 16
 
 @dataclass(frozen=True, kw_only=True)
 class Imported:
-    """A reconstruction in the arrays of its file.
+    """A reconstruction in the arrays of its file."""
 
-    Attributes:
-        path: file, for messages.
-        fields: fields of the problem by name.
-        colors: (num_points, 3) red, green, blue.
-        project: function of the images (n,) and the world points (n, 3) of observations that
-            returns their projections (n, 2) by the formula and in the unit of the format.
-        measured: (num_observations, 2) measured positions in the unit of the format.
-        unit: (num_images,) pixels per unit of the format.
-        fit_error: largest error of fitted lenses in pixels.
-        notes: sentences about data that the problem lacks or approximates.
-        data: values by name that the writer of the same format uses again.
-        axes: advice for a file whose points are behind its cameras.
-    """
-
-    path: Path
-    fields: Mapping[str, Any]
-    colors: NDArray[np.uint8]
+    path: Path  # file, for messages
+    fields: Mapping[str, Any]  # fields of the problem by name
+    colors: NDArray[np.uint8]  # (num_points, 3) red, green, blue
+    # function of the images (n,) and the world points (n, 3) of observations that returns their
+    # projections (n, 2) by the formula and in the unit of the format
     project: Callable[[NDArray[np.int32], Array], Array]
-    measured: Array
-    unit: Array
-    fit_error: float = 0.0
-    notes: Sequence[str] = ()
+    measured: Array  # (num_observations, 2) measured positions in the unit of the format
+    unit: Array  # (num_images,) pixels per unit of the format
+    fit_error: float = 0.0  # largest error of fitted lenses in pixels
+    notes: Sequence[str] = ()  # sentences about data that the problem lacks or approximates
+    # values by name that the writer of the same format uses again
     data: Mapping[str, Any] = field(default_factory=dict)
-    axes: str = ""
+    axes: str = ""  # advice for a file whose points are behind its cameras
 
     def problem(self) -> Problem:
         """Return the problem of the file."""

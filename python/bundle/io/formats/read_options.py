@@ -25,26 +25,21 @@ ORIGINS = ("center", "corner")
 
 @dataclass(frozen=True, kw_only=True)
 class ReadOptions:
-    """Values that a reader uses in addition to the file.
+    """Values that a reader uses in addition to the file."""
 
-    Attributes:
-        format: name of the format; None: detected from the content.
-        image_size: width and height of all images in pixels; (0, 0): unknown; a path: COLMAP's
-            database, which has them by name; None: those of the photographs.
-        image_list: file with the names of the images of a Bundler model; None: list.txt in its
-            folder or in the folder above.
-        reconstruction: number of the reconstruction in a file with several, from 0; None: the only
-            one.
-        pixel_origin: origin of the pixels of an NVM file: "center" of the image, as VisualSFM has
-            it, or the upper left "corner", as COLMAP writes it.
-        progress: function that is called repeatedly with the bytes of text read so far.
-    """
-
-    format: str | None = None
+    format: str | None = None  # name of the format; None: detected from the content
+    # width and height of all images in pixels; (0, 0): unknown; a path: COLMAP's database, which
+    # has them by name; None: those of the photographs
     image_size: tuple[int, int] | Path | None = None
+    # file with the names of the images of a Bundler model; None: list.txt in its folder or in the
+    # folder above
     image_list: Path | None = None
+    # number of the reconstruction in a file with several, from 0; None: the only one
     reconstruction: int | None = None
+    # origin of the pixels of an NVM file: "center" of the image, as VisualSFM has it, or the upper
+    # left "corner", as COLMAP writes it
     pixel_origin: str = ORIGINS[0]
+    # function that is called repeatedly with the bytes of text read so far
     progress: Callable[[int], None] | None = None
 
     def changed(self) -> bool:

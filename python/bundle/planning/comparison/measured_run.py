@@ -37,24 +37,16 @@ class Prediction:
     """Predicted cost of a method. NaN: not predicted. 0: not applicable.
 
     Matrices count both triangles and the diagonal; L counts its lower triangle with the diagonal.
-
-    Attributes:
-        ordering: order of the factorisation, such as "amd"; "" without a factorisation.
-        num_unknowns: columns of S, or of the full system if S is not formed.
-        nnz_reduced: nonzeros of the reduced camera system S, even if the solver stores it as dense.
-        nnz_factor: nnz(L).
-        flops: flops of the factorisation of a step.
-        memory_in_bytes: peak memory beyond the loaded problem.
-        time_per_step_in_seconds: time of a trust region step.
     """
 
-    ordering: str
-    num_unknowns: int
+    ordering: str  # order of the factorisation, such as "amd"; "" without a factorisation
+    num_unknowns: int  # columns of S, or of the full system if S is not formed
+    # nonzeros of the reduced camera system S, even if the solver stores it as dense
     nnz_reduced: float
-    nnz_factor: float
-    flops: float
-    memory_in_bytes: float
-    time_per_step_in_seconds: float
+    nnz_factor: float  # nnz(L)
+    flops: float  # flops of the factorisation of a step
+    memory_in_bytes: float  # peak memory beyond the loaded problem
+    time_per_step_in_seconds: float  # time of a trust region step
     fits_in_memory: bool
     note: str = ""
 
@@ -148,34 +140,25 @@ class Spread:
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class Run(Displayed):
-    """All repeats of one method on one problem.
+    """All repeats of one method on one problem."""
 
-    Attributes:
-        problem: index into ``Comparison.problems``.
-        outcome: "done" (usable solution, converged or not), "failed" (no usable solution),
-            "refused" (the method does not support these options), "timed_out", "out_of_memory",
-            "died" or "not_run".
-        message: reason in one sentence, unless the outcome is "done".
-        measurements: one per completed repeat, in order; empty unless "done" or "failed".
-        unfinished: iterations that an incomplete run sent, by the names of Ceres' IterationSummary.
-        prediction: predicted cost; None without a prediction.
-        distance_in_sigmas: distance of the solution from that of the lowest cost, see
-            ``solution_distance``; NaN if unknown.
-        num_points_elsewhere: points at other positions than in that solution, which the distance
-            leaves out.
-        minimum: number of the minimum at which the run ended, from 0 in the order of costs; -1 if
-            unknown.
-    """
-
-    problem: int
+    problem: int  # index into ``Comparison.problems``
     method: Method
+    # "done" (usable solution, converged or not), "failed" (no usable solution), "refused" (the
+    # method does not support these options), "timed_out", "out_of_memory", "died" or "not_run"
     outcome: str
-    message: str = ""
+    message: str = ""  # reason in one sentence, unless the outcome is "done"
+    # one per completed repeat, in order; empty unless "done" or "failed"
     measurements: tuple[Measurement, ...] = ()
+    # iterations that an incomplete run sent, by the names of Ceres' IterationSummary
     unfinished: dict[str, NDArray[Any]] | None = None
-    prediction: Prediction | None = None
+    prediction: Prediction | None = None  # predicted cost; None without a prediction
+    # distance of the solution from that of the lowest cost, see ``solution_distance``; NaN if
+    # unknown
     distance_in_sigmas: float = math.nan
+    # points at other positions than in that solution, which the distance leaves out
     num_points_elsewhere: int = 0
+    # number of the minimum at which the run ended, from 0 in the order of costs; -1 if unknown
     minimum: int = -1
 
     @property

@@ -144,88 +144,57 @@ def _tie_end(tie: Tie, first: _Values, last: _Values) -> TieEnd:
 
 @dataclass(frozen=True, kw_only=True)
 class PriorEnd:
-    """Distance of a solved parameter from its prior.
+    """Distance of a solved parameter from its prior."""
 
-    Attributes:
-        subject: "camera", "image" or "point".
-        id: id of the camera, image or point.
-        parameter: name of the parameter, such as "fx", "position" or "rotation".
-        known: prior value: a number; x, y, z of a position; or qx, qy, qz, qw of a rotation.
-        sigma: standard deviation in the parameter's unit; degrees for a rotation; per axis for a
-            position; a fraction of the value if `relative`.
-        relative: True if the prior is on the logarithm.
-        before: value at the start, in the form of `known`.
-        after: value at the end, in the form of `known`.
-        pull: difference of the end from the prior value, in sigmas: signed for a number, the
-            length of the vector otherwise. The cost of the prior is half the square of the pull.
-    """
-
-    subject: str
-    id: int
-    parameter: str
+    subject: str  # "camera", "image" or "point"
+    id: int  # id of the camera, image or point
+    parameter: str  # name of the parameter, such as "fx", "position" or "rotation"
+    # prior value: a number; x, y, z of a position; or qx, qy, qz, qw of a rotation
     known: tuple[float, ...]
+    # standard deviation in the parameter's unit; degrees for a rotation; per axis for a position; a
+    # fraction of the value if `relative`
     sigma: tuple[float, ...]
-    relative: bool
-    before: tuple[float, ...]
-    after: tuple[float, ...]
+    relative: bool  # True if the prior is on the logarithm
+    before: tuple[float, ...]  # value at the start, in the form of `known`
+    after: tuple[float, ...]  # value at the end, in the form of `known`
+    # difference of the end from the prior value, in sigmas: signed for a number, the length of the
+    # vector otherwise. The cost of the prior is half the square of the pull
     pull: float
 
 
 @dataclass(frozen=True, kw_only=True)
 class BoundEnd:
-    """A bound that a parameter reaches at the end of a solve.
+    """A bound that a parameter reaches at the end of a solve."""
 
-    Attributes:
-        camera_id: id of the camera.
-        parameter: name of the parameter.
-        side: "lower" or "upper".
-        value: the bound.
-    """
-
-    camera_id: int
-    parameter: str
-    side: str
-    value: float
+    camera_id: int  # id of the camera
+    parameter: str  # name of the parameter
+    side: str  # "lower" or "upper"
+    value: float  # the bound
 
 
 @dataclass(frozen=True, kw_only=True)
 class TieEnd:
-    """Parameters that the solver moved as multiples of one number.
+    """Parameters that the solver moved as multiples of one number."""
 
-    Attributes:
-        camera_ids: id of the camera of each parameter.
-        parameters: name of each parameter.
-        multiples: ratio of each parameter to the shared number.
-        before: value of each parameter in the input, before the solver made them equal.
-        after: value of each parameter at the end.
-    """
-
-    camera_ids: tuple[int, ...]
-    parameters: tuple[str, ...]
-    multiples: tuple[float, ...]
+    camera_ids: tuple[int, ...]  # id of the camera of each parameter
+    parameters: tuple[str, ...]  # name of each parameter
+    multiples: tuple[float, ...]  # ratio of each parameter to the shared number
+    # value of each parameter in the input, before the solver made them equal
     before: tuple[float, ...]
-    after: tuple[float, ...]
+    after: tuple[float, ...]  # value of each parameter at the end
 
 
 @dataclass(frozen=True, kw_only=True)
 class RuleEnd:
-    """One rule and its outcome.
+    """One rule and its outcome."""
 
-    Attributes:
-        rule: text of the rule.
-        place: place of the rule in a file or list.
-        kind: "fixed", "prior", "bounds", "share" or "ratio".
-        num_parameters: number of parameters, positions and rotations that the rule names.
-        priors: outcome of each prior, for a rule of kind "prior".
-        active_bounds: bounds that parameters reach at the end, for a rule of kind "bounds".
-        ties: groups of parameters that moved together, for a share or ratio; a group includes
-            parameters that other rules tie to it.
-    """
-
-    rule: str
-    place: str
-    kind: str
-    num_parameters: int
-    priors: tuple[PriorEnd, ...] = ()
+    rule: str  # text of the rule
+    place: str  # place of the rule in a file or list
+    kind: str  # "fixed", "prior", "bounds", "share" or "ratio"
+    num_parameters: int  # number of parameters, positions and rotations that the rule names
+    priors: tuple[PriorEnd, ...] = ()  # outcome of each prior, for a rule of kind "prior"
+    # bounds that parameters reach at the end, for a rule of kind "bounds"
     active_bounds: tuple[BoundEnd, ...] = ()
+    # groups of parameters that moved together, for a share or ratio; a group includes parameters
+    # that other rules tie to it
     ties: tuple[TieEnd, ...] = ()
