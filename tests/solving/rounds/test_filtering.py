@@ -308,6 +308,18 @@ def test_a_standardized_filter_removes_the_largest_error_of_each_point(uneven, m
     assert kept.num_observations_removed == 0
 
 
+def test_errors_of_a_solution_that_is_not_determined_are_not_standardized(uneven):
+    apart = (uneven.observation_image < 2) == (uneven.observation_point < 12)
+    pieces = scenes.with_observations(uneven.replace(observation_sigma=None), apart)
+    with pytest.raises(bundle.InputError, match="full rank"):
+        bundle.reliability(pieces)
+    settings = {"max_error": 0.5, "min_angle": 0, "min_track_length": 0}
+    found = bundle.filter_observations(pieces, **settings, standardized=True)
+    raw = bundle.filter_observations(pieces, **settings)
+    assert 0 < raw.num_observations_removed < pieces.num_observations
+    np.testing.assert_array_equal(found.observation_mask, raw.observation_mask)
+
+
 def test_standardized_rounds_can_be_resumed_held_out_and_local(uneven, tmp_path):
     settings = {"num_rounds": 3, "standardized": True, "min_angle": 0, "deterministic": True}
     whole = bundle.solve_rounds(uneven, **settings)

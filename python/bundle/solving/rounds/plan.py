@@ -20,6 +20,7 @@ from __future__ import annotations
 import dataclasses
 import os
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -124,7 +125,8 @@ def filter_observations(
         kept_point_ids: ids of points that stay with any track and angle, such as surveyed points;
             ``max_error`` still applies to their observations.
         kept_track_ids: ids of points that stay with all their observations.
-        standardized: True to compare standardized errors, of a solve with the default options.
+        standardized: True to compare standardized errors, of a solve with the default options; raw
+            ones if observations leave unknowns undetermined.
         num_threads: number of threads; 0: all cores.
 
     Raises:
@@ -168,7 +170,8 @@ def filter_adjusted(
     if limits.standardized:
         used = layout()
         given = used.options.asdict(), used.limits, used.core_factors()
-        errors = _of_suspects(problem, standardized_errors(problem, errors, given))
+        with suppress(InputError):  # without full rank, no redundancy is known
+            errors = _of_suspects(problem, standardized_errors(problem, errors, given))
     good = (errors <= limits.max_error) & ~behind  # false for nan
     if tracks.any():
         good |= tracks[problem.observation_point]
