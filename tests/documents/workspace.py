@@ -34,8 +34,8 @@ METRES = 20.0  # per unit of the model
 
 
 def base(folder: Path) -> None:
-    """sparse/0 with what is known of it: geo.txt, gcp_list.txt, gravity.txt, images, photos,
-    rules.txt; data.
+    """sparse/0 with what is known of it: geo.txt, gcp_list.txt, bars.txt, gravity.txt, images,
+    photos, rules.txt; data.
 
     30 images of a camera each: ids from 1 and from 120, some in left/ and some in new/.
     """
@@ -62,6 +62,12 @@ def base(folder: Path) -> None:
         photo(folder / "images" / name, tags)
     shutil.copytree(folder / "images", folder / "photos")
     (folder / "gcp_list.txt").write_text("\n".join(["EPSG:4326", *targets(truth), ""]))
+    centers = METRES * truth.projection_centers
+    bars = [
+        f"{names[a]} {names[b]} {np.linalg.norm(centers[a] - centers[b]):.6f}"
+        for a, b in ((0, 8), (9, 20), (14, 29))
+    ]
+    (folder / "bars.txt").write_text("\n".join([*bars, ""]))
     rng = np.random.default_rng(3)
     downs = -rotation_matrices(truth.cam_from_world[:, :4])[:, :, 2]
     downs += np.radians(1) * rng.standard_normal(downs.shape)

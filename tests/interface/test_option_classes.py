@@ -15,6 +15,7 @@ from bundle.cli.parser import Parser
 from bundle.errors import InputError
 from bundle.georeference.alignment import align
 from bundle.georeference.control_point import parse_sigma
+from bundle.georeference.measurements import ROWS
 from bundle.georeference.survey_priors import gcp_priors, gps_priors
 from bundle.graphs.loops.loop_graph import close_loops
 from bundle.interface.georeference_options import GeoreferenceOptions
@@ -22,7 +23,8 @@ from bundle.interface.option_class import OPTION_CLASSES, Options, option_class
 from bundle.interface.pose_graph_options import LoopOptions
 from bundle.interface.round_options import CheckpointOptions, LocalOptions, RoundOptions
 
-CLASSES = [option_class(name) for name in OPTION_CLASSES]
+NAMED = [option_class(name) for name in OPTION_CLASSES]
+CLASSES = [*NAMED, *(row.options for row in ROWS if row.options is not None)]
 
 
 def descendants(kind):
@@ -36,7 +38,7 @@ def test_the_table_has_every_class():
     # Classes that rows of measurements compose are no names of a module.
     own = {kind for kind in kinds if hasattr(sys.modules[kind.__module__], kind.__name__)}
     assert own == set(CLASSES)
-    assert [kind.__name__ for kind in CLASSES] == list(OPTION_CLASSES)
+    assert [kind.__name__ for kind in NAMED] == list(OPTION_CLASSES)
 
 
 @pytest.mark.parametrize("kind", CLASSES)

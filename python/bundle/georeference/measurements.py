@@ -330,7 +330,7 @@ def kinds_given(options: Any) -> tuple[Measurement, ...]:
     """Return a kind for each source that the options give, in order."""
     found: dict[str, Measurement] = {}
     for row in ROWS:
-        if getattr(options, row.source) is not None:
+        if getattr(options, row.source, None) is not None:  # a command may lack kinds
             found.setdefault(row.source, row)
     return tuple(found.values())
 

@@ -235,7 +235,7 @@ def test_some_keys_pickles_and_files(tmp_path):
         ({"relative": [("x0", "x0")]}, r"^relative: expected two different"),
         ({"relative": [("x0", "m")]}, r"^relative: variable 'x0' and variable 'm'"),
         ({"relative": ["x0"]}, r"^relative: expected pairs"),
-        ({"gauge": "two_cameras"}, r"^gauge: expected first, inner or none"),
+        ({"gauge": "two_cameras"}, r"^gauge: expected one of first, inner, none"),
         ({"gauge": "none"}, r"^gauge: expected factors"),
         ({"robust": "sandwich"}, r"^robust: expected only with"),
     ],

@@ -16,7 +16,7 @@ from bundle.inertial.vio.trajectory_comparison import states_at
 from bundle.inertial.vio.window_alarms import NO_EXCITATION
 from bundle.inertial.vio.window_frame import WindowFrame
 from bundle.inertial.vio.window_telemetry import _speed_sigma
-from bundle.reports.terminal.vio_reports import _headline
+from bundle.reports.terminal.vio_reports import odometry_headline
 from bundle.synthetic.synthetic_flight import synthesize_flight
 from tests.inertial.vio.window_scenes import CAMERA, FOCAL, GRAVITY, NOISE, Flight
 
@@ -125,7 +125,7 @@ def test_a_window_holds_its_scale_where_nothing_excites_it() -> None:
     assert len(known) > 50
     assert 0.3 < np.sqrt(np.mean(errors**2)) < 2.5
     largest = f"{100 * max(sigma for _, sigma in known):.2g} %"
-    (said,) = [line for line in _headline(free, None) if "excitation" in line]
+    (said,) = [line for line in odometry_headline(free, None) if "excitation" in line]
     assert said == f"Without excitation, the scale has a standard deviation of up to {largest}."
     assert free.keyframes[-1].gyro_bias_sigma is None  # not requested
 
