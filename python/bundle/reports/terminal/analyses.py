@@ -314,9 +314,10 @@ def _unnoticed(given: Any, found: Reliability) -> list[Section]:
     tables = [Table(worst, found.worst), Table(images, found.images[:MOST_ROWS])]
     if found.priors:
         tables.append(Table(priors, found.priors[:MOST_ROWS]))
-    title, drawn = "Errors that would go unnoticed", [redundancy_figure(given, found.redundancy)]
+    drawn = [redundancy_figure(given, found.redundancy)]
     return [
-        Section(title=title, tables=tables, figures=drawn, is_detail=True),
+        Section(figures=drawn, is_page_only=True),
+        Section(title="Errors that would go unnoticed", tables=tables, is_detail=True),
         *([Section(notes=found.notes)] if found.notes else []),
     ]
 
