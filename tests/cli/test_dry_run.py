@@ -68,6 +68,14 @@ def test_nothing_is_written(run, folder, name):
     assert "IN" not in written
 
 
+def test_no_file_of_a_report_is_written(run, folder):
+    before = snapshot(folder)
+    words = ("refine", "IN", "-o", "OUT", "--html", "p.html", "--json", "r.json", "--dry-run")
+    code, _, _ = run(*words)
+    assert code == 0
+    assert snapshot(folder) == before
+
+
 @pytest.mark.usefixtures("folder")
 def test_refine_says_what_it_would_do(run):
     _, out, _ = run("refine", *shlex.split(WORDS["refine"]), "--dry-run", "--quiet")

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 import bundle
-from bundle.georeference.scale_bars import FoundBars, _Residual, read_scale_bars
+from bundle.georeference.point_check import BarCheck
+from bundle.georeference.scale_bars import FoundBars, ScaleBarErrors, _Residual, read_scale_bars
 from bundle.graphs.factors.factors import FunctionFactor
 from tests.cli.conftest import run  # noqa: F401 (a fixture)
 from tests.georeference.flights import flight
@@ -100,6 +101,43 @@ def test_jacobians_agree_with_differences():
     for keys in (["a", "b"], ["a", "p"], ["p", "b"]):
         graph.add_factor(FunctionFactor(keys, _Residual(1.5, 0.01)))
     assert graph.check_gradients().ok
+
+
+def test_a_length_changes_with_the_translations_of_its_images():
+    problem = make_problem(num_images=3, num_points=20)
+    keys = ((("image", int(problem.image_ids[0])), ("image", int(problem.image_ids[2]))),)
+    bars = FoundBars((bundle.ScaleBar(*keys[0], 1.0),), keys)
+    images, points = bars.gradient(problem, 0)
+    assert not points.any() and not images[1].any()
+    for row in (0, 2):
+        for column in range(3):
+            ends = []
+            for step in (-1e-6, 1e-6):
+                poses = problem.cam_from_world.copy()
+                poses[row, 4 + column] += step
+                ends.append(bars.lengths(problem.replace(cam_from_world=poses))[0])
+            assert images[row, 3 + column] == pytest.approx((ends[1] - ends[0]) / 2e-6, abs=1e-8)
+
+
+@pytest.mark.parametrize(("w", "is_suspect"), [(3.0, False), (3.05, True)])
+def test_the_level_of_one_per_cent_is_that_of_all_bars(w, is_suspect):
+    """|w| of the largest of four exceeds 3.023 by chance in 1 % of the cases."""
+    problem = make_problem(num_images=2, num_points=20)
+    pairs = problem.point_ids[:8].reshape(4, 2).tolist()
+    keys = tuple((("point", a), ("point", b)) for a, b in pairs)
+    lengths = np.linalg.norm(np.diff(problem.points[:8].reshape(4, 2, 3), axis=1)[:, 0], axis=1)
+    lengths[1] -= w * 0.01
+    given = [bundle.ScaleBar(*key, d, 0.01) for key, d in zip(keys, lengths.tolist(), strict=True)]
+    found = FoundBars(tuple(given), keys).checks(problem, np.zeros((4, 4)), is_free=False)
+    assert found[1].w == pytest.approx(w, rel=1e-9)
+    assert [bar.is_suspect for bar in found] == [False, is_suspect, False, False]
+
+
+def test_residuals_are_summed_up_in_millimetres():
+    bar = bundle.ScaleBar("a.jpg", "b.jpg", 2.0, 0.005)
+    checks = tuple(BarCheck(bar, 2.0 + v, np.nan, np.nan, False) for v in (0.003, -0.004))
+    (said,) = ScaleBarErrors(checks).sentences
+    assert "2 scale bars: RMS 3.536 mm" in said
 
 
 def test_images_give_the_model_its_scale():

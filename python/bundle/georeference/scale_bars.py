@@ -95,7 +95,8 @@ def read_scale_bars(
     from bundle.georeference.text_lines import content_lines, parse_number
 
     path = as_path(scale_bars, "scale_bars")
-    known = [point.name for point in given_control_points(gcp, problem)] + [*problem.image_names]
+    targets = [point.name for point in given_control_points(gcp, problem)]
+    known = dict.fromkeys([*targets, *problem.image_names])
     bars, lines = [], dict[frozenset[str], int]()
     for line, words in content_lines(path):
         place = f"{shown(path)}: line {line}"
@@ -238,7 +239,7 @@ class FoundBars(FoundPriors):
         Raises:
             InputError: two ends are at one place.
         """
-        ends = np.array([[_place(problem, key) for key in pair] for pair in self.keys])
+        ends = _places(problem, self.keys)
         lengths: Array = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1)
         for bar, length in zip(self.priors, lengths, strict=True):
             if not length > 0:
@@ -250,7 +251,7 @@ class FoundBars(FoundPriors):
         from bundle.model.rigid_motions import center_jacobians
 
         images, points = np.zeros((problem.num_images, 6)), np.zeros_like(problem.points)
-        a, b = (_place(problem, key) for key in self.keys[row])
+        a, b = _places(problem, self.keys[row : row + 1])[0]
         unit = (a - b) / np.linalg.norm(a - b)
         for (kind, key), sign in zip(self.keys[row], (1, -1), strict=True):
             if kind == "point":
@@ -297,11 +298,14 @@ class FoundBars(FoundPriors):
         )
 
 
-def _place(problem: Problem, key: Key) -> Array:
-    """Return a point, or the centre of an image."""
-    if key[0] == "image":
-        return np.asarray(problem.projection_centers[problem.image_ids == key[1]][0])
-    return np.asarray(problem.points[problem.point_ids == key[1]][0])
+def _places(problem: Problem, keys: Sequence[tuple[Key, ...]]) -> Array:
+    """Return the (n, 2, 3) points, or centres of images, at both ends of bars."""
+    of = {
+        "image": (problem.image_ids, problem.projection_centers),
+        "point": (problem.point_ids, problem.points),
+    }
+    found = [[of[kind][1][of[kind][0] == key][0] for kind, key in pair] for pair in keys]
+    return np.array(found)
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ import bundle
 from bundle.model import ray_angles
 from bundle.model.reprojection import standardized_errors
 from bundle.solving.layout import lay_out
+from bundle.solving.rounds.plan import _of_suspects
 from tests import scenes
 from tests.analysis.uncertainty.dense import Dense
 from tests.analysis.uncertainty.test_reliability import diagonal_blocks, residual_maker
@@ -306,6 +307,14 @@ def test_a_standardized_filter_removes_the_largest_error_of_each_point(uneven, m
     ids = uneven.point_ids[uneven.observation_point[bad]]
     kept = bundle.filter_observations(uneven, **settings, standardized=True, kept_track_ids=ids)
     assert kept.num_observations_removed == 0
+
+
+def test_errors_that_do_not_exist_are_removed_with_those_beyond_the_noise(uneven):
+    errors = np.full(uneven.num_observations, 0.1)
+    errors[[3, 40]] = np.nan, 30.0
+    found = _of_suspects(uneven, errors)
+    assert np.isnan(found[3]) and found[40] == 30.0
+    assert not np.delete(found, [3, 40]).any()
 
 
 def test_errors_of_a_solution_that_is_not_determined_are_not_standardized(uneven):
