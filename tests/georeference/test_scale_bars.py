@@ -99,7 +99,7 @@ def test_jacobians_agree_with_differences():
     graph.add_variable("b", [0.4, 0.1, 0.2, 0.8, 2.0, 1.0, 1.0], "se3")
     graph.add_variable("p", [1.0, 5.0, -2.0])
     for keys in (["a", "b"], ["a", "p"], ["p", "b"]):
-        graph.add_factor(FunctionFactor(keys, _Residual(1.5, 0.01)))
+        graph.add_factor(FunctionFactor(keys, _Residual(bundle.ScaleBar("a", "b", 1.5, 0.01))))
     assert graph.check_gradients().ok
 
 
@@ -119,18 +119,47 @@ def test_a_length_changes_with_the_translations_of_its_images():
             assert images[row, 3 + column] == pytest.approx((ends[1] - ends[0]) / 2e-6, abs=1e-8)
 
 
+def bars_between(problem, errors, sigmas):
+    """Bars between points of a problem that are shorter than there by the errors."""
+    pairs = problem.point_ids[: 2 * len(errors)].reshape(-1, 2).tolist()
+    keys = tuple((("point", a), ("point", b)) for a, b in pairs)
+    ends = problem.points[: 2 * len(errors)].reshape(-1, 2, 3)
+    lengths = np.linalg.norm(np.diff(ends, axis=1)[:, 0], axis=1)
+    given = [
+        bundle.ScaleBar(*key, length - error, sigma)
+        for key, length, error, sigma in zip(keys, lengths.tolist(), errors, sigmas, strict=True)
+    ]
+    return FoundBars(tuple(given), keys), lengths
+
+
 @pytest.mark.parametrize(("w", "is_suspect"), [(3.0, False), (3.05, True)])
 def test_the_level_of_one_per_cent_is_that_of_all_bars(w, is_suspect):
     """|w| of the largest of four exceeds 3.023 by chance in 1 % of the cases."""
     problem = make_problem(num_images=2, num_points=20)
-    pairs = problem.point_ids[:8].reshape(4, 2).tolist()
-    keys = tuple((("point", a), ("point", b)) for a, b in pairs)
-    lengths = np.linalg.norm(np.diff(problem.points[:8].reshape(4, 2, 3), axis=1)[:, 0], axis=1)
-    lengths[1] -= w * 0.01
-    given = [bundle.ScaleBar(*key, d, 0.01) for key, d in zip(keys, lengths.tolist(), strict=True)]
-    found = FoundBars(tuple(given), keys).checks(problem, np.zeros((4, 4)), is_free=False)
+    bars, _ = bars_between(problem, [0, w * 0.01, 0, 0], [0.01] * 4)
+    found = bars.checks(problem, np.zeros((4, 4)), is_free=False)
     assert found[1].w == pytest.approx(w, rel=1e-9)
     assert [bar.is_suspect for bar in found] == [False, is_suspect, False, False]
+
+
+@pytest.mark.parametrize(
+    ("own", "expected"), [(0.12, [True, True]), (0.062, [True, True]), (0.059, [False, False])]
+)
+def test_two_bars_that_contradict_are_both_named_where_one_redundancy_is_small(own, expected):
+    """Both have one test; one redundancy is below 0.01, the other on both sides of 0.02."""
+    problem = make_problem(num_images=2, num_points=20)
+    sigmas = np.array([own, own / 6])
+    _, lengths = bars_between(problem, [0, 0], sigmas)
+    slack = np.full(2, 0.2)  # standard deviations of the lengths by all else
+    m = np.linalg.inv(np.diag(slack**2 + sigmas**2))
+    m -= np.outer(m @ lengths, m @ lengths) / (lengths @ m @ lengths)
+    v = -np.diag(sigmas**2) @ m @ [3.0, 0.0]  # the residuals of an error of 3 m
+    bars, _ = bars_between(problem, v, sigmas)
+    found = bars.checks(problem, np.diag(slack**2), is_free=True)
+    assert found[0].redundancy == pytest.approx(own**2 * m[0, 0], rel=1e-9)
+    assert (found[0].redundancy > 0.02) == expected[0]
+    assert found[1].redundancy < 0.01 and np.isnan(found[1].w)
+    assert [bar.is_suspect for bar in found] == expected
 
 
 def test_residuals_are_summed_up_in_millimetres():
@@ -300,3 +329,9 @@ def test_refine_reports_bars(run, tmp_path):  # noqa: F811
     assert [abs(bar["w"]) > 3.3 for bar in bars] == [False, True, False, False]
     refused = run("covariance", tmp_path / "out", "-o", tmp_path / "c.npz", *words)
     assert refused.code == 2 and refused.err.count("error: ") == 1
+
+
+def test_a_refusal_names_the_bar(orbit):
+    problem, bars = orbit
+    with pytest.raises(bundle.InputError, match=f"found factor 0, {bars[0].name}"):
+        bundle.solve(problem, priors=bars[:1], backend="fused")

@@ -44,6 +44,7 @@ from bundle.georeference.control_point import ROLES, End, Key, ScaleBar
 from bundle.georeference.measurements import FoundPriors, KnownPriors, MeasurementErrors, Solved
 from bundle.georeference.point_check import BarCheck
 from bundle.georeference.similarity import Similarity
+from bundle.interface.analysis_options import NOT_CHECKABLE
 from bundle.interface.georeference_options import ROBUST_SCALES, SCALE_BAR_SIGMA
 
 if TYPE_CHECKING:
@@ -51,7 +52,9 @@ if TYPE_CHECKING:
     from bundle.model.problem import Problem
 
 Array = NDArray[np.float64]
-LEVEL, LEAST_REDUNDANCY = 0.01, 0.1
+LEVEL = 0.01
+SAME_TEST = 1e-3
+"""Relative difference of |w| below which bars share one test, which cannot tell them apart."""
 MOST_TESTED = 8
 """Bars whose covariance is computed, by a factorisation for each pair."""
 
@@ -138,8 +141,7 @@ def read_scale_bars(
 class _Residual:
     """Function of a factor: the residual of a bar, and its Jacobians."""
 
-    distance: float
-    sigma: float
+    bar: ScaleBar
 
     def __call__(self, values: list[Array]) -> tuple[Array, list[Array]]:
         from bundle.model.rigid_motions import cross_matrices, quaternion_inverse, quaternion_rotate
@@ -155,9 +157,10 @@ class _Residual:
             moves.append(np.hstack([cross_matrices(center)[0], -np.eye(3)]))
         along = places[0] - places[1]
         length = np.linalg.norm(along)
-        unit = along / length / self.sigma
+        sigma = self.bar.sigma
+        unit = along / length / sigma
         jacobians = [(sign * unit @ by)[None] for sign, by in zip((1, -1), moves, strict=True)]
-        return np.array([(length - self.distance) / self.sigma]), jacobians
+        return np.array([(length - self.bar.distance) / sigma]), jacobians
 
 
 @dataclass(frozen=True)
@@ -220,13 +223,14 @@ class FoundBars(FoundPriors):
         from bundle.graphs.factors.factors import FunctionFactor
 
         self.lengths(problem)
-        return [
-            FunctionFactor(
-                keys, _Residual(bar.distance, bar.sigma), loss=bar.loss, loss_scale=bar.loss_scale
-            )
-            for bar, keys in zip(self.priors, self.keys, strict=True)
-            if bar.role == "control"
-        ]
+        found: list[Factor] = []
+        for bar, keys in zip(self.priors, self.keys, strict=True):
+            if bar.role == "control":
+                robust = {"loss": bar.loss, "loss_scale": bar.loss_scale}
+                factor = FunctionFactor(keys, _Residual(bar), **robust)  # type: ignore[arg-type]
+                factor.__dict__["name"] = bar.name
+                found.append(factor)
+        return found
 
     @staticmethod
     def owns(factor: Factor) -> bool:
@@ -287,15 +291,14 @@ class FoundBars(FoundPriors):
             own[used] = variances[used] * redundancy[used]
             own[~used] += variances[~used]
             redundancy[~used] = 1.0
-        known = redundancy >= LEAST_REDUNDANCY
-        w = np.where(known, v / np.sqrt(np.where(known, own, 1)), np.nan)
+        known = redundancy >= NOT_CHECKABLE
+        w = v / np.sqrt(np.where(own > 0, own, np.inf))
         largest = float(np.max(np.abs(w), initial=0.0, where=known))
         is_wrong = chi2_tail(largest**2, 1) < LEVEL / len(v)
-        numbers = zip(lengths.tolist(), w.tolist(), redundancy.tolist(), strict=True)
-        return tuple(
-            BarCheck(bar, *one, is_wrong and abs(one[1]) > (1 - 1e-4) * largest)
-            for bar, one in zip(self.priors, numbers, strict=True)
-        )
+        suspect = is_wrong & (np.abs(w) > (1 - SAME_TEST) * largest)
+        numbers = (lengths, np.where(known, w, np.nan), redundancy, suspect)
+        rows = zip(*(one.tolist() for one in numbers), strict=True)
+        return tuple(BarCheck(bar, *one) for bar, one in zip(self.priors, rows, strict=True))
 
 
 def _places(problem: Problem, keys: Sequence[tuple[Key, ...]]) -> Array:
