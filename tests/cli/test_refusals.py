@@ -64,7 +64,7 @@ REFUSED: dict[str, dict[str, str]] = {
         "--backend fused --ordering automatic": "--ordering: & points-first & found automatic",
         "--backend fused --preconditioner cluster-jacobi":
             "--preconditioner: & fused backend & found cluster-jacobi",
-        "--backend fused --refine poses": "--refine: & fused backend & found constant points",
+        "--backend fused --refine points": "--refine: & fused backend & found only points",
         "--threads two": "--threads & two",
         "--threads -1": "--threads & -1",
         "--threads 99999999999": "--threads & at most",

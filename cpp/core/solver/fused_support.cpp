@@ -30,8 +30,6 @@ bool RefinesBesidePoints(const SolveOptions& options) {
          options.refine_extra || options.refine_sensor_from_rig;
 }
 
-Unsupported NoFreePoints() { return {"refine", "points, to eliminate them,", "constant points"}; }
-
 Unsupported NothingBesidePoints() {
   return {"refine", "poses or intrinsics in addition to points", "only points"};
 }
@@ -67,7 +65,6 @@ std::optional<Unsupported> FindUnsupported(const SolveOptions& options) {
                        "identity, jacobi, schur_jacobi, schur_power_series_expansion or two_level",
                        NameOf(options.preconditioner_type, kPreconditionerTypes)};
   }
-  if (!options.refine_points) return NoFreePoints();
   if (!RefinesBesidePoints(options)) return NothingBesidePoints();
   return FindUnsupportedSteps(options);
 }
@@ -76,7 +73,6 @@ std::optional<Unsupported> FindUnsupported(const SolveOptions& options,
                                            const PreparedSolve& prepared) {
   const std::optional<Unsupported> by_options = FindUnsupported(options);
   if (by_options) return by_options;
-  if (prepared.num_free_points == 0) return NoFreePoints();
   if (prepared.layout.blocks().empty()) return NothingBesidePoints();
   const int64_t longest_track = prepared.longest_track;
   if (longest_track > kMaxTrackLength) {

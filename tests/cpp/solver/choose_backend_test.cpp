@@ -36,11 +36,11 @@ TEST(ChooseBackend, TheLongestTrackIsTakenAndNoLonger) {
   EXPECT_EQ(Choose(options, prepared), Backend::kCeres);
 }
 
-TEST(ChooseBackend, PointsAndSomethingBesideThemAreRefined) {
+TEST(ChooseBackend, SomethingBesidePointsIsRefined) {
   SolveOptions options;
   EXPECT_EQ(Choose(options, Prepare(options)), Backend::kFused);
   options.refine_points = false;
-  EXPECT_EQ(Choose(options, Prepare(options)), Backend::kCeres);
+  EXPECT_EQ(Choose(options, Prepare(options)), Backend::kFused);
   options.refine_points = true;
   options.refine_poses = options.refine_focal = options.refine_extra = false;
   EXPECT_EQ(Choose(options, Prepare(options)), Backend::kCeres);
@@ -61,7 +61,7 @@ TEST(ChooseBackend, APreconditionerCountsWhereConjugateGradientsMayRun) {
 TEST(ReasonForCeres, IsThatOfTheChoice) {
   SolveOptions options;
   EXPECT_EQ(ReasonForCeres(options), "");
-  options.refine_points = false;
+  options.use_nonmonotonic_steps = true;
   EXPECT_EQ(ReasonForCeres(options), ChooseBackend(options, Prepare(options)).reason);
   EXPECT_NE(ReasonForCeres(options), "");
   options.backend = Backend::kFused;

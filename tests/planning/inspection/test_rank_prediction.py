@@ -107,6 +107,6 @@ def test_refusals(problem, inspection, bad):
 
 
 def test_no_process_can_take_what_only_ceres_does(problem):
-    inspection = bundle.inspect(problem, num_threads=1, refine="poses")
+    inspection = bundle.inspect(problem, num_threads=1, refine="points")
     with pytest.raises(bundle.InputError, match="Ceres"):
-        predict_ranks(problem, inspection, bundle.SolveOptions(refine="poses"), counts=[2])
+        predict_ranks(problem, inspection, bundle.SolveOptions(refine="points"), counts=[2])

@@ -60,6 +60,14 @@ def test_with_refined_sensors():
     assert_same_bits(alone, divided)
 
 
+@pytest.mark.parametrize("solver", ["dense_schur", "iterative_schur"])
+def test_with_held_points(solver):
+    options = {"refine": ("poses", "focal", "extra"), "linear_solver_type": solver}
+    alone, divided = solves(street(), 3, **options)
+    assert_same_bits(alone, divided)
+    assert alone.iterations["cost"][-1] < 0.9 * alone.iterations["cost"][0]
+
+
 def positions(problem):
     """Half a unit beside where the images are."""
     places = zip(problem.image_ids, problem.projection_centers, strict=True)

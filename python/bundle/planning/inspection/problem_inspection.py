@@ -189,7 +189,12 @@ class _Inspector:
             raise InputError("refine: expected observations of the refined parameters, found 0")
         every = all_methods()
         if pattern.num_free_points == 0 or pattern.num_camera_columns == 0:  # nothing to eliminate
-            return tuple(m for m in every if m.linear_solver_type == "SPARSE_NORMAL_CHOLESKY")
+            taken = "FUSED" if pattern.num_camera_columns else None
+            return tuple(
+                method
+                for method in every
+                if method.linear_solver_type == "SPARSE_NORMAL_CHOLESKY" or method.backend == taken
+            )
         if pattern.longest_track > _core.MAX_TRACK_LENGTH:
             return tuple(method for method in every if method.backend == "CERES")
         return every

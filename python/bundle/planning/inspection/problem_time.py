@@ -257,17 +257,18 @@ SCENES = {
     "tiny": (5, 60, 4),
     "short": (40, 2500, 4),
     "long": (40, 500, 20),
+    "poses": (40, 1000, 10),
     "few": (30, 150, 15),
     "shared": (40, 500, 20),
     "banded": (300, 1800, 8),
     "scattered": (360, 5000, 6),
     **{f"dense-{images}": (images, 4 * images, 4) for images in (50, 105, 115, 175)},
 }
-"""Images, points and track length of the scenes; those of two kinds are made accordingly."""
+"""Images, points and track length of the scenes; those of three kinds are made accordingly."""
 
 DIRECT = "DENSE_SCHUR"
 SOLVES = (
-    *(("FUSED", DIRECT, name, "step") for name in ("tiny", "short", "long")),
+    *(("FUSED", DIRECT, name, "step") for name in ("tiny", "short", "long", "poses")),
     *(("FUSED", DIRECT, name, "solver") for name in ("dense-50", "dense-105")),
     *(("FUSED", DIRECT, name, "threads") for name in ("dense-115", "dense-175")),
     ("FUSED", "SPARSE_SCHUR", "banded", "solver"),
@@ -307,6 +308,8 @@ def _timed(num_threads: int) -> Iterator[tuple[Work, float]]:
             backend=backend.lower(),
             linear_solver_type=solver.lower(),
             num_threads=num_threads,
+            # Without free points there are no pairs, which tells both rates apart.
+            refine=("poses", "focal", "extra", *([] if name == "poses" else ["points"])),
             max_num_iterations=STEPS,
             function_tolerance=0.0,
             gradient_tolerance=0.0,
