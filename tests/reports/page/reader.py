@@ -55,7 +55,7 @@ class Page(HTMLParser):
 
     @property
     def text(self) -> str:
-        return " ".join(self.words)
+        return re.sub(r"\s+", " ", " ".join(self.words))
 
 
 def check_self_contained(page: Page) -> None:

@@ -41,7 +41,7 @@ def test_the_page_has_every_part(solved, page):
         check_self_contained(read)
     for title in (*SECTIONS, "Convergence"):
         assert title in read.text
-    assert "a <loop> & back.g2o: 16 poses" in read.text
+    assert "a <loop> & back.g2o: Converged" in read.text and "16 poses" in read.text
     (odometry,) = [row for row in read.rows if row and row[0] == "odometry"]
     assert odometry[1] == "15" and len(odometry) == 6
     is_spatial = solved.problem.dimension == 3
@@ -206,3 +206,21 @@ def test_the_trajectory_is_the_odometry_in_any_order_of_poses():
     for one in (graph, moved):
         drawn = _drawn(facts_of_pose_graph(one))
         assert len(drawn.path) == graph.num_edges and len(drawn.others) == 0
+
+
+def test_the_top_has_the_answer_and_what_to_do(solved, tmp_path):
+    """Away from a minimum the command that finds one; at it, what chi2 says of the information."""
+    graph = solved.initial_problem
+    moved = graph.poses.copy()
+    moved[5, :2] += 0.3
+    start = graph.replace(poses=moved)
+    for source in (start, solved):
+        path = tmp_path / "page.html"
+        bundle.report(source, path, name="a b.g2o")
+        above, _, below = Page(path).text.partition("From above")
+        refine = "bundle refine 'a b.g2o' -o OUTPUT"
+        assert (refine in above) == (source is start) and refine not in below
+        assert ("Not at a minimum" in above) == (source is start)
+    weak = bundle.solve(graph.replace(information=1e4 * graph.information))
+    bundle.report(weak, path, name="a b.g2o")
+    assert "too optimistic" in Page(path).text.partition("From above")[0]

@@ -25,6 +25,9 @@ from bundle.interface.finding import Finding
 from bundle.interface.pose_graph_options import PoseGraphOptions
 from bundle.model.pose_graph_arrays import PoseGraph
 
+NO_MINIMUM = "no_minimum"
+"""Kind of the note on values that are no minimum."""
+
 FEW_DIGITS = 4
 """Number of digits of a step below which the normal equations are a problem."""
 
@@ -234,7 +237,7 @@ def _about_minimum(decrease: float, cost: float) -> list[Finding]:
     """Return the note on values that are no minimum."""
     return [
         note(
-            "no_minimum",
+            NO_MINIMUM,
             f"Not at a minimum: one more step would lower the cost by about "
             f"{number(min(100.0, 100 * decrease / cost))} %. Wrong edges can be identified only at "
             "a minimum: refine first.",

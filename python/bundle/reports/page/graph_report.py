@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import os
+import shlex
 from collections.abc import Sequence
 from dataclasses import replace
 from html import escape
@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.analysis.diagnosis.diagnose_graph import NO_MINIMUM
 from bundle.base.paths import as_path
 from bundle.base.words import amount, number, plural
 from bundle.figures.cost_figures import bar_figure, iteration_figure
@@ -36,12 +37,17 @@ from bundle.reports.page.graph_facts import (
     facts_of_factor_graph,
     facts_of_pose_graph,
 )
-from bundle.reports.page.page import lead, write_page
+from bundle.reports.page.page import tag, write_page
 from bundle.reports.page.scene_section import packed, scene_data, scene_script, scene_section
 from bundle.reports.page.table import findings_list, rendered
 from bundle.reports.sections import Section, Table
 from bundle.reports.terminal.graph_costs import cost_table
-from bundle.reports.terminal.graph_headline import certificate_section, certificate_sentences
+from bundle.reports.terminal.graph_headline import (
+    about_information,
+    certificate_section,
+    certificate_sentences,
+    kinds_of,
+)
 
 MOST_EDGES = 15
 """Number of edges with the largest chi2 in the table."""
@@ -64,22 +70,27 @@ def write_graph_report(
         facts = facts_of_pose_graph(source)
     found = () if facts.diagnosis is None else facts.diagnosis.findings
     problems = tuple(finding for finding in found if finding.is_problem)
-    notes = [finding.sentence for finding in found if not finding.is_problem]
-    drawn, is_solved = _drawn(facts), len(facts.costs) > 1
+    advice = [
+        replace(finding, command=shlex.join(["bundle", "refine", name, "-o", "OUTPUT"]))
+        for finding in found
+        if finding.kind == NO_MINIMUM and name
+    ]
+    if isinstance(source, PoseGraphResult):
+        advice += about_information(name or "GRAPH", kinds_of(source))
+    above = {finding.sentence for finding in (*problems, *advice)}
+    notes = [finding.sentence for finding in found if finding.sentence not in above]
+    drawn = _drawn(facts)
+    convergence = [iteration_figure(facts.costs)] if len(facts.costs) > 1 else []
     scene, data = graph_scene(facts, drawn) if facts.dimension == 3 else ("", None)
     sections: list[Section | str] = [
-        lead(facts.headline),
-        findings_list(problems),
+        tag("p", escape(" ".join([*facts.headline[1:], f"{facts.contents}."])), class_="headline"),
+        findings_list((*problems, *advice)),
         Section(title="Trajectory", figures=plan_figures(drawn)),
         scene,
         *certificate_sections(source),
         *_errors(facts),
         *_diagnosis(facts, notes),
-        *(
-            [Section(title="Convergence", figures=[iteration_figure(facts.costs)])]
-            if is_solved
-            else []
-        ),
+        *([Section(title="Convergence", figures=convergence)] if convergence else []),
         *([] if facts.inspection is None else [structure_section(facts.inspection)]),
     ]
     short = "/".join(Path(name).parts[-2:]) or f"A graph of {facts.noun}s"
@@ -88,10 +99,13 @@ def write_graph_report(
         f"Report on {name}" if name else "Report on a graph",
         rendered(sections),
         None if data is None else {"scene": data},
-        headline=f"{short}: {facts.contents}",
+        headline=f"{short}: {facts.headline[0].removesuffix('.')}",
         script=scene_script() if data is not None else None,
     )
     return problems
+
+
+KIND_FIELDS = ("kind", "count", "chi2_before", "chi2", "expected", "ratio")
 
 
 def error_kinds(facts: GraphFacts) -> list[dict[str, Any]]:
@@ -103,25 +117,18 @@ def error_kinds(facts: GraphFacts) -> list[dict[str, Any]]:
     if facts.diagnosis is not None:
         redundancy = facts.diagnosis.edge_redundancy
     is_minimum = facts.diagnosis is not None and not any(
-        finding.kind == "no_minimum" for finding in facts.diagnosis.findings
+        finding.kind == NO_MINIMUM for finding in facts.diagnosis.findings
     )
     rows = []
     for kind in dict.fromkeys(facts.kinds.tolist()):
         member = facts.kinds == kind
         known = member & np.isfinite(redundancy)
-        expected = float(redundancy[known].sum())
-        rows.append(
-            {
-                "kind": kind,
-                "count": int(member.sum()),
-                "chi2_before": float(facts.chi2_before[member].sum()),
-                "chi2": float(facts.chi2[member].sum()),
-                "expected": expected if known.any() else float("nan"),
-                "ratio": float(facts.chi2[known].sum()) / expected
-                if expected > 0 and is_minimum
-                else float("nan"),
-            }
-        )
+        expected = float(redundancy[known].sum()) if known.any() else math.nan
+        is_compared = expected > 0 and is_minimum
+        ratio = float(facts.chi2[known].sum()) / expected if is_compared else math.nan
+        before, chi2 = (float(of[member].sum()) for of in (facts.chi2_before, facts.chi2))
+        values = (kind, int(member.sum()), before, chi2, expected, ratio)
+        rows.append(dict(zip(KIND_FIELDS, values, strict=True)))
     return rows
 
 
@@ -148,19 +155,12 @@ def _drawn(facts: GraphFacts) -> DrawnGraph:
 
 def _errors(facts: GraphFacts) -> list[Section]:
     is_solved = facts.before is not None
-    head = [f"kind of {facts.noun}", "count", *(["chi2 before"] if is_solved else []), "chi2",
-            "expected", "chi2 / expected"]  # fmt: skip
-    rows = [
-        [
-            row["kind"],
-            f"{row['count']:,}",
-            *([number(row["chi2_before"])] if is_solved else []),
-            number(row["chi2"]),
-            number(row["expected"]),
-            number(row["ratio"]),
-        ]
-        for row in error_kinds(facts)
-    ]
+    before = ["chi2 before"] * is_solved
+    head = [f"kind of {facts.noun}", "count", *before, "chi2", "expected", "chi2 / expected"]
+    rows = []
+    for row in error_kinds(facts):
+        of_kind = [number(row[name]) for name in KIND_FIELDS[3 - is_solved :]]
+        rows.append([row["kind"], f"{row['count']:,}", *of_kind])
     legend = (
         f"Expected: the redundancy of these {facts.noun}s, the part of their errors that others "
         "check. A ratio far below 1: the information is too cautious; far above 1: too optimistic, "
@@ -177,8 +177,7 @@ def _errors(facts: GraphFacts) -> list[Section]:
         ]
         for k in np.argsort(-np.nan_to_num(facts.chi2), kind="stable")[:MOST_EDGES].tolist()
     ]
-    worst_head = [f"worst {facts.noun}s", "kind", *(["chi2 before"] if is_solved else []), "chi2",
-                  "test"]  # fmt: skip
+    worst_head = [f"worst {facts.noun}s", "kind", *before, "chi2", "test"]
     figure = error_figure(facts.chi2, facts.sizes, facts.kinds.tolist())
     return [
         Section(
@@ -237,7 +236,7 @@ def certificate_sections(solved: object) -> list[Section]:
     figures = [_costs(solved, found), *_minima(solved, found)]
     text = [" ".join(certificate_sentences(solved)), LEGEND]
     (facts,) = certificate_section(solved)
-    return [dataclasses.replace(facts, title="Certificate", text=text, figures=figures)]
+    return [replace(facts, title="Certificate", text=text, figures=figures)]
 
 
 def _costs(solved: PoseGraphResult, found: Certificate) -> Figure:
@@ -272,7 +271,7 @@ def _minima(solved: PoseGraphResult, found: Certificate) -> list[Figure]:
     )
     figure = plan_figures(drawn)[0]
     title = "The first minimum (before) and the result"
-    return [dataclasses.replace(figure, name="minima", title=title)]
+    return [replace(figure, name="minima", title=title)]
 
 
 def _positions(graph: PoseGraph) -> np.ndarray:

@@ -37,7 +37,7 @@ from bundle.reports.page.elimination_player import (
     image_graph,
 )
 from bundle.reports.page.graph_page import write_graph
-from bundle.reports.page.page import tag, write_page
+from bundle.reports.page.page import command_box, tag, write_page
 from bundle.reports.page.pictures import matrix, orderings
 from bundle.reports.page.table import CONVENTION, Notes, rendered
 from bundle.reports.sections import Section, Table
@@ -188,7 +188,7 @@ def _headline(inspection: Inspection) -> str:
 
 def _recommendation(inspection: Inspection, options: SolveOptions, name: str) -> str:
     command = recommended_command(inspection, options, name or "INPUT")
-    lines = [tag("pre", tag("code", escape(command)))] if command else []
+    lines = [command_box(command)] if command else []
     return tag("div", *lines, tag("p", escape(inspection.recommendation)), class_="recommended")
 
 

@@ -48,6 +48,12 @@ def lead(sentences: Sequence[str]) -> str:
     return tag("p", tag("strong", first), " ", " ".join(rest), class_="headline")
 
 
+def command_box(command: str) -> str:
+    """Return a command to copy; its lines break between words, and not after a hyphen."""
+    words = " ".join(tag("span", escape(word)) for word in command.split(" "))
+    return tag("pre", tag("code", words))
+
+
 def as_json(data: Any) -> str:
     """Return data as JSON that is safe inside a script element, for all names in the data.
 

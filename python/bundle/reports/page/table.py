@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.interface.finding import Finding
-from bundle.reports.page.page import heading, tag
+from bundle.reports.page.page import command_box, heading, tag
 from bundle.reports.page.svg import draw
 from bundle.reports.sections import Section, Table
 
@@ -132,7 +132,7 @@ def _is_detail(section: Section | str) -> bool:
 
 
 def _finding(found: Finding) -> str:
-    command = tag("pre", tag("code", escape(found.command))) if found.command else ""
+    command = command_box(found.command) if found.command else ""
     kind = "finding problem" if found.is_problem else "finding"
     return tag("div", tag("p", escape(found.sentence)), command, class_=kind)
 
@@ -150,9 +150,9 @@ def _section(section: Section) -> str:
         *(tag("p", escape(words), class_=kind) for words in section.notes),
         *tables,
         tag("div", *figures, class_="grid") if figures else "",
-        tag("pre", tag("code", escape(section.command))) if section.command else "",
+        command_box(section.command) if section.command else "",
     ]
-    if section.is_detail:
-        return tag("details", tag("summary", escape(section.title or "Details")), *parts)
+    if section.is_detail and section.title:
+        return tag("details", tag("summary", escape(section.title)), *parts)
     title = tag("h3", escape(section.title)) if section.is_joined else heading(section.title)
     return (title if section.title else "") + "".join(parts)

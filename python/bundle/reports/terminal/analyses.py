@@ -257,7 +257,7 @@ def diagnosed(
             Section(facts=facts, is_detail=True),
             Section(tables=[_condition(diagnosis)], is_detail=True),
             *([Section(tables=[Table(SUSPICIOUS, rows)])] if rows else []),
-            *([Section(facts=[("notes", "")], notes=notes, is_detail=True)] if notes else []),
+            *([Section(notes=notes, is_detail=True)] if notes else []),
         ],
         data={
             "options": dict(options),
