@@ -8,6 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import bundle
+from bundle.inertial.offline import imu_adjustment
 from bundle.inertial.offline.image_intervals import ImageIntervals, likely_kinds
 from bundle.inertial.offline.imu_agreement import ClockOffset
 from tests.inertial.offline.models import model_of, world_from_imu
@@ -126,3 +127,30 @@ def test_positions_place_the_result_in_their_frame(are_few):
     np.testing.assert_allclose(
         found.similarity.apply(problem.projection_centers).mean(axis=0), places.mean(axis=0), atol=2
     )
+
+
+@pytest.mark.parametrize(
+    ("late", "price", "is_used"),
+    [(-4, 8.0, True), (-2, 8.0, True), (-2, 1e3, False), (0, 0, False)],
+)
+def test_the_joint_cost_decides_on_an_offset_that_rotations_leave_in_doubt(
+    late, price, is_used, monkeypatch
+):
+    """By rotations 4.9, 2.4 and 0.2 sigmas; the last one is not tried."""
+    flight, problem, stamps, inner = made(seed=1)
+    problem = problem.select(images=np.isin(np.arange(len(stamps)), inner)).problem
+    monkeypatch.setattr(imu_adjustment, "CLEAR", price)
+    stamps = stamps[inner] + 1_000_000 * late
+    found = adjusted(flight.sequence, problem, stamps, imu_noise_scale=1.0, imu_samples="instant")
+    assert found.clock.lowers_cost == found.clock.is_clear == is_used
+    assert abs(found.clock.seconds) < 5 * found.clock.sigma
+    if is_used:
+        assert 1e3 * found.clock.seconds == pytest.approx(-late, abs=0.3)
+        assert [one.kind for one in found.findings] == ["imu_clocks"]
+
+
+def test_an_offset_is_doubtful_between_two_and_five_sigmas():
+    sizes = (1.9, -2.1, 4.9, 5.1)
+    assert [ClockOffset(s, 1.0).is_doubtful for s in sizes] == [False, True, True, False]
+    assert not ClockOffset(3.0, 1.0, lowers_cost=True).is_doubtful
+    assert not ClockOffset().is_doubtful

@@ -35,7 +35,7 @@ from bundle.georeference.pose_alignment import align_centers
 from bundle.georeference.similarity import Similarity, moved
 from bundle.graphs.factors.factors import Factor, RelativePoseFactor
 from bundle.graphs.factors.image_factors import DOWN, DirectionFactor
-from bundle.inertial.offline.image_intervals import RULES, ImageIntervals, likely_kinds
+from bundle.inertial.offline.image_intervals import CLEAR, RULES, ImageIntervals, likely_kinds
 from bundle.inertial.offline.imu_agreement import (
     Agreement,
     ClockOffset,
@@ -147,7 +147,7 @@ def adjust_with_imu(
     )
     best = min(
         (_adjusted(case, video, clock) for video, clock in _videos(case, samples, imu_samples)),
-        key=lambda found: found.cost,
+        key=lambda found: found.cost + CLEAR * found.clock.lowers_cost,
     )
     if plan is not None and plan.filters:
         best = _filtered(case, best, plan)
@@ -274,14 +274,18 @@ class _Adjusted(NamedTuple):
 def _videos(
     case: _Case, samples: ImuSamples, kind: str
 ) -> list[tuple[ImageIntervals, ClockOffset]]:
-    """Return the intervals for each likely kind of samples, and the offsets of the clocks."""
+    """Return the intervals for each likely kind of samples, and likely offsets of the clocks."""
     rotations = case.rotations
     found = {}
     for one in RULES if kind == "auto" else (kind,):
         video = ImageIntervals(samples, case.bodies.stamps, one)
         found[one] = video, video.offset(rotations, case.noise)
     kinds = likely_kinds(found["instant"][1], found["interval"][1]) if kind == "auto" else (kind,)
-    return [found[one] for one in kinds]
+    likely = [found[one] for one in kinds]
+    if all(clock.is_doubtful for _, clock in likely):
+        video, clock = likely[0]
+        likely.append((video, clock._replace(lowers_cost=True)))
+    return likely
 
 
 def _adjusted(case: _Case, video: ImageIntervals, clock: ClockOffset) -> _Adjusted:

@@ -172,14 +172,16 @@ def quietest_ratio(stamps: NDArray[np.int64], gyro: Array, accel: Array, noise: 
 #     Log(dR_k^T B_k) - J_k y - (w_(k+1) - dR_k^T w_k) x,      J_k: derivative of dR_k by the bias,
 #
 # and Gauss-Newton steps with Cauchy weights find both. A change of the rate determines the offset:
-# a constant rate does not.
+# a constant rate does not. Between two and five sigmas, an adjustment with the offset and one
+# without it decide by their costs, to which the forces contribute.
 
 STEPS = 10
 MOST = 0.1
 """Largest offset in seconds: the model is linear in it."""
 SMALL_STEP = 1e-7
-CLEAR = 5.0
-"""Number of sigmas from which an offset counts. The errors of poses are correlated."""
+DOUBTFUL, CLEAR = 2.0, 5.0
+"""Numbers of sigmas from which an offset is tried, and counts. The errors of poses are correlated.
+"""
 
 
 class ClockOffset(NamedTuple):
@@ -187,11 +189,17 @@ class ClockOffset(NamedTuple):
 
     seconds: float = 0.0
     sigma: float = math.inf
+    lowers_cost: bool = False  # True if images and IMU together decide
 
     @property
     def is_clear(self) -> bool:
         """True if the offset is not a result of noise."""
-        return abs(self.seconds) > CLEAR * self.sigma
+        return self.lowers_cost or abs(self.seconds) > CLEAR * self.sigma
+
+    @property
+    def is_doubtful(self) -> bool:
+        """True if the rotations alone neither confirm the offset nor explain it by noise."""
+        return not self.is_clear and abs(self.seconds) > DOUBTFUL * self.sigma
 
 
 def clock_offset(
