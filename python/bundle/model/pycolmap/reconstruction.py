@@ -65,14 +65,11 @@ def fields_of_images(
     """Return the fields of images, of their rigs and of cameras, each in the order of ids."""
     camera_index = {camera.camera_id: index for index, camera in enumerate(cameras)}
     rigs = rigs_of(reconstruction, images)
-    poses = [
-        np.zeros(7) if framed else _pose(image)
-        for image, framed in zip(images, rigs.framed, strict=True)
-    ]
+    poses = np.zeros((len(images), 7))
+    alone = ~np.array(rigs.framed, bool)
+    poses[alone] = _rows([image.cam_from_world() for image in compress(images, alone.tolist())])
     return dict(
-        cam_from_world=rig_arrays.placed(
-            rigs.fields | {"cam_from_world": np.array(poses).reshape(-1, 7)}
-        ),
+        cam_from_world=rig_arrays.placed(rigs.fields | {"cam_from_world": poses}),
         **rigs.fields,
         image_ids=np.array([image.image_id for image in images], np.int64),
         image_names=tuple(_name(image) for image in images),
@@ -90,10 +87,6 @@ def ids_of_points(ids: list[int]) -> NDArray[np.int64]:
     if ids and ids[-1] > MAX_POINT_ID:
         raise InputError(f"expected point ids below 2^63, found {ids[-1]}")
     return np.array(ids, np.int64)
-
-
-def _pose(image: pycolmap.Image) -> NDArray[np.float64]:
-    return as_row(image.cam_from_world())
 
 
 def _name(image: pycolmap.Image) -> str:
@@ -438,17 +431,20 @@ def cameras_of(rig: pycolmap.Rig) -> list[pycolmap.sensor_t]:
     return [sensor for sensor in rig.sensor_ids() if sensor.type == pycolmap.SensorType.CAMERA]
 
 
-def as_row(rigid: pycolmap.Rigid3d) -> NDArray[np.float64]:
-    """Return a pose as qx qy qz qw tx ty tz."""
-    return np.concatenate((rigid.rotation.quat, rigid.translation))
-
-
 def _rows(poses: list[pycolmap.Rigid3d | None]) -> NDArray[np.float64]:
-    return np.array([as_row(pose) for pose in poses if pose is not None]).reshape(-1, 7)
+    """Return poses as rows of qx qy qz qw tx ty tz."""
+    found = [pose for pose in poses if pose is not None]
+    rows = np.empty((len(found), 7))
+    rows[:, :4] = np.reshape([pose.rotation.quat for pose in found], (-1, 4))
+    rows[:, 4:] = np.reshape([pose.translation for pose in found], (-1, 3))
+    return rows
 
 
 def _check_frames(frames: list[pycolmap.Frame], image_ids: set[int]) -> None:
-    for frame_id, frame in sorted({frame.frame_id: frame for frame in frames}.items()):
+    by_id = {frame.frame_id: frame for frame in frames}
+    if len(by_id) == len(frames):
+        return
+    for frame_id, frame in sorted(by_id.items()):
         cameras = [datum.sensor_id.id for datum in frame.image_ids if datum.id in image_ids]
         for camera in cameras:
             if cameras.count(camera) > 1:
