@@ -8,6 +8,7 @@ import pytest
 
 import bundle
 from bundle.cli.main import command_parser
+from bundle.interface.finding import Finding
 from bundle.judging.findings import find as find_module
 from bundle.judging.findings.find import find
 from bundle.judging.findings.next_command import NextCommand
@@ -122,10 +123,11 @@ def test_later_commands_have_the_scale_that_the_outliers_need():
     scene = make(7_005, ("outliers", "shared_lens"))
     result = bundle.solve(scene.start, num_threads=1, max_num_iterations=200)
     found = {one.kind: one for one in find(result.problem, options=result.options)}
-    loss = shlex.split(found["outliers"].command)[5:]
-    assert loss[:3] == ["--loss", "cauchy", "--loss-scale"]
-    assert 1.5 <= float(loss[3]) / scene.noise <= 3.0
-    assert shlex.split(found["shared_lens"].command)[5:] == [*loss, "--share-cameras", "all"]
+    words = shlex.split(found["shared_lens"].command)[5:]
+    assert words[:3] == ["--loss", "cauchy", "--loss-scale"]
+    assert 1.5 <= float(words[3]) / scene.noise <= 3.0
+    assert words[4:] == ["--share-cameras", "all"]
+    assert found["outliers"].command == found["shared_lens"].command
 
 
 def judged(errors, *, loss="cauchy", loss_scale=1.0, scale=1.0, sigma=None, robust=None):
@@ -227,8 +229,38 @@ def test_the_next_command_keeps_the_flags_of_this_run(spoiled):
     assert words[words.index("--share-cameras") :][:2] == ["--share-cameras", "all"]
 
 
-def test_a_loss_beside_a_lens_that_is_too_small_has_the_larger_lens():
-    far, lens = judge(make(64_113))  # the loss alone makes positions 21 % worse
-    assert (far.kind, lens.kind) == ("outliers", "lens_model")
+@pytest.mark.parametrize(
+    ("seed", "kind", "flag"),
+    [
+        (64_113, "lens_model", "--camera-model"),  # the loss alone makes positions 21 % worse
+        (66_006, "motion", "--rolling-shutter"),  # 11 %
+    ],
+)
+def test_a_loss_beside_another_cause_of_large_errors_has_its_repair(seed, kind, flag):
+    far, other = judge(make(seed))
+    assert (far.kind, other.kind) == ("outliers", kind)
     words = shlex.split(far.command)
-    assert far.command == lens.command and {"--loss", "--camera-model"} <= set(words)
+    assert far.command == other.command and {"--loss", flag} <= set(words)
+
+
+@pytest.mark.parametrize(
+    ("others", "expected"),
+    [
+        ((), "loss"),
+        ((("lens_model", ""), ("motion", "")), "loss"),  # nothing to add
+        ((("shared_lens", "bundle validate INPUT"),), "loss"),
+        ((("undetermined_intrinsics", "bundle refine prior"),), "loss"),
+        ((("motion", "bundle refine rows"), ("lens_model", "")), "bundle refine rows"),
+        # Motion hides the field of a lens, and lenses are compared after both.
+        ((("motion", "bundle refine rows"), ("lens_model", "bundle refine both")),
+         "bundle refine both"),
+        ((("lens_model", "bundle refine lens"), ("shared_lens", "bundle refine all")),
+         "bundle refine all"),
+    ],
+)  # fmt: skip
+def test_a_loss_has_the_repairs_of_the_last_stage(monkeypatch, spoiled, others, expected):
+    told = [("outliers", "loss"), *others]
+    found = [Finding(kind=kind, sentence="", command=command) for kind, command in told]
+    monkeypatch.setattr(find_module, "_findings", lambda _: iter(found))
+    commands = {one.kind: one.command for one in find(spoiled)}
+    assert commands == dict(told) | {"outliers": expected}

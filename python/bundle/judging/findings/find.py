@@ -44,6 +44,8 @@ IMPORTANCE = (
     *("image_residuals", "duplicate_points"),
 )
 """Kinds of findings, the most important first."""
+BENDING = ("lens_model", "motion", "shared_lens")
+"""Faults that bend a model more if only a loss against outliers is added."""
 
 
 # Numbers of a valid problem may be as large as a double: an overflow becomes infinite.
@@ -72,9 +74,10 @@ def find(
         **known,
     )
     found = {one.kind: one for one in _findings(measured) if one is not None}
-    far, lens = found.get("outliers"), found.get("lens_model")
-    if far is not None and lens is not None and lens.command:  # a loss alone bends
-        found["outliers"] = dataclasses.replace(far, command=lens.command)
+    repairs = [one.command for one in found.values() if one.kind in BENDING]
+    repairs = [command for command in repairs if command.startswith("bundle refine")]
+    if "outliers" in found and repairs:  # the last stage has the repairs of all before it
+        found["outliers"] = dataclasses.replace(found["outliers"], command=repairs[-1])
     return tuple(found[kind] for kind in IMPORTANCE if kind in found)
 
 
