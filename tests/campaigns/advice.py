@@ -79,7 +79,7 @@ class Step:
         kind: finding that it came from.
         words: its words.
         before: error of the run before it.
-        after: its error; NaN if it failed.
+        after: its error; infinite if it failed.
         faults: what is wrong with it; empty if it helps or does no harm.
     """
 
@@ -104,7 +104,7 @@ def follow(source: Path, flags: tuple[str, ...], judge: Judge) -> list[Step]:
     @functools.cache  # chains of one scene often have the same commands
     def run(*words: str) -> tuple[dict[str, Any] | None, int, float]:
         report, code = _run(list(words), target)
-        return report, code, np.nan if report is None else judge(bundle.load(target))
+        return report, code, np.inf if code != 0 else judge(bundle.load(target))
 
     begun, _, error = run(*first)
     steps: list[Step] = []
@@ -129,7 +129,7 @@ def _chain(
         report, code, after = run(*words)
         if report is None or code != 0:
             faults.append(f"exit {code}")
-        if report is not None and not after <= max(WORSE * before, SMALLEST):
+        if not after <= max(WORSE * before, SMALLEST):
             faults.append("worse")
         found = [] if report is None else report["findings"]
         following = [one for one in found if one["command"].startswith("bundle refine")]
@@ -139,7 +139,7 @@ def _chain(
         yield Step(finding["kind"], tuple(words), before, after, tuple(faults))
         if not following or "repeats a command" in faults:
             return
-        finding, last, before = following[0], words, after
+        finding, last, before = following[0], words, after if code == 0 else before
     yield Step(finding["kind"], tuple(words), before, after, ("the chain does not end",))
 
 
