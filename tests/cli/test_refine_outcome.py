@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from bundle.cli import refine
+from bundle.georeference import similarity as similarities
 from bundle.interface.finding import Finding
 from bundle.judging.findings.next_command import NextCommand
 
@@ -19,7 +20,7 @@ RULE = SimpleNamespace(target=SimpleNamespace(kind="camera"))
 
 def judged(
     monkeypatch, *, end="CONVERGENCE", steps=5, usable=True, sliced=None, inertial=None, warned=(),
-    rule=RULE,
+    rule=RULE, similarity=None,
 ):  # fmt: skip
     """Return the kinds of the findings, and what ``find`` was given."""
     given = {}
@@ -42,6 +43,7 @@ def judged(
     )
     solved = SimpleNamespace(
         problem=PROBLEM, initial_problem=START, options=OPTIONS, survey_checks="survey",
+        similarity=similarity,
         summary=SimpleNamespace(
             termination_type=end, is_solution_usable=usable, warning_kinds=warned
         ),
@@ -58,7 +60,7 @@ def test_the_tests_are_given_the_run(monkeypatch):
     assert given == {
         "problem": PROBLEM, "source": "IN", "target": "OUT", "given": ("--a", "1"),
         "options": OPTIONS, "priors": (PRIOR,), "survey": "survey",
-        "constraints": (RULE,), "is_minimum": True, "held": {7, "a.jpg"},
+        "constraints": (RULE,), "start": START, "is_minimum": True, "held": {7, "a.jpg"},
     }  # fmt: skip
 
 
@@ -111,6 +113,15 @@ def test_a_result_without_use_has_findings_about_its_start(monkeypatch, is_far):
     (start,) = seen
     assert (start.whole, start.options, start.priors) == (START, OPTIONS, (PRIOR,))
     assert start.command.given == ("--a", "1")
+
+
+@pytest.mark.parametrize("usable", [True, False])
+def test_the_start_is_the_input_moved_to_its_positions(monkeypatch, usable):
+    seen = []
+    monkeypatch.setattr(similarities, "moved", lambda *moved: moved)
+    monkeypatch.setattr(refine, "positions_of_start", lambda one: seen.append(one.whole))
+    _, given, _ = judged(monkeypatch, usable=usable, similarity="s")
+    assert (given["start"] if usable else seen[0]) == (START, "s")
 
 
 @pytest.mark.parametrize(

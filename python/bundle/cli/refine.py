@@ -31,7 +31,7 @@ from bundle.judging.findings.find import find
 from bundle.judging.findings.measured import Measured
 from bundle.judging.findings.minimum import SMALLEST_SHIFT, shifted_pixels
 from bundle.judging.findings.next_command import NextCommand
-from bundle.judging.findings.positions import positions_of_start
+from bundle.judging.findings.positions import DAMPED, RADIUS_FLAG, positions_of_start
 from bundle.reports.terminal.refine import refinement
 from bundle.reports.terminal.solve_data import WallTime
 from bundle.solving.kept_errors import Edit
@@ -47,6 +47,7 @@ if TYPE_CHECKING:
     from bundle.georeference.measurements import MeasurementErrors
     from bundle.graphs.loops.loop_closing import LoopClosing
     from bundle.inertial.offline.inertial_result import InertialAdjustment
+    from bundle.model.problem import Problem
     from bundle.solving.result import Result
 
 STAYED = "Refined again without positions, starting from the georeferenced model."
@@ -246,8 +247,6 @@ def _has_wrong_jacobians(asked: Refinement, opened: Opened, progress: Progress) 
 
 MORE_STEPS = 4
 """Factor on a limit of steps that did not suffice."""
-DAMPED = (1.0, 0.01)
-"""Radii of the first step from a start that is too far."""
 OUT_OF_VIEW = {"too_many_behind", "invalid_solution"}
 """Warnings of a solve whose steps left the cameras or the range of their parameters."""
 
@@ -285,10 +284,10 @@ def judge(
     if not solved.summary.is_solution_usable:
         if any(one.is_problem for one in about_imu):  # the cause
             return one_list(about_imu)
-        start = Measured(
-            whole=solved.initial_problem, command=command, options=solved.options, priors=priors
+        given = Measured(
+            whole=_start(solved), command=command, options=solved.options, priors=priors
         )
-        far = positions_of_start(start) or far_start(solved, command)
+        far = positions_of_start(given) or far_start(solved, command)
         return one_list(about_imu, () if far is None else (far,))
     limited = not_converged(solved, command)
     found = find(
@@ -300,6 +299,7 @@ def judge(
         priors=priors if inertial is None else (inertial, *priors),
         survey=solved.survey_checks,
         constraints=asked.constraints,
+        start=_start(solved),
         is_minimum=solved.summary.termination_type == "CONVERGENCE",
     )
     is_held = inertial is not None or any(one.target.kind == "image" for one in asked.constraints)
@@ -307,6 +307,15 @@ def judge(
     held |= {getattr(prior, "image", None) for prior in priors}
     surveyed = _about_control_points(measured, command)
     return one_list(about_imu, limited, broken_parts(solved.problem, held), surveyed, found)
+
+
+def _start(solved: Result) -> Problem:
+    """Return the input, moved to its priors."""
+    if solved.similarity is None:
+        return solved.initial_problem
+    from bundle.georeference.similarity import moved  # few runs have priors
+
+    return moved(solved.initial_problem, solved.similarity)
 
 
 def _about_control_points(
@@ -365,12 +374,11 @@ def far_start(solved: Result, command: NextCommand) -> Finding | None:
         return None
     shorter = [one for one in DAMPED if one < radius]
     advice = "Begin with shorter ones" if shorter else "Correct its poses"
-    flag = "--initial-trust-region-radius"
     return Finding(
         kind="far_start",
         sentence=f"The start is too far from a minimum (median error {pixels(error.median)} px): "
         f"the first steps went too far. {advice}.",
-        command=command.refine(flag, f"{shorter[0]:g}") if shorter else "",
+        command=command.refine(RADIUS_FLAG, f"{shorter[0]:g}") if shorter else "",
         evidence={"median": error.median, "radius": radius},
         is_problem=True,
     )

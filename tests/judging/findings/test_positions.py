@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import bundle
+from bundle.georeference.similarity import moved
 from bundle.judging.findings import positions as positions_module
 from bundle.judging.findings.find import find
 from bundle.judging.findings.measured import Measured
@@ -141,8 +142,9 @@ def test_smaller_sigmas_are_advised_until_the_positions_hold_the_scale():
     assert 1 <= steps <= 2
 
 
-@pytest.mark.parametrize("has_model", [True, False])
-def test_sigmas_are_advised_only_if_a_model_can_have_them(monkeypatch, has_model):
+@pytest.mark.parametrize("has_start", [True, False])
+@pytest.mark.parametrize("usable", [1.0, 0.01, None])
+def test_sigmas_are_advised_only_if_a_model_can_have_them(monkeypatch, usable, has_start):
     scene = make(20_000, ("scale_drift",))
     result = bundle.solve(scene.start, priors=scene.priors, align=True, num_threads=1)
     gravity = bundle.GravityPrior(int(scene.start.image_ids[0]), [0.0, 1.0, 0.0], 90.0)
@@ -150,34 +152,52 @@ def test_sigmas_are_advised_only_if_a_model_can_have_them(monkeypatch, has_model
 
     def solved(_, start, options, priors):
         tried.append((start, options, priors))
-        if not has_model:
+        if options.initial_trust_region_radius != usable:
             raise bundle.InputError("nothing is usable")
 
     monkeypatch.setattr(positions_module, "solved", solved)
-    judged = find(result.problem, options=result.options, priors=[gravity, *scene.priors])
+    first = scene.start if has_start else None
+    judged = find(
+        result.problem, options=result.options, priors=[gravity, *scene.priors], start=first
+    )
     (found,) = [one for one in judged if one.kind == "scale_drift"]
-    assert bool(found.command) == has_model
-    start, options, priors = tried[0]
-    assert options.loss == "trivial"
-    factors = {
-        np.mean(np.asarray(one.sigma) / np.asarray(scaled_from.sigma))
-        for one, scaled_from in zip(priors[: len(scene.priors)], scene.priors, strict=True)
-    }
-    assert start is result.problem and priors[len(scene.priors) :] == [gravity]
-    assert len({round(one, 12) for one in factors}) == 1
-    if has_model:
-        advised = float(shlex.split(found.command)[-1])
-        assert advised == pytest.approx(factors.pop(), rel=0.05)  # two digits
+    radii = [options.initial_trust_region_radius for _, options, _ in tried]
+    assert radii == ([1.0] if usable == 1.0 else [1.0, 0.01])  # the first usable one
+    factors = set()
+    for start, options, priors in tried:
+        assert start is (scene.start if has_start else result.problem)
+        assert options.loss == "trivial" and options.max_num_iterations == 100
+        assert priors[len(scene.priors) :] == [gravity]
+        factors |= {
+            round(np.mean(np.asarray(one.sigma) / np.asarray(scaled_from.sigma)), 12)
+            for one, scaled_from in zip(priors[: len(scene.priors)], scene.priors, strict=True)
+        }
+    (factor,) = factors
+    if usable is None:
+        assert not found.command
+    else:
+        flags = shlex.split(found.command)[5:]
+        assert flags[:3] == ["--initial-trust-region-radius", f"{usable:g}", "--gps-sigma-scale"]
+        assert float(flags[3]) == pytest.approx(factor, rel=0.05)  # two digits
 
 
-def test_images_that_contradict_a_drift_get_no_command():
-    """With sigmas that bend this model, its observations go behind the cameras."""
-    scene = make(60_011)
-    assert scene.planted == {"motion", "outliers", "scale_drift"}
-    result = bundle.solve(scene.start, priors=scene.priors, align=True, num_threads=1)
-    judged = find(result.problem, options=result.options, priors=scene.priors)
+def test_a_drift_is_mended_by_short_steps_from_the_start():
+    """Longer steps with these sigmas move observations behind their cameras."""
+    scene = make(66_012)
+    assert scene.planted == {"duplicate_points", "outliers", "scale_drift"}
+    flags = {"loss": "cauchy", "loss_scale": 2.0, "num_threads": 1}
+    result = bundle.solve(scene.start, priors=scene.priors, align=True, **flags)
+    start = moved(scene.start, result.similarity)
+    judged = find(result.problem, options=result.options, priors=scene.priors, start=start)
     (found,) = [one for one in judged if one.kind == "scale_drift"]
-    assert abs(found.evidence["left"]) > 0.2 and not found.command
+    assert abs(found.evidence["left"]) > 0.15
+    words = shlex.split(found.command)
+    radius = float(words[words.index("--initial-trust-region-radius") + 1])
+    scale = float(words[words.index("--gps-sigma-scale") + 1])
+    tight = [bundle.PositionPrior(p.image, p.position, p.sigma * scale) for p in scene.priors]
+    for steps, is_usable in (({"initial_trust_region_radius": radius}, True), ({}, False)):
+        again = bundle.solve(scene.start, priors=tight, align=True, **flags, **steps)
+        assert again.summary.is_solution_usable == is_usable
 
 
 @pytest.mark.parametrize(

@@ -91,7 +91,8 @@ def undetermined_intrinsics(measured: Measured, groups: Groups) -> Finding | Non
     rows = np.flatnonzero(~worst.is_determined)
     cameras = measured.whole.camera_ids[worst.cameras[rows]]
     relative = worst.sigma[rows] * worst.inlier_factor / worst.focal[rows]
-    shares = len(worst.cameras) > 1 and not _differ(measured, worst)
+    joint = joint_statistic(measured, worst) if len(worst.cameras) > 1 else None
+    shares = len(worst.cameras) > 1 and (joint is None or joint[0] < PAYS * joint[1])
     ids = ",".join(map(str, measured.whole.camera_ids[worst.cameras].tolist()))
     if shares:
         flags = ("--share-cameras", "all" if worst.is_covered else ids)
@@ -111,11 +112,6 @@ def undetermined_intrinsics(measured: Measured, groups: Groups) -> Finding | Non
             "spread": float(np.std(worst.focal) / np.mean(worst.focal)),
         },
     )
-
-
-def _differ(measured: Measured, group: FocalLengths) -> bool:
-    joint = joint_statistic(measured, group)
-    return joint is not None and joint[0] >= PAYS * joint[1]
 
 
 def shared_lens(measured: Measured, groups: Groups, *, is_jointed: bool = False) -> Finding | None:

@@ -53,6 +53,7 @@ class Measured:
 
     Attributes:
         whole: the model.
+        start: the model before the solve, from which commands start; None: as ``whole``.
         command: object that makes command lines.
         options: options of the solve that made the model; the defaults if unknown.
         lens_sigmas: :attr:`bundle.Covariance.lens_sigmas` of the model, or None.
@@ -64,6 +65,7 @@ class Measured:
 
     whole: Problem
     command: NextCommand
+    start: Problem | None = None
     options: SolveOptions = field(default_factory=SolveOptions)
     lens_sigmas: tuple[NDArray[np.float64], float] | None = None
     priors: Sequence[Any] = ()
@@ -108,7 +110,7 @@ class Measured:
     def scale(self) -> float:
         """Standard deviation s of a coordinate [px], robust, at least 0.01."""
         known = self.errors[self.counted]
-        return _scale(median(known)) if len(known) else SMALLEST_SCALE
+        return max(median(known) / RAYLEIGH_MEDIAN if len(known) else 0.0, SMALLEST_SCALE)
 
     @cached_property
     def image_scale(self) -> Floats:
@@ -193,9 +195,8 @@ class Measured:
     def _scales(self, group: NDArray[Any], count: int) -> Floats:
         known = self.counted
         medians, numbers = median_by_group(self.errors[known], group[known], count)
-        scales = np.maximum(medians / RAYLEIGH_MEDIAN, SMALLEST_SCALE)
-        scales[numbers < FEWEST] = np.nan
-        return scales
+        medians[numbers < FEWEST] = np.nan
+        return np.maximum(medians / RAYLEIGH_MEDIAN, SMALLEST_SCALE)
 
 
 def median_by_group(
@@ -209,10 +210,6 @@ def median_by_group(
     filled = number > 0
     median[filled] = values[order[(first + (number - 1) // 2)[filled]]]
     return median, number
-
-
-def _scale(median: float) -> float:
-    return max(median / RAYLEIGH_MEDIAN, SMALLEST_SCALE)
 
 
 def newton_step(

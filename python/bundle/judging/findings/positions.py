@@ -20,8 +20,9 @@ and with a larger lens if its own is too small. With its centres c and the posit
 a part of the images is s = sum |p - mean p| / sum |c - mean c|. That of the first half of the
 images in their order and that of the second differ by more than 9 % and by 5 standard errors; the
 error of each is sigma / (spread sqrt n). Smaller sigmas are advised while more than 3 % of drift is
-left in the model with its positions, unless a solve with them ends without a usable model: then the
-images contradict the drift.
+left in the model with its positions, if a solve with them from the start of the run has a usable
+result. The start is far from a bent model, so that the first steps must be short. If no solve has a
+usable result, the images contradict the drift.
 """
 
 from __future__ import annotations
@@ -61,6 +62,9 @@ FEWEST = 6
 DRIFT, DRIFT_ERRORS = 0.09, 5.0
 LEFT = DRIFT / 3
 """Remaining drift of the model solved with positions, above which smaller sigmas are advised."""
+RADIUS_FLAG = "--initial-trust-region-radius"
+DAMPED = (1.0, 0.01)
+"""Radii of the first step where longer steps go too far."""
 
 _NO_SOLVE = (
     "A solve without positions does not converge, so the cause is unknown: wrong positions, or a "
@@ -201,9 +205,9 @@ def _sigma_command(measured: Measured, given: list[float], factors: list[float])
     of_flag = [float(asked[0]), float(asked[-1])]
     scale = command.value("--gps-sigma-scale", "")
     if not scale and all(
-        one >= UNKNOWN_SIGMA or abs(one - other) <= 1e-9 * other
-        for sigma in _sigmas(measured)
-        for one, other in zip(sigma, of_flag, strict=True)
+        sigma >= UNKNOWN_SIGMA or abs(sigma - other) <= 1e-9 * other
+        for prior in _used(measured)[1]
+        for sigma, other in zip(np.sqrt(np.diag(prior.full_covariance))[::2], of_flag, strict=True)
     ):
         return command.refine(
             "--gps-sigma", _pair([g * f for g, f in zip(given, factors, strict=True)])
@@ -245,15 +249,20 @@ def scale_drift(measured: Measured, free: Problem) -> Finding | None:
     command, advice = "", "The positions correct it."
     if abs(left) > LEFT:
         factors = 2 * [_shrinking(free_drift, left)]
-        if is_affordable(measured) and not _has_model(measured, np.array(factors)):
+        radii = [min(one, measured.options.initial_trust_region_radius) for one in DAMPED]
+        can_try = is_affordable(measured)
+        usable = (one for one in radii if not can_try or _has_model(measured, factors, one))
+        radius = next(usable, None)
+        if radius is None:
             advice = (
                 "The images contradict it: with sigmas that make them follow the positions, no "
                 "model is usable. Check the positions, or close loops."
             )
         else:
-            advice = "Give the positions smaller sigmas, or close loops."
+            advice = "Give the positions smaller sigmas and begin with short steps, or close loops."
             sigmas = [_sigma(priors, axis) for axis in (0, 2)]
-            command = _sigma_command(measured, sigmas, factors)
+            shorter = measured.command.after(RADIUS_FLAG, f"{radius:g}")
+            command = _sigma_command(measured.of_command(shorter), sigmas, factors)
     return Finding(
         kind="scale_drift",
         sentence="The scale drifts: from the first to the second half of the images, the scale of "
@@ -268,11 +277,13 @@ def scale_drift(measured: Measured, free: Problem) -> Finding | None:
     )
 
 
-def _has_model(measured: Measured, factors: Floats) -> bool:
+def _has_model(measured: Measured, factors: list[float], radius: float) -> bool:
     positions = _used(measured)[1]
-    priors = [*(_scaled(one, factors) for one in positions), *_others(measured, positions)]
+    scaled = [_scaled(one, np.array(factors)) for one in positions]
+    start = measured.whole if measured.start is None else measured.start
+    options = measured.options.replace(num_threads=1, initial_trust_region_radius=radius)
     try:
-        solved(measured, measured.whole, measured.options.replace(num_threads=1), priors)
+        solved(measured, start, options, [*scaled, *_others(measured, positions)])
     except InputError:
         return False
     return True
@@ -366,13 +377,6 @@ def _antenna(problem: Problem, row: int, prior: Any) -> Floats:
     )
     antenna: Floats = problem.projection_centers[row] + turned[0]
     return antenna
-
-
-def _sigmas(measured: Measured) -> list[tuple[float, float]]:
-    return [
-        (float(np.sqrt(full[0, 0])), float(np.sqrt(full[2, 2])))
-        for full in (prior.full_covariance for prior in _used(measured)[1])
-    ]
 
 
 def _sigma(priors: list[Any], axis: int) -> float:

@@ -85,7 +85,6 @@ def repaired(
     "" is the present lens model, and no shutter. If positions, which are left out, bend the model,
     the solve has more steps.
     """
-    problem = measured.whole
     options = measured.options.replace(
         loss="cauchy",
         loss_scale=max(2.0 * measured.scale, 1e-3),
@@ -94,16 +93,8 @@ def repaired(
     )
     priors = measured.priors if with_priors else ()
     try:
-        if lens_model:
-            from bundle.editing.model_change import change_camera_model
-
-            problem = change_camera_model(problem, lens_model).problem
-        if shutter:
-            from bundle.editing.rolling_shutters import with_shutters
-            from bundle.interface.camera_edit_options import ShutterOptions
-
-            rolling = ShutterOptions(rolling_shutter=shutter)
-            problem, options = with_shutters(problem, rolling, options)
+        problem, options = _edited(measured.whole, options, lens_model, shutter)
+        start = measured.start and _edited(measured.start, options, lens_model, shutter)[0]
         result = solved(measured, problem, options, priors)
     except InputError:
         return None
@@ -114,9 +105,25 @@ def repaired(
     return dataclasses.replace(
         measured,
         whole=result.problem,
+        start=start,
         command=measured.command.after(*(flags or ("--loss", "cauchy"))),
         options=options,
         lens_sigmas=None,
         priors=priors,
         is_minimum=True,
     )
+
+
+def _edited(
+    problem: Problem, options: SolveOptions, lens_model: str, shutter: str
+) -> tuple[Problem, SolveOptions]:
+    if lens_model:
+        from bundle.editing.model_change import change_camera_model
+
+        problem = change_camera_model(problem, lens_model).problem
+    if not shutter:
+        return problem, options
+    from bundle.editing.rolling_shutters import with_shutters
+    from bundle.interface.camera_edit_options import ShutterOptions
+
+    return with_shutters(problem, ShutterOptions(rolling_shutter=shutter), options)
