@@ -16,6 +16,7 @@ _DEFERRED = {
     "analysis.uncertainty.covariance_result": "Covariance GraphCovariance",
     "analysis.uncertainty.graph_covariance": "FactorGraphCovariance",
     "analysis.uncertainty.influence": "Influence influence",
+    "analysis.uncertainty.measurement_plan": "Plan plan",
     "analysis.uncertainty.reliability": "reliability",
     "analysis.uncertainty.reliability_result": "Reliability",
     "base.paths": "get_include",

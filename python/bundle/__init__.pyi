@@ -19,6 +19,8 @@ from bundle.analysis.uncertainty.covariance_result import GraphCovariance as Gra
 from bundle.analysis.uncertainty.graph_covariance import FactorGraphCovariance as FactorGraphCovariance
 from bundle.analysis.uncertainty.influence import Influence as Influence
 from bundle.analysis.uncertainty.influence import influence as influence
+from bundle.analysis.uncertainty.measurement_plan import Plan as Plan
+from bundle.analysis.uncertainty.measurement_plan import plan as plan
 from bundle.analysis.uncertainty.reliability import reliability as reliability
 from bundle.analysis.uncertainty.reliability_result import Reliability as Reliability
 from bundle.base.paths import get_include as get_include
@@ -235,6 +237,7 @@ __all__ = [
     "MsckfUpdate",
     "OdometryResult",
     "OrientationPrior",
+    "Plan",
     "PoseGraph",
     "PoseGraphInspection",
     "PoseGraphOptions",
@@ -326,6 +329,7 @@ __all__ = [
     "merge",
     "msckf_update",
     "pictures",
+    "plan",
     "pose_graph_chi2",
     "project",
     "propagate",

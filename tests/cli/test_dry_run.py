@@ -29,6 +29,7 @@ WORDS = {
     "covariance": "IN -o c.npz",
     "diagnose": "IN",
     "influence": "IN --on 'distance 1 2'",
+    "plan": "IN --for 'distance 1 2'",
     "align": "IN -o OUT --reference IN",
     "merge": "IN IN -o OUT",
     "evaluate": "IN --reference IN",

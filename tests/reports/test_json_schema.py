@@ -28,6 +28,7 @@ RUNS = {
     "diagnose reliability": "diagnose IN --reliability",
     "evaluate": "evaluate IN --reference IN",
     "influence": "influence IN --on 'f 1'",
+    "plan": "plan IN --for 'f 1' --add image,tie",
     "merge": "merge IN PART -o OUT",
     "validate": "validate IN --folds 2 --camera-models SIMPLE_RADIAL",
     "align": "align IN -o OUT --reference IN",

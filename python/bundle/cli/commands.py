@@ -432,6 +432,40 @@ COMMANDS: dict[str, Command] = {
             ),
         },
     ),
+    "plan": Command(
+        help="what to measure next for a length, height, angle, volume or camera parameter: the "
+        "image, tie, control point or scale bar that lowers its sigma most",
+        also="network design next best view optimal",
+        usage="INPUT --for QUANTITY [--add LIST] [options]",
+        arguments=lambda a: (
+            a.INPUT,
+            a.RIG_CONFIG,
+            a.options(
+                "PlanOptions",
+                "the quantity, and what could be added",
+                ("on", "add", "count", "candidates", "bar_sigma"),
+            ),
+            a.options("SolveOptions", "what is refined, as in the solve", a.INFORMATION),
+            a.RULES,
+            a.measurements(
+                "The priors of the solve, by the same flags; --gcp-sigma also holds for new "
+                "control points.",
+                "--gps exif",
+            ),
+        ),
+        ways={
+            Kind.RECONSTRUCTION: Way(
+                call="analysis.uncertainty.measurement_plan:plan",
+                stage="planning",
+                options="SolveOptions",
+                names="interface.options:INFORMATION",
+                keywords="PlanOptions",
+                gives="priors constraints",
+                report="reports.terminal.analyses:planned",
+                tells="source input found asked flags wall",
+            ),
+        },
+    ),
     "align": Command(
         help="georeference a model by GPS or control points, or align it to another model",
         also="georegister georeference register model_aligner",

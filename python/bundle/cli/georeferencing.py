@@ -28,12 +28,14 @@ def georeference_given(
     refined: Collection[str],
     *,
     page: bool = False,
+    beside: Collection[str] = (),
     only_images: str | None = None,
 ) -> GeoreferenceOptions:
     """Return the options of all measurements.
 
     Args:
         page: True if a report page is written, which shows the photographs of ``--images``.
+        beside: options that the command has by itself.
 
     Raises:
         InputError: a flag requires another flag or contradicts it, or the folder of images does
@@ -41,7 +43,9 @@ def georeference_given(
     """
     if page and arguments.images is not None and not Path(arguments.images).is_dir():
         raise InputError(f"--images: there is no folder {shown(arguments.images)}")
-    given = options_given(arguments, options_class(), beside=("images",) if page else ())
+    given = options_given(
+        arguments, options_class(), beside=(*beside, *(("images",) if page else ()))
+    )
     kinds = kinds_given(given)
     if not kinds:
         return given

@@ -179,7 +179,10 @@ class Run:
         if "gps" in self.arguments and self._kind == Kind.RECONSTRUCTION:
             from bundle.cli.georeferencing import georeference_given  # few commands need it
 
-            self.georeference = georeference_given(self.arguments, tuple(refined), page=page)
+            own = _class(self._way.keywords).names() if self._way.keywords else ()
+            self.georeference = georeference_given(
+                self.arguments, tuple(refined), page=page, beside=own
+            )
         if "rules" in self.arguments:
             self.rules = self.given(RuleOptions)
             self.constraints = rules_of(self.rules)

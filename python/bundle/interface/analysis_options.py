@@ -7,6 +7,7 @@ from collections.abc import Iterable
 
 from bundle.base.records import dataclass
 from bundle.errors import InputError
+from bundle.interface.georeference_options import GCP_SIGMA, SCALE_BAR_SIGMA
 from bundle.interface.option_class import Options, documented
 from bundle.interface.option_fields import choice, option
 
@@ -126,13 +127,65 @@ class InfluenceOptions(Options):
     )
 
 
-def parts_of(name: str, value: str | Iterable[str]) -> tuple[str, ...]:
-    """Return the named parts, in the order of ``PARTS``."""
+ADDED = ("image", "tie", "gcp", "bar")
+
+
+@documented
+@dataclass(frozen=True, kw_only=True, repr=False)
+class PlanOptions(Options):
+    """Options of ``bundle plan``."""
+
+    on: str = option(
+        "",
+        "--for",
+        "the quantity, as in bundle influence: distance A B, height A B, angle A B C, "
+        "volume A B C D, baseline I J, a camera's parameter such as f 1, or a ratio",
+        metavar="QUANTITY",
+        value="word",
+        use=3,
+    )
+    add: str = option(
+        ",".join(ADDED),
+        "--add",
+        "what could be added: some of image, tie (an observation), gcp (a control point), bar",
+        metavar="LIST",
+        use=4,
+    )
+    count: int = option(
+        3, "--count", "number of measurements to choose one by one", minimum=1, metavar="N", use=5
+    )
+    candidates: str | None = option(
+        None,
+        "--candidates",
+        "poses of new images, in a format of bundle evaluate",
+        metavar="FILE",
+        value="path",
+        unset="beside each image, as far away as neighbours are",
+    )
+    gcp_sigma: str = option(
+        GCP_SIGMA,
+        "--gcp-sigma",
+        "standard deviation of control points, horizontal and vertical, in metres",
+        metavar="H[/V]",
+    )
+    bar_sigma: float = option(
+        SCALE_BAR_SIGMA,
+        "--bar-sigma",
+        "standard deviation of a new scale bar, in metres",
+        above=0,
+        metavar="METRES",
+    )
+
+
+def parts_of(
+    name: str, value: str | Iterable[str], parts: tuple[str, ...] = PARTS
+) -> tuple[str, ...]:
+    """Return the named parts, in the order of ``parts``."""
     words = value.split(",") if isinstance(value, str) else list(value)
-    named = {choice(name, word.strip() if isinstance(word, str) else word, PARTS) for word in words}
+    named = {choice(name, word.strip() if isinstance(word, str) else word, parts) for word in words}
     if not named:
-        raise InputError(f"{name}: expected at least one of {', '.join(PARTS)}, found ''")
-    return tuple(part for part in PARTS if part in named)
+        raise InputError(f"{name}: expected at least one of {', '.join(parts)}, found ''")
+    return tuple(part for part in parts if part in named)
 
 
 SAMPLES_PER_IMAGE = 100

@@ -261,6 +261,7 @@ OPTION_CLASSES = {
     "LocalOptions": "round_options",
     "LoopOptions": "pose_graph_options",
     "OutOfCoreOptions": "round_options",
+    "PlanOptions": "analysis_options",
     "PoseGraphOptions": "pose_graph_options",
     "RankOptions": "planning_options",
     "ReliabilityOptions": "analysis_options",

@@ -94,6 +94,8 @@ _REPORTS = {
     "planning.inspection.elimination_costs.FactorGraphInspection.* num_poses num_free_poses "
     "options recommended_command:str nonzeros:str wall_time",
     "merge": "other:dict merge:dict output",
+    "plan": "analysis.uncertainty.measurement_plan.Plan options on unit value sigma proposals "
+    "together notes wall_time",
     "refine": "solving.result.Result graphs.pose_graphs.pose_graph_result.PoseGraphResult "
     "options:SolveOptions+PoseGraphOptions summary iterations:tuple[dict,...] "
     "held_cost:float convergence:dict edits rounds tracks cameras:list worst_images "

@@ -37,6 +37,7 @@ from bundle.interface.options import SolveOptions
 from bundle.interface.tabular import Tabular
 from bundle.io.files import Source
 from bundle.solving.prepare import Prepared, prepare
+from bundle.solving.request import SolveRequest
 from bundle.solving.result import Result
 
 if TYPE_CHECKING:
@@ -196,17 +197,45 @@ def influence(
         problem, options, changes, "influence", factors=factors, priors=priors, align=align,
         bounds=bounds, constraints=constraints,
     )  # fmt: skip
+    return _influence(*differentiate(request, on), without)
+
+
+def differentiate(request: SolveRequest, on: str) -> tuple[Prepared, Quantity, dict[str, Any]]:
+    """Return a prepared request, a quantity and the output of the core about it.
+
+    Raises:
+        InputError: the quantity is unknown, undetermined, constant or without a datum.
+    """
     prepared = at_control_points(prepare(request))
     if not prepared.request.problem.num_observations:
         raise InputError("problem: expected observations, found 0")
     refuse_huge(prepared.start)
+    quantity = quantity_of(on, prepared.start, names_of_markers(prepared))
+    out = _core_influence(prepared, quantity)
+    start = prepared.start
+    if out["gauge_share"] > GAUGE:
+        raise InputError(
+            f"on: expected a quantity that the measurements determine, found {quantity.text}, "
+            f"which changes with the {lacking(quantity, start)} of the world; nothing fixes it: "
+            "give control points, positions or fixed images, or a ratio to a baseline"
+        )
+    for row in np.flatnonzero(quantity.points.any(axis=1)):
+        if row in out["null_points"]:
+            raise InputError(
+                f"on: expected points with parallax, found point {start.point_ids[row]} without"
+            )
+    if not out["variance"] > 0:
+        raise InputError(f"on: expected a quantity that varies, found {quantity.text}, a constant")
+    return prepared, quantity, out
+
+
+def names_of_markers(prepared: Prepared) -> dict[str, int]:
+    """Return the point ids of the control points by name."""
     targets = prepared.placed.targets
-    names = {}
-    if targets is not None:
-        pairs = zip(targets.used, targets.point_ids, strict=True)
-        names = {target.point.name: key for target, key in pairs}
-    quantity = quantity_of(on, prepared.start, names)
-    return _influence(prepared, quantity, without)
+    if targets is None:
+        return {}
+    pairs = zip(targets.used, targets.point_ids, strict=True)
+    return {target.point.name: key for target, key in pairs}
 
 
 def _core_influence(prepared: Prepared, quantity: Quantity, keep: Any = None) -> dict[str, Any]:
@@ -230,22 +259,10 @@ def _core_influence(prepared: Prepared, quantity: Quantity, keep: Any = None) ->
     )
 
 
-def _influence(prepared: Prepared, quantity: Quantity, without: str) -> Influence:
+def _influence(
+    prepared: Prepared, quantity: Quantity, out: dict[str, Any], without: str
+) -> Influence:
     start, given = prepared.start, prepared.request.problem
-    out = _core_influence(prepared, quantity)
-    if out["gauge_share"] > GAUGE:
-        raise InputError(
-            f"on: expected a quantity that the measurements determine, found {quantity.text}, "
-            f"which changes with the {lacking(quantity, start)} of the world; nothing fixes it: "
-            "give control points, positions or fixed images, or a ratio to a baseline"
-        )
-    for row in np.flatnonzero(quantity.points.any(axis=1)):
-        if row in out["null_points"]:
-            raise InputError(
-                f"on: expected points with parallax, found point {start.point_ids[row]} without"
-            )
-    if not out["variance"] > 0:
-        raise InputError(f"on: expected a quantity that varies, found {quantity.text}, a constant")
     dof = out["num_residuals"] - out["num_parameters"] + out["gauge_degrees"]
     sigma = float(np.sqrt(out["variance"]))
     spread = 1.0 if start.observation_sigma is None else start.observation_sigma

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +22,7 @@ from bundle.reports.terminal.inputs import about_input, input_facts
 
 if TYPE_CHECKING:
     from bundle.analysis.uncertainty.influence import Influence
+    from bundle.analysis.uncertainty.measurement_plan import Plan, Proposal
     from bundle.analysis.uncertainty.reliability_result import Reliability
     from bundle.checking.gradient_report import GradientReport
     from bundle.graphs.factors.factor_report import FactorCheck
@@ -344,6 +346,46 @@ def influenced(
             "wall_time": {"total": wall_time},
         },
     )
+
+
+def planned(
+    path: str,
+    given: Problem,
+    found: Plan,
+    options: Mapping[str, Any],
+    flags: str,
+    wall_time: float,
+) -> Report:
+    """Return the report on what to measure next; ``flags``: of priors, for the next solve."""
+    columns = (
+        Column("add", "kind"),
+        Column("", "what"),
+        Column("sigma before", "sigma_before", number),
+        Column("after", "sigma_after", number),
+    )
+    headline = list(found.sentences)
+    for place, one in enumerate(found.proposals, 1):
+        if one.then:
+            headline[place] = f"{headline[place].rstrip('.')}; then {_use(one, path, flags)}"
+    steps = {one.what: one.lines for one in (*found.proposals, *found.together)}
+    facts = [(what, "\n".join(lines)) for what, lines in steps.items() if lines]
+    return Report(
+        command="plan",
+        input=about_input(path, given),
+        headline=headline,
+        warnings=found.notes,
+        sections=[
+            Section(tables=[Table(columns, found.together)], is_detail=True),
+            Section(title="To write down", facts=facts, is_detail=True),
+        ],
+        data={"options": dict(options), **fields(found), "wall_time": {"total": wall_time}},
+    )
+
+
+def _use(one: Proposal, path: str, flags: str) -> str:
+    """Return the command that takes a measured proposal, with the flags of the run."""
+    more = [flag for flag in one.then if flag.split()[0] not in flags.split()]
+    return " ".join([shlex.join(["bundle", "refine", path, "-o", "refined"]), *more, flags]).strip()
 
 
 def _moved(key: int | None, sigmas: float) -> str:
