@@ -448,8 +448,7 @@ COMMANDS: dict[str, Command] = {
             a.options("SolveOptions", "what is refined, as in the solve", a.INFORMATION),
             a.RULES,
             a.measurements(
-                "The priors of the solve, by the same flags; --gcp-sigma also holds for new "
-                "control points.",
+                "The priors of the solve; --gcp-sigma also holds for new control points.",
                 "--gps exif",
             ),
         ),

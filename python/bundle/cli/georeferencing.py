@@ -43,9 +43,8 @@ def georeference_given(
     """
     if page and arguments.images is not None and not Path(arguments.images).is_dir():
         raise InputError(f"--images: there is no folder {shown(arguments.images)}")
-    given = options_given(
-        arguments, options_class(), beside=(*beside, *(("images",) if page else ()))
-    )
+    alone = (*beside, "images") if page else beside
+    given = options_given(arguments, options_class(), beside=alone)
     kinds = kinds_given(given)
     if not kinds:
         return given

@@ -180,9 +180,8 @@ class Run:
             from bundle.cli.georeferencing import georeference_given  # few commands need it
 
             own = _class(self._way.keywords).names() if self._way.keywords else ()
-            self.georeference = georeference_given(
-                self.arguments, tuple(refined), page=page, beside=own
-            )
+            given = self.arguments, tuple(refined)
+            self.georeference = georeference_given(*given, page=page, beside=own)
         if "rules" in self.arguments:
             self.rules = self.given(RuleOptions)
             self.constraints = rules_of(self.rules)

@@ -349,12 +349,7 @@ def influenced(
 
 
 def planned(
-    path: str,
-    given: Problem,
-    found: Plan,
-    options: Mapping[str, Any],
-    flags: str,
-    wall_time: float,
+    path: str, given: Problem, found: Plan, options: Mapping[str, Any], flags: str, wall_time: float
 ) -> Report:
     """Return the report on what to measure next; ``flags``: of priors, for the next solve."""
     columns = (
