@@ -7,7 +7,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from bundle import InputError
-from bundle.georeference.similarity import umeyama
+from bundle.georeference.similarity import Similarity, umeyama
 from bundle.georeference.similarity_fit import Correspondences, fit_similarity
 
 TURN = Rotation.from_euler("zyx", [130, 12, -25], degrees=True)
@@ -225,3 +225,14 @@ def test_widths_far_below_the_sigmas_are_refused_however_well_they_fit():
     noisy = target + 0.02 * rng.normal(size=(18, 3))
     fit = fit_similarity(Correspondences(source, noisy, covariance))
     assert fit.similarity.scale == pytest.approx(5, rel=1e-3)
+
+
+def test_one_similarity_after_another():
+    rng = np.random.default_rng(8)
+    points = rng.normal(size=(5, 3))
+    turns = Rotation.random(2, random_state=1).as_matrix()
+    first = Similarity(3.0, turns[0], rng.normal(size=3))
+    second = Similarity(0.2, turns[1], rng.normal(size=3))
+    both = second.after(first)
+    np.testing.assert_allclose(both.apply(points), second.apply(first.apply(points)), rtol=1e-12)
+    assert both.scale == pytest.approx(0.6)

@@ -1,14 +1,16 @@
 """Control points in a solve: against dense least squares, known truth, and the limits of sigma."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import bundle
 from bundle import _core
+from bundle.georeference import target_priors
 from bundle.georeference.alignment_result import root_mean_square
-from bundle.georeference.target_priors import TargetPriors
+from bundle.georeference.target_priors import LARGEST_ID, TargetPriors
 from bundle.model.reprojection import linearize
 from tests.georeference.flights import flight
 
@@ -372,6 +374,20 @@ def test_ids_that_are_taken_are_not_given_twice():
     assert len({*targets.point_ids, *ids.tolist()}) == len(ids) + 4
     result = bundle.solve(problem, priors=made.gcps, max_num_iterations=1)
     np.testing.assert_array_equal(result.problem.point_ids, ids)
+
+
+@pytest.mark.parametrize(
+    ("taken", "free"),
+    [
+        ([4, 9], (10, 11, 12)),
+        ([2, LARGEST_ID - 4], (LARGEST_ID - 3, LARGEST_ID - 2, LARGEST_ID - 1)),
+        ([0, 2, LARGEST_ID - 3], (1, 3, 4)),
+        ([*range(6), LARGEST_ID], (6, 7, 8)),
+    ],
+)
+def test_free_ids_follow_the_largest_or_fill_the_gaps(taken, free):
+    problem = SimpleNamespace(point_ids=np.array(taken), num_points=len(taken))
+    assert target_priors._free_ids(problem, 3) == free
 
 
 def test_sigmas_of_the_problem_stay():

@@ -278,7 +278,9 @@ def test_weighted_points():
 def test_levels():
     assert scaled_tail(16.26, 3, 0.5, 50) > 1e-3 > scaled_tail(16.27, 3, 0.5, 50)
     # T (nu - m) / (m (nu - T)) with T = 8, m = 3, nu = 19: 8 * 16 / 33 = 3.8788, F(3, 16).
-    assert scaled_tail(32.0, 3, 4.0, 19) == pytest.approx(0.0293081, rel=1e-5)
+    for scale2 in (4.0, 1.0001):
+        assert scaled_tail(8.0 * scale2, 3, scale2, 19) == pytest.approx(0.0293081, rel=1e-5)
+    assert scaled_tail(16.26, 3, 1.0, 19) > 1e-3 > scaled_tail(16.27, 3, 1.0, 19)
     make = {"axes": "up", "value": (0, 0, 1.0), "sigma": (0, 0, 0.1), "statistic": 5.0,
                 "is_estimated": False, "focal_lengths": (1.0, 1.0, 0.1)}  # fmt: skip
     assert OffsetCheck(p=0.99e-3, **make).is_significant

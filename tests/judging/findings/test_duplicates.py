@@ -76,6 +76,9 @@ def test_pairs_are_those_of_two_images():
     # Five points: each pair of them.
     five = [(image, point) for image in (0, 1) for point in (0, 2, 3, 5, 7)]
     assert len(pairs_of(*five)) == 10
+    # Six: each with the four that follow it.
+    six = [(image, point) for image in (0, 1) for point in (0, 2, 3, 5, 7, 8)]
+    assert len(pairs_of(*six)) == 14 and [0, 8] not in pairs_of(*six)
 
 
 def test_two_points_at_one_pixel_of_one_image_are_no_duplicates():

@@ -7,7 +7,12 @@ import pytest
 
 import bundle
 from bundle.judging.findings.find import find
-from bundle.judging.findings.focal_lengths import FocalLengths, focal_drift, undetermined_intrinsics
+from bundle.judging.findings.focal_lengths import (
+    FocalLengths,
+    focal_drift,
+    focal_lengths,
+    undetermined_intrinsics,
+)
 from bundle.judging.findings.next_command import NextCommand
 from tests.campaigns.findings import make
 
@@ -88,3 +93,40 @@ def test_rules_of_the_solve_determine_a_focal_length():
         [one.kind for one in find(result.problem, constraints=rules)] for rules in ((), [rule])
     ]
     assert "undetermined_intrinsics" in kinds[0] and "undetermined_intrinsics" not in kinds[1]
+
+
+def groups_of(seen, scale=0.5):
+    """Return the groups of five cameras, of which some are seen by an image or two."""
+    known = np.arange(20.0).reshape(5, 4) + 1
+    params = 100 * np.arange(1.0, 21).reshape(5, 4)
+    image_camera = np.array([2, 0, 3, 1, 2, 4])
+    whole = SimpleNamespace(
+        num_cameras=5, num_images=6, image_ids=np.array([30, 20, 10, 5, 7, 3]),
+        image_camera=image_camera, camera_params=params,
+        observation_image=np.flatnonzero(np.isin(image_camera, seen)),
+        camera_models=("SIMPLE_RADIAL", "PINHOLE", *("SIMPLE_RADIAL",) * 3),
+        camera_sizes=np.array([[8, 6], [8, 6], [8, 6], [8, 6], [6, 8]]),
+    )  # fmt: skip
+    measured = SimpleNamespace(known_lens_sigmas=(known, 1.0), whole=whole, scale=scale)
+    return known, params, list(focal_lengths(measured))
+
+
+def test_cameras_of_one_model_and_size_are_in_the_order_of_their_images():
+    known, params, (first, pinhole, turned) = groups_of([0, 1, 2, 3, 4])
+    assert first.cameras.tolist() == [2, 3, 0] and first.order.tolist() == [-1, 0, 1]
+    assert (pinhole.cameras.tolist(), turned.cameras.tolist()) == ([1], [4])
+    np.testing.assert_array_equal(first.focal, params[[2, 3, 0], 0])
+    np.testing.assert_array_equal(first.sigma, known[[2, 3, 0], 0])
+    assert (pinhole.focal, pinhole.sigma) == (params[1, :2].mean(), known[1, :2].mean())
+    weight = known[[2, 3, 0], 3] ** -2
+    k = params[[2, 3, 0], 3]
+    mean = (weight * k).sum() / weight.sum()
+    assert first.distortion == pytest.approx((weight * (k - mean) ** 2).sum() / 2)
+    assert pinhole.distortion == 0 and pinhole.order.tolist() == [0]
+    assert {one.inlier_factor for one in (first, pinhole, turned)} == {0.5}
+    assert groups_of([0], scale=2.0)[2][0].inlier_factor == 1
+
+
+@pytest.mark.parametrize(("seen", "is_covered"), [((0, 2), [True]), ((0, 1), [False, False])])
+def test_a_group_with_all_cameras_that_are_seen_covers_the_model(seen, is_covered):
+    assert [one.is_covered for one in groups_of(seen)[2]] == is_covered

@@ -174,6 +174,7 @@ def test_the_direction_of_a_shutter_is_named_from_limits(monkeypatch):
     ):
         found = moving(monkeypatch, 4.1, 0.46, read=read)
         assert found.evidence["shutter"] == shutter
+        assert [found.evidence[name] for name in ("rows", "columns", "explained")] == [*read]
         assert ("not clear" not in found.sentence) == is_clear
         assert "by 0.92 px" in found.sentence
         assert found.command.endswith(f"--rolling-shutter {shutter}" if shutter else "")

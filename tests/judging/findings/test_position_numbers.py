@@ -160,3 +160,29 @@ def test_redundancies_are_those_of_the_antenna():
     squares = (offset / sigma) ** 2
     np.testing.assert_allclose(found[0], [squares[:2].sum(), left[:2].sum()], rtol=1e-6)
     np.testing.assert_allclose(found[1], [squares[2], left[2]], rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("flags", "own", "advised"),
+    [
+        ((), 0.1, "--gps-sigma-scale 2"),  # 0.1 m is not the default
+        (("--gps-sigma", "0.1"), 0.1, "--gps-sigma 0.2"),
+        (("--gps-sigma", "0.1/0.3"), (0.1, 0.3), "--gps-sigma 0.2/0.6"),
+        (("--gps-sigma", "0.1/0.3"), 0.1, "--gps-sigma-scale 2"),
+        (("--gps-sigma", "0.11"), 0.1, "--gps-sigma-scale 2"),
+    ],
+)
+@pytest.mark.parametrize("is_high", [True, False])
+def test_sigmas_of_a_flag_are_replaced_and_those_of_a_file_scaled(flags, own, advised, is_high):
+    """An axis without a measurement has no sigma to compare."""
+    problem = model()
+    away = antennas(problem)
+    away[:, 0] += 0.236
+    if not is_high:
+        away[:, 2] = np.nan
+        own, advised = (own if np.isscalar(own) else own[0]), advised.partition("/")[0]
+        flags = tuple(word.partition("/")[0] for word in flags)
+        if flags == ("--gps-sigma", "0.1"):
+            advised = "--gps-sigma 0.2"
+    found = measured(problem, away, own).of_command(NextCommand("INPUT", "OUTPUT", flags))
+    assert positions_of_start(found).command.endswith(advised)

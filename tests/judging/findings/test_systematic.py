@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import bundle
+from bundle.judging.findings import systematic
 from bundle.judging.findings.images import between_images, image_fits
 from bundle.judging.findings.measured import Measured, median_by_group
 from bundle.judging.findings.next_command import NextCommand
@@ -136,3 +137,32 @@ def test_medians_by_group_are_those_of_each_group():
         assert medians[one] == inside[(len(inside) - 1) // 2]
         assert numbers[one] == len(inside)
     assert np.isnan(medians[7:]).all() and not numbers[7:].any()
+
+
+def test_places_are_from_the_principal_point_in_halves_of_the_longer_side():
+    scene = bundle.synthesize(scene="orbit", num_images=3, num_points=60, seed=2).problem
+    params = scene.camera_params.copy()
+    params[:, 1:3] += [170.0, -90.0]  # of SIMPLE_RADIAL
+    problem = scene.replace(camera_params=params)
+    xy, camera = problem.observation_xy, problem.image_camera[problem.observation_image]
+    found = systematic._lens_coordinates(problem, camera, xy)
+    half = problem.camera_sizes[camera].max(axis=1, keepdims=True) / 2
+    np.testing.assert_allclose(found, (xy - params[camera, 1:3]) / half)
+    unknown = systematic._lens_coordinates(
+        problem.replace(camera_sizes=0 * problem.camera_sizes), camera, xy
+    )
+    assert np.abs(unknown).max() == pytest.approx(1)
+    np.testing.assert_allclose(unknown * np.abs(xy - params[camera, 1:3]).max(), found * half)
+
+
+def test_a_base_of_any_size_is_removed_with_what_depends_on_it():
+    rng = np.random.default_rng(3)
+    first, second, rest = np.linalg.qr(rng.normal(size=(40, 3)))[0].T.reshape(3, 20, 2)
+    base = np.stack([1e-9 * first, 0 * first, 1e9 * (first + second)], axis=2)
+    left = systematic.remove(np.stack([first, second, rest], axis=2), base)
+    np.testing.assert_allclose(left[:, :, :2], 0, atol=1e-9)
+    np.testing.assert_allclose(left[:, :, 2], rest, atol=1e-9)
+    for away, rank in ((0.9e-7, 1), (3e-7, 2)):  # of parallel columns, half remains
+        columns = np.stack([first, first + away * second], axis=2)
+        assert systematic.orthonormal(columns).shape == (20, 2, rank)
+    assert systematic.orthonormal(0 * base).shape == (20, 2, 0)
