@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pycolmap
@@ -12,6 +13,8 @@ from scipy.spatial.transform import Rotation
 
 import bundle
 from bundle import InputError, align
+from bundle.georeference import survey
+from bundle.georeference.control_point import Measurement
 from bundle.georeference.gcp_list import read_gcp_list
 from bundle.georeference.gps_positions import GpsPositions
 from bundle.georeference.image_index import ImageIndex
@@ -467,3 +470,22 @@ def test_the_pixels_origin(copr):
         return np.sqrt(np.mean(np.vstack([t.residual for t in targets if not t.reason]) ** 2))
 
     assert rms(0.0) < rms(-0.5) < rms(-2.0)
+
+
+@pytest.mark.parametrize(("count", "more"), [(5, ""), (6, "1 more"), (7, "2 more")])
+def test_five_measurements_outside_of_their_images_are_listed(count, more):
+    """At the border of an image a point is inside."""
+    problem = SimpleNamespace(
+        camera_sizes=np.array([[0, 0], [8, 6]]), image_camera=np.array([1, 0])
+    )
+    border = [Measurement("a.jpg", x, y) for x, y in ((0, 0), (8, 6), (8, 0), (0, 6))]
+    beyond = [(-0.1, 3), (8.1, 3), (4, -0.1), (4, 6.1), (9, 9), (-1, -1), (-1, 9)][:count]
+    given = [*border, *(Measurement("a.jpg", *one) for one in beyond), Measurement("b.jpg", -9, 0)]
+    target = SimpleNamespace(
+        images=np.array([0] * (len(given) - 1) + [1]),
+        measurements=given,
+        point=SimpleNamespace(name="t"),
+    )
+    notes = survey._outside(problem, (target,))
+    assert len(notes) == min(count, 5) + bool(more) and more in notes[-1]
+    assert sum("outside of a.jpg (8 x 6 px)" in note for note in notes) == min(count, 5)

@@ -6,7 +6,7 @@ import pickle
 import pytest
 
 from bundle import GroundControlPoint, InputError
-from bundle.georeference.gcp_list import read_gcp_list
+from bundle.georeference.gcp_list import given_control_points, read_gcp_list
 
 HEAD = "EPSG:32632"
 ROWS = [
@@ -157,3 +157,16 @@ def test_control_points_pickle():
     point = GroundControlPoint(**POINT, sigma=0.1, reference_system=HEAD)
     assert pickle.loads(pickle.dumps(point)) == point
     assert point.sigma == (0.1, 0.1) and point.position == (1.0, 2.0, 3.0)
+
+
+def test_names_of_images_have_blanks_between_tabs(tmp_path):
+    fields = ROWS[0].split(" ")
+    for name in ("my photo.jpg", "'my photo.jpg'"):
+        (target,) = read(tmp_path, HEAD, "\t".join([*fields[:5], name, "north"]))
+        assert (target.name, target.measurements[0].image) == ("north", "my photo.jpg")
+
+
+@pytest.mark.parametrize("given", [[("a", (1, 2, 3))], [GroundControlPoint(**POINT), None], 7])
+def test_other_objects_are_no_control_points(given):
+    with pytest.raises(InputError, match="gcps: expected"):
+        given_control_points(given, None)

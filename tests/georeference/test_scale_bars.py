@@ -162,6 +162,36 @@ def test_two_bars_that_contradict_are_both_named_where_one_redundancy_is_small(o
     assert [bar.is_suspect for bar in found] == expected
 
 
+@pytest.mark.parametrize("is_free", [True, False])
+def test_tests_of_bars_are_those_of_a_fit_with_all_lengths(is_free):
+    """The oracle takes a free scale as a variance of 30 along the lengths."""
+    rng = np.random.default_rng(5)
+    problem = make_problem(num_images=2, num_points=20)
+    keys = tuple((("point", a), ("point", b)) for a, b in problem.point_ids[:10].reshape(5, 2))
+    lengths = np.linalg.norm(np.diff(problem.points[:10].reshape(5, 2, 3), axis=1)[:, 0], axis=1)
+    sigmas, residuals = np.array([0.001, 0.02, 0.03, 0.05, 0.02]), 0.03 * rng.normal(size=5)
+    control = np.array([True, False, True, True, False])
+    bars = tuple(
+        bundle.ScaleBar(*key, float(d - v), s, role="control" if used else "check")
+        for key, d, v, s, used in zip(keys, lengths, residuals, sigmas, control, strict=True)
+    )
+    root = 0.02 * rng.normal(size=(5, 5))
+    covariance = root @ root.T
+    total = covariance + (30 * np.outer(lengths, lengths) if is_free else 0)
+    weight = np.linalg.inv((total + np.diag(sigmas**2))[np.ix_(control, control)])
+    gain = total[np.ix_(~control, control)] @ weight
+    left = total[np.ix_(~control, ~control)] - gain @ total[np.ix_(control, ~control)]
+    variance, redundancy = np.zeros(5), np.ones(5)
+    variance[~control] = np.diag(left) + sigmas[~control] ** 2
+    redundancy[control] = sigmas[control] ** 2 * np.diag(weight)
+    variance[control] = sigmas[control] ** 2 * redundancy[control]
+    found = FoundBars(bars, keys).checks(problem, covariance, is_free=is_free)
+    np.testing.assert_allclose([one.redundancy for one in found], redundancy, rtol=1e-4)
+    expected = np.where(redundancy < 0.01, np.nan, residuals / np.sqrt(variance))
+    assert np.isnan(expected).any() and np.isfinite(expected[control]).any()
+    np.testing.assert_allclose([one.w for one in found], expected, rtol=1e-4)
+
+
 def test_residuals_are_summed_up_in_millimetres():
     bar = bundle.ScaleBar("a.jpg", "b.jpg", 2.0, 0.005)
     checks = tuple(BarCheck(bar, 2.0 + v, np.nan, np.nan, False) for v in (0.003, -0.004))
