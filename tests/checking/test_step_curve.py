@@ -1,11 +1,16 @@
 """Entries that are a derivative at another scale, or on one side, are undecided and not wrong."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 import bundle
 from bundle.analysis.diagnosis.shutter_modes import shutter_jacobians
+from bundle.checking.function import SampleLines, SamplePoint
+from bundle.checking.jacobian_deviation import JacobianDeviation
 from bundle.checking.jacobians import ReprojectionLines
+from bundle.checking.residual_blocks import Manifold
 from bundle.checking.step_curve import Line, acquitted, walk
 from bundle.synthetic.video_scene import film
 from tests.checking.reprojection import check_few
@@ -96,6 +101,42 @@ def test_steps_without_a_value_prove_nothing():
     assert acquitted(found, np.ones(1), np.ones(1), 1.0)[0]
     nothing = walk(lambda _: None, np.zeros(1), 1.0)
     assert not acquitted(nothing, np.ones(1), np.ones(1), 1.0)[0]
+
+
+def kinked(x):
+    """Return residuals (2,): with slopes of 1 and 4 on the sides of 0, and with a slope of 1."""
+    return np.array([x + x**2 + (3 * x if x > 0 else 0), x])
+
+
+@pytest.mark.parametrize(
+    ("claimed", "doubt"),
+    [([1.0, 1.0], [1.5, 0.0]), ([2.0, 1.0], [0.0, 0.0]), ([1.0, np.nan], [0.0, 0.0])],
+)
+def test_a_column_of_numbers_may_appeal(claimed, doubt):
+    """The deviation of an entry that is a slope of one side becomes its uncertainty."""
+    user = SimpleNamespace(core=lambda blocks, _: (kinked(blocks[0][0]),))
+    layout = SimpleNamespace(manifolds=[Manifold.parse(None, 1)])
+    lines = SampleLines([SamplePoint(user, [np.zeros(1)])], [np.zeros(2)], layout)
+    given = JacobianDeviation(
+        np.array(claimed).reshape(1, 2, 1), np.array([[[2.5], [1.0]]]), np.zeros((1, 2, 1)), 1e-7
+    )
+    found = lines.appealed(given, [0], 1e-7, along_manifold=False)
+    np.testing.assert_array_equal(found.uncertainty[0, :, 0], doubt)
+
+
+@pytest.mark.parametrize(("doubt", "is_known"), [(0.1, True), (np.inf, False), (np.nan, False)])
+def test_a_reference_without_a_parameter_is_known_in_all_entries(monkeypatch, doubt, is_known):
+    user = SimpleNamespace(core=lambda blocks, _: blocks, sizes=[2, 1])
+    blocks = [np.array([1.0, 2.0]), np.array([3.0])]
+
+    def reference(self, _):
+        return np.concatenate(self.blocks), np.array([[0.1, doubt, 0.1]])
+
+    monkeypatch.setattr(SamplePoint, "reference", reference)
+    found = SamplePoint(user, blocks).reference_without(1, [])
+    assert (found is not None) == is_known
+    if is_known:
+        assert found.tolist() == [1, 0, 3]
 
 
 def huber(blocks):

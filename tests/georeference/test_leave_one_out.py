@@ -1,11 +1,13 @@
 """Suspects: how often a clean block has one, and gross errors that must be found."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy import stats
 
 from bundle.georeference.similarity_fit import Correspondences, fit_similarity
-from bundle.georeference.survey import LEVEL, leave_one_out
+from bundle.georeference.survey import LEVEL, Survey, leave_one_out
 
 
 def survey(rng, count=8, sigma=0.02, stated=0.02, relief=2.0):
@@ -83,3 +85,10 @@ def test_check_points_are_tested_and_test_nobody():
     alone = everything(points.rows(~check))
     np.testing.assert_array_equal(found.residual[:8], alone.residual)
     np.testing.assert_array_equal(np.flatnonzero(found.suspect), [8])
+
+
+def test_targets_come_before_positions_of_images():
+    survey = SimpleNamespace(measured=range(5), used=np.array([True, False, True, True]))
+    assert Survey.tested.fget(survey).tolist() == [True, True, True, False, False]
+    found = Survey._of_targets(SimpleNamespace(targets=range(4), used=survey.used), np.arange(5), 9)
+    assert found.tolist() == [0, 9, 1, 2]

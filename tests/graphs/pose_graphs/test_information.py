@@ -120,3 +120,9 @@ def test_a_file_of_edges_alone_is_read_whatever_its_information_says(tmp_path, j
 )
 def test_d_vertices_with_d_minus_one_neighbours(edges, size):
     assert densest_set(np.array(edges, np.int32).reshape(-1, 2)) == size
+
+
+@pytest.mark.parametrize("source", [3, None, [("a", "b")]])
+def test_other_objects_are_no_graph(source):
+    with pytest.raises(bundle.InputError, match="graph: expected"):
+        weighted_graph(source, None, {}, "covariance")
