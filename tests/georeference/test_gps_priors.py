@@ -7,9 +7,11 @@ import pytest
 
 import bundle
 from bundle import InputError
-from bundle.georeference.georeferenced import rig_notes
+from bundle.georeference.alignment_result import ControlPointError, ImageError
+from bundle.georeference.georeferenced import Georeference, rig_notes
 from bundle.georeference.gps_positions import GpsPositions, read_geo_file
 from bundle.georeference.local_frame import LocalFrame
+from bundle.georeference.similarity import Similarity
 from bundle.georeference.survey_priors import gps_priors
 from tests.georeference.blocks import block
 from tests.georeference.test_prior_alignment import problem_and_goal
@@ -63,6 +65,29 @@ def test_images_by_the_last_part_of_their_names():
     problem, goal = problem_and_goal()
     folders = problem.replace(image_names=[f"left/{name}" for name in problem.image_names])
     assert len(gps_priors(folders, positions(problem, goal)).priors) == 8
+
+
+def test_places_count_what_is_used_by_role():
+    def point(name, role, up):
+        one = (0.3, -0.4, up)
+        return ControlPointError(name, role, 3, one, one, (0.1, 0.1, 0.1), 0.5, (), False)
+
+    roles = ("control", "check", "control", "unused", "control", "check")
+    points = tuple(point(f"t{k}", role, 0.1 * k) for k, role in enumerate(roles))
+    images = tuple(
+        ImageError(f"{k}.jpg", (k, 0.0, 0.0), used, sigmas)
+        for k, (used, sigmas) in enumerate(((True, 2.9), (True, 3.1), (False, 9.0), (True, 4.0)))
+    )
+    here = Similarity(2.0, np.eye(3), np.zeros(3))
+    place = Georeference(None, None, here, images, (), control_points=points)
+    facts = dict(place.displays[0].facts)
+    assert facts["positions"].startswith("3 of 4 images")
+    assert facts["control points"] == "3 of 6 used, 2 check points"
+    assert [one.name for one in place.suspects] == ["3.jpg", "1.jpg"]
+    for kind, up in (("control", (0, 0.2, 0.4)), ("check", (0.1, 0.5))):
+        assert place.rms_of(kind) == pytest.approx((0.3, 0.4, np.sqrt(np.mean(np.square(up)))))
+    assert place.rms_of("gps")[0] == pytest.approx(np.sqrt((0 + 1 + 9) / 3))
+    assert place.rms == place.rms_of("control")
 
 
 def test_what_became_of_them():

@@ -271,6 +271,22 @@ def test_an_unknown_vertical_does_not_count():
     assert errors.rms_sigmas == pytest.approx(errors.images[0].sigmas / math.sqrt(2))
 
 
+def test_errors_have_images_and_axes_in_the_order_of_the_priors():
+    problem, off = filmed(), np.array([0.3, -0.2, 0.1])
+    velocities, order = velocities_of(problem), np.arange(problem.num_images)[::-1]
+    given = [
+        VelocityPrior(int(problem.image_ids[k]), velocities[k] - k * off, (0.5, 2.0))
+        for k in order.tolist()
+    ]
+    errors = ProblemVelocities.make(problem, given).errors(problem)
+    assert [one.image for one in errors.images] == [problem.image_names[k] for k in order]
+    axes = [[one.x, one.y, one.z] for one in errors.images]
+    np.testing.assert_allclose(axes, order[:, None] * off, atol=1e-5)
+    length = np.linalg.norm(off / [0.5, 0.5, 2.0])
+    np.testing.assert_allclose([one.sigmas for one in errors.images], order * length, atol=1e-4)
+    assert errors.rms_sigmas == pytest.approx(length * np.sqrt(np.mean(order**2) / 3), rel=1e-4)
+
+
 def shutter_with(problem, **changes):
     return problem.replace(rolling_shutter=problem.rolling_shutter.replace(**changes))
 
