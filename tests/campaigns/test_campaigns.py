@@ -21,6 +21,7 @@ from tests.campaigns import (
     kills,
     library_mistakes,
     mutants,
+    plans,
     standardized,
     step_problems,
     steps,
@@ -169,6 +170,16 @@ def test_planted_errors_are_found_with_the_promised_power():
     assert 0.665 < sum(one.num_found for one in done) / len(sizes) < 0.935
     num_clean = sum(one.num_clean for one in done)
     assert sum(one.num_false for one in done) <= 0.001 * num_clean + 3 * np.sqrt(0.001 * num_clean)
+
+
+def test_errors_with_a_proposal_are_as_small_as_predicted():
+    """An image, a tie, a control point and a bar, followed eight times each."""
+    done = [plans.follow(seed, 8) for seed in (2, 5, 10, 14)]
+    assert [one.kind for one in done] == list(plans.KINDS)
+    assert all(one.predicted < 0.75 for one in done)
+    for name in ("before", "after"):
+        errors = np.concatenate([getattr(one, name) for one in done])
+        assert 0.7 < np.sqrt((errors**2).mean()) < 1.4  # 3 standard deviations and some curvature
 
 
 @pytest.mark.parametrize("seed", [1, 9])

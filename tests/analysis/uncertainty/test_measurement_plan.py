@@ -495,3 +495,37 @@ def test_the_result_is_sorted_and_pickles(small):
     assert again.together == found.together and again.proposals == found.proposals
     assert repr(found).startswith("Plan: distance 3 9")
     assert [one["kind"] for one in map(dataclasses.asdict, found.together)]
+
+
+def test_images_without_a_known_size_end_where_their_observations_do(small):
+    """Pixels of BAL begin in the middle of the image."""
+    pose, points = small.cam_from_world[1], np.arange(small.num_points)
+    own = small.observation_xy
+    params = small.camera_params.copy()
+    params[:, 1:3] -= own.mean(axis=0)
+    unknown = small.replace(
+        camera_params=params,
+        observation_xy=own - own.mean(axis=0),
+        camera_sizes=np.zeros_like(small.camera_sizes),
+    )
+    seen = joint_covariance.view(unknown, pose, 0, points)
+    inside = (seen.xy > unknown.observation_xy.min(axis=0)) & (
+        seen.xy < unknown.observation_xy.max(axis=0)
+    )
+    assert len(seen.points) > 10 and inside.all()
+    assert set(seen.points) <= set(joint_covariance.view(small, pose, 0, points).points)
+    assert (seen.xy < 0).any()
+
+
+def test_a_point_is_in_view_from_similar_directions_only(small):
+    pose = small.cam_from_world[0].copy()
+    points = np.arange(small.num_points)
+    assert len(joint_covariance.view(small, pose, 0, points).points) > 10
+    turned = pose.copy()  # the same picture from the other side of the scene
+    turned[:4] = [pose[3], -pose[2], pose[1], -pose[0]]
+    turned[4:] = pose[4:]
+    behind = joint_covariance.view(small, turned, 0, points)
+    near = small.cam_from_world[0].copy()
+    near[6] -= 0.95 * near[6]
+    close = joint_covariance.view(small, near, 0, points)
+    assert len(behind.points) == 0 and len(close.points) < small.num_points

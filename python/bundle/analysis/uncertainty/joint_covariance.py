@@ -278,14 +278,14 @@ def view(start: Problem, pose: _Floats, camera: int, points: _Rows, sigma: float
     at = start.points[points] @ turn.T + pose[4:]
     width = len(camera_models()[model])
     pixels = project(model, start.camera_params[camera, :width], at, jacobians=True)
-    size = start.camera_sizes[camera].astype(float)
-    if not size.all():
-        own = start.image_camera[start.observation_image] == camera
-        size = start.observation_xy[own].max(axis=0, initial=0)
-    depth, xy = at[:, 2], np.nan_to_num(pixels.xy, nan=-1)
-    inside = pixels.valid & ((xy > 0) & (xy < size)).all(axis=1)
+    low, high = np.zeros(2), start.camera_sizes[camera].astype(float)
+    if not high.all():
+        own = start.observation_xy[start.image_camera[start.observation_image] == camera]
+        low, high = own.min(axis=0), own.max(axis=0)
+    depth = at[:, 2]  # that is negative and valid only if the lens sees behind itself
+    inside = pixels.valid & ((pixels.xy > low) & (pixels.xy < high)).all(axis=1)
     if len(depth):
-        inside &= depth > NEAREST * np.median(np.abs(depth))
+        inside &= (depth < 0) | (depth > NEAREST * np.median(np.abs(depth)))
     # The nearest of the directions from which a point is seen.
     place = np.full(start.num_points, -1)
     place[points] = np.arange(len(points))
