@@ -19,7 +19,7 @@ from bundle.analysis.uncertainty.influence import differentiate
 from bundle.analysis.uncertainty.quantity import quantity_of
 from bundle.georeference.gcp_list import read_gcp_list
 from bundle.georeference.scale_bars import read_scale_bars
-from bundle.model.rigid_motions import inverse_poses
+from bundle.model.rigid_motions import inverse_poses, rotation_matrices
 from tests.analysis.uncertainty.dense import Dense
 from tests.analysis.uncertainty.random_problems import random_case
 from tests.analysis.uncertainty.test_influence import gradient_of
@@ -529,3 +529,73 @@ def test_a_point_is_in_view_from_similar_directions_only(small):
     near[6] -= 0.95 * near[6]
     close = joint_covariance.view(small, near, 0, points)
     assert len(behind.points) == 0 and len(close.points) < small.num_points
+
+
+def test_with_priors_of_every_kind_the_larger_problem_has_the_predicted_sigma():
+    """Candidates added as observations and factors; `influence` has its own oracles."""
+    rng = np.random.default_rng(8)
+    problem = make_problem(num_images=6, num_points=25, seed=2, perturbation=0, track=4)
+    turns = rotation_matrices(problem.cam_from_world[:, :4])
+    robust = {"loss": "cauchy", "loss_scale": 0.7}
+    gps = [
+        bundle.PositionPrior(
+            i + 1, center + rng.normal(0, 0.05, 3), (0.03, 0.08), lever_arm=(0.1, -0.2, 0.3),
+            **robust,
+        )
+        for i, center in enumerate(problem.projection_centers[:4])
+    ]  # fmt: skip
+    marks = [
+        (problem.image_names[i], *xy)
+        for i, p, xy in zip(
+            problem.observation_image,
+            problem.observation_point,
+            problem.observation_xy,
+            strict=True,
+        )
+        if p == 0
+    ]
+    priors = [
+        *gps,
+        bundle.GravityPrior(2, turns[1] @ [0.02, 0, -1.0], 1.5, **robust),
+        bundle.OrientationPrior(3, problem.cam_from_world[2, :4], (3.0, 1.0), **robust),
+        bundle.HeadingPrior(4, 30.0, 20.0),
+        bundle.GroundControlPoint(
+            name="mark", position=tuple(problem.points[0]), measurements=marks, sigma=(0.02, 0.04)
+        ),
+    ]
+    given = {
+        "priors": priors, "align": False, "constraints": ("cameras *: f prior 2 %",),
+        "refine": ("poses", "points", "focal", "extra"),
+    }  # fmt: skip
+    text = "height mark 9"
+    scene, found = planned(problem, text, "tie,gcp", **given)
+    before = bundle.influence(problem, text, **given).sigma
+    assert scene.joint.variance == pytest.approx(before**2, rel=1e-9)
+    assert not any("mark to" in one.what for one in found) and len(scene.joint.free.T) == 0
+    places = {first: row for row, first in scene.joint.points.items()}
+    checked = 0
+    for one in found[:: 1 + len(found) // 14]:
+        row = next(places[k] for k in one.rows.columns[::-1].tolist() if k in places)
+        if one.kind == "gcp":
+            point = ("point", int(problem.point_ids[row]))
+            factor = bundle.PriorFactor(point, problem.points[row], np.eye(3) / 0.02**2)
+            after = bundle.influence(problem, text, factors=[factor], **given).sigma
+        elif row < problem.num_points:
+            at = set(one.rows.columns.tolist())
+            image = next(i for i, first in scene.joint.images.items() if first in at)
+            pose, camera = problem.cam_from_world[image], problem.image_camera[image]
+            view = joint_covariance.view(problem, pose, camera, np.array([row]))
+            larger = problem.replace(
+                observation_image=np.append(problem.observation_image, image),
+                observation_point=np.append(problem.observation_point, row),
+                observation_xy=np.vstack([problem.observation_xy, view.xy]),
+                observation_keypoint=None,
+            )
+            after = bundle.influence(larger, text, **given).sigma
+        else:
+            continue
+        checked += 1
+        assert scene.joint.variance - scene.joint.gain(one.rows) == pytest.approx(
+            after**2, rel=1e-7
+        )
+    assert checked >= 8

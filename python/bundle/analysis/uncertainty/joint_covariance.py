@@ -167,9 +167,16 @@ def joint_covariance(
     given = layout.limits, layout.core_factors()
     options = layout.options.replace(gauge="none")
     own = _given_the_cameras(start, options, given)
-    normal = _normal_rows(start, options.cheirality, weights, of_points)
-    for point, place in of_points.items():
-        functions[place : place + 3] = -np.einsum("ij,jkl->ikl", own[point], normal[point])
+    sigma = 1.0 if start.observation_sigma is None else start.observation_sigma
+    information = np.where(weights > 0, weights, 0) / sigma**2
+    lines = linearize(start, options.cheirality)
+    is_wanted = np.isin(start.observation_point, list(of_points)) & (information > 0)
+    for row in np.flatnonzero(is_wanted).tolist():
+        point, image = int(start.observation_point[row]), int(start.observation_image[row])
+        by_camera = np.hstack([lines.d_pose[row], lines.d_params[row]])
+        normal = information[row] * lines.d_point[row].T @ by_camera
+        place = of_points[point]
+        functions[place : place + 3, image] -= own[point] @ normal
     out = _core.covariance(
         start, options.asdict(), *given, inner=True, sandwich=False, of_points=False, relative=[],
         long_sums=True, of_images=False, functions=functions,
@@ -191,24 +198,6 @@ def _given_the_cameras(start: Problem, options: Any, given: tuple[Any, Any]) -> 
         long_sums=True,
     )  # fmt: skip
     return np.asarray(np.nan_to_num(out["points"]))
-
-
-def _normal_rows(
-    start: Problem, cheirality: str, weights: _Floats, points: Mapping[int, int]
-) -> dict[int, _Floats]:
-    """Return sum w J_p^T J_c of points, each (3, num_images, 6 + parameters)."""
-    sigma = 1.0 if start.observation_sigma is None else start.observation_sigma
-    information = np.where(weights > 0, weights, 0) / sigma**2
-    lines = linearize(start, cheirality)
-    found = {
-        point: np.zeros((3, start.num_images, 6 + start.camera_params.shape[1])) for point in points
-    }
-    is_wanted = np.isin(start.observation_point, list(points)) & (information > 0)
-    for row in np.flatnonzero(is_wanted):
-        by_camera = np.hstack([lines.d_pose[row], lines.d_params[row]])
-        normal = information[row] * lines.d_point[row].T @ by_camera
-        found[int(start.observation_point[row])][:, start.observation_image[row]] += normal
-    return found
 
 
 def _free_motions(
