@@ -13,13 +13,14 @@ python -m tests.campaigns.standardized ERRORS SCENES [SEED]
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
-from typing import NamedTuple
+from collections.abc import Callable, Iterable, Iterator
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
 import bundle
 
+T = TypeVar("T")
 LIMIT = 3.2905267314919255  # the normal distribution exceeds it on both sides in 0.1 %
 KINDS = ("street", "orbit", "drone_grid", "photo_collection")
 PER_SCENE = 10
@@ -118,9 +119,20 @@ def ratios(found: list[Compared]) -> Iterator[tuple[str, int, float]]:
             yield name, len(logs), float(np.exp(np.mean(logs)))
 
 
+def tried(function: Callable[[int], T], seeds: Iterable[int]) -> list[T]:
+    """Return the outcome of each scene, and print the refusal of one without full rank."""
+    done = []
+    for seed in seeds:
+        try:
+            done.append(function(seed))
+        except bundle.InputError as refusal:
+            print(f"scene {seed}: {refusal}")
+    return done
+
+
 def main(num_errors: int, num_scenes: int, seed: int = 0) -> None:
     """Print the rates and the ratios."""
-    done = [plant(seed + k) for k in range(-(-num_errors // PER_SCENE))]
+    done = tried(plant, range(seed, seed - (-num_errors // PER_SCENE)))
     sizes = np.concatenate([one.sizes for one in done])
     clean = sum(one.num_clean for one in done)
     print(
@@ -128,7 +140,7 @@ def main(num_errors: int, num_scenes: int, seed: int = 0) -> None:
         f"{np.median(sizes):.1f}): {100 * sum(one.num_found for one in done) / len(sizes):.1f} % "
         f"found; {100 * sum(one.num_false for one in done) / clean:.3f} % of {clean} false alarms"
     )
-    found = [compare(seed + k) for k in range(num_scenes)]
+    found = tried(compare, range(seed, seed + num_scenes))
     for one in found:
         print(*one)
     for name, count, ratio in ratios(found):
