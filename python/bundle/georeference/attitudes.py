@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from bundle.base.display import Display
 from bundle.base.records import dataclass
-from bundle.base.words import noun, plural
+from bundle.base.words import few, noun, plural
 from bundle.errors import InputError, brief, shown
 from bundle.georeference.attitude_files import read_gravity, read_orientations
 from bundle.georeference.attitude_priors import AttitudePrior, GravityPrior
@@ -114,9 +114,8 @@ class AttitudeErrors:
         count = plural(len(self.images), "image")
         about = " about the model's z axis" if self.noun == "heading" else ""
         wrong = [shown(image.image) for image in self.suspects]
-        others = f" and {len(wrong) - MOST_NAMED} more" if len(wrong) > MOST_NAMED else ""
         those = noun(len(wrong), "which contradicts", "which contradict")
-        apart = f" (without {', '.join(wrong[:MOST_NAMED])}{others}, {those} the others)"
+        apart = f" (without {few(wrong, MOST_NAMED)}, {those} the others)"
         return (
             f"{verb} within {_rounded_up(self.within)} degrees{about}{apart if wrong else ''}: "
             f"{self.noun} of {count}, median angle {self.median:.2g} degrees."

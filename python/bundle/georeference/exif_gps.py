@@ -24,7 +24,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from bundle.base.optional_packages import allow_heic
-from bundle.base.words import plural
+from bundle.base.words import few, plural
 from bundle.errors import InputError, brief, shown
 from bundle.georeference.attitude_priors import OrientationPrior
 from bundle.georeference.gps_positions import EXIF_TAGS, GpsPositions
@@ -179,8 +179,7 @@ def counted_images(names: list[str], what: str) -> tuple[str, ...]:
     """Return a note that counts images and names three of them; empty without any."""
     if not names:
         return ()
-    more = f" and {len(names) - 3} more" if len(names) > 3 else ""
-    return (f"{plural(len(names), 'image')} {what}: {', '.join(map(shown, names[:3]))}{more}.",)
+    return (f"{plural(len(names), 'image')} {what}: {few(map(shown, names))}.",)
 
 
 @contextmanager

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 import bundle._core as _core
 from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
-from bundle.base.words import plural
+from bundle.base.words import few, plural
 from bundle.errors import InputError, brief, shown
 from bundle.georeference.control_point import Sigma
 from bundle.georeference.image_index import ImageIndex
@@ -105,10 +105,9 @@ def no_fix_notes(names: Sequence[str], source: str) -> tuple[str, ...]:
     """Return a sentence on images whose position is 0 0; an empty tuple without such images."""
     if not names:
         return ()
-    more = f" and {len(names) - 3} more" if len(names) > 3 else ""
     return (
         f"{plural(len(names), 'position')} of {source} at 0 0, as receivers without a fix write: "
-        f"{', '.join(map(shown, names[:3]))}{more}.",
+        f"{few(map(shown, names))}.",
     )
 
 
@@ -160,10 +159,9 @@ def unmatched_notes(
     without = [name for row, name in enumerate(problem.image_names) if row not in with_one]
     notes = []
     if without:
-        more = f" and {len(without) - 3} more" if len(without) > 3 else ""
         notes.append(
             f"{plural(len(without), 'image')} of the model without a position: "
-            f"{', '.join(map(shown, without[:3]))}{more}."
+            f"{few(map(shown, without))}."
         )
     extra = [name for name in positions.names if index.find(name) is None]
     if extra:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from bundle.base.display import Display
 from bundle.base.records import dataclass
-from bundle.base.words import change, contents, plural, seconds
+from bundle.base.words import change, contents, few, plural, seconds
 from bundle.interface.summary import held_facts
 from bundle.solving.headline import edit_facts, headline
 from bundle.solving.measured_result import MeasuredResult
@@ -83,10 +83,7 @@ class Result(MeasuredResult):
 
     def _bound_facts(self) -> tuple[tuple[str, str], ...]:
         bounds = [f"{name} of camera {key[1]} ({side})" for key, name, side in self.active_bounds]
-        if not bounds:
-            return ()
-        more = f" and {len(bounds) - 3} more" if len(bounds) > 3 else ""
-        return (("at bounds", ", ".join(bounds[:3]) + more),)
+        return (("at bounds", few(bounds)),) if bounds else ()
 
     def _rule_facts(self) -> tuple[tuple[str, str], ...]:
         if not self.constraints:

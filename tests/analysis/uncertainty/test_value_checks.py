@@ -4,11 +4,8 @@ import numpy as np
 import pytest
 
 import bundle
-from bundle.analysis.uncertainty.covariance_by_input import (
-    FAR,
-    MOST_NAMED,
-    note_on_inner_constraints,
-)
+from bundle.analysis.uncertainty.covariance_by_input import FAR, note_on_inner_constraints
+from bundle.base.words import named
 from tests.scenes import make_problem
 
 NONE = {"null_points": np.zeros(0, np.int32)}
@@ -24,13 +21,13 @@ def with_far(count, distance):
     return problem.replace(points=points)
 
 
-@pytest.mark.parametrize("count", [1, MOST_NAMED, MOST_NAMED + 1])
+@pytest.mark.parametrize("count", [1, 5, 6])
 def test_ids_are_named_up_to_a_number(count):
     problem = with_far(count, 10 * FAR)
     note = note_on_inner_constraints(problem, NONE)
-    named = ", ".join(str(k) for k in problem.point_ids[: min(count, MOST_NAMED)])
-    assert f"(ids {named}" in note
-    assert (", ...)" in note) == (count > MOST_NAMED)
+    ids = problem.point_ids[:count].tolist()
+    assert named("point", ids) in note and (" and 1 more" in note) == (count > 5)
+    assert ("dominates" in note) == (count == 1)
 
 
 def test_points_that_are_near_or_known_to_be_null_are_no_finding():
@@ -56,7 +53,7 @@ def uncertain(share, num_points=60):
 
 def test_points_whose_sigma_exceeds_their_distance_are_named_if_they_move_the_poses():
     problem, out = uncertain(0.34)
-    assert f"1 point with a sigma above the distance (ids {problem.point_ids[0]})" in (
+    assert f"1 point with a sigma above the distance (point {problem.point_ids[0]})" in (
         note_on_inner_constraints(problem, out)
     )
     assert note_on_inner_constraints(*uncertain(0.33)) == ""

@@ -18,7 +18,7 @@ from bundle.analysis.diagnosis.diagnosis_result import (
 from bundle.analysis.normal_equations import NormalEquations, PoseEquations, TermTests, Words
 from bundle.base.arrays import freeze
 from bundle.base.tails import chi2_limit, chi2_median
-from bundle.base.words import named, number, plural, sorted_ids
+from bundle.base.words import few, named, noun, number, plural, sorted_ids
 from bundle.graphs.pose_graphs.edge_weights import WeightedGraph, weighted_graph
 from bundle.graphs.pose_graphs.joints import Joint, Joints
 from bundle.interface.finding import Finding
@@ -423,9 +423,8 @@ def _pairs(graph: PoseGraph, edges: Iterable[int]) -> tuple[tuple[int, int], ...
 
 def _edges(graph: PoseGraph, edges: NDArray[np.int64]) -> str:
     words = []
-    for edge in edges[:MOST_EDGES].tolist():
+    for edge in edges.tolist():
         first, second = graph.ends_of(edge)
         line = int(graph.edge_lines[edge])
         words.append(f"{first} {second}" + (f" (line {line})" if line else ""))
-    more = f" and {len(edges) - MOST_EDGES} more" if len(edges) > MOST_EDGES else ""
-    return f"{'edge' if len(edges) == 1 else 'edges'} {', '.join(words)}{more}"
+    return f"{noun(len(words), 'edge', 'edges')} {few(words, MOST_EDGES)}"

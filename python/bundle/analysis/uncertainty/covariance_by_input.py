@@ -22,7 +22,7 @@ import bundle._core as _core
 from bundle.analysis.uncertainty.covariance_result import Covariance, rows_of
 from bundle.base.arrays import freeze
 from bundle.base.records import dataclass
-from bundle.base.words import not_converged, plural
+from bundle.base.words import named, not_converged, noun, plural
 from bundle.errors import InputError
 from bundle.interface.analysis_options import GAUGES, PARTS, ROBUST, SCALES, parts_of
 from bundle.interface.option_class import takes_options
@@ -208,8 +208,6 @@ LARGEST = 1e50
 FAR = 100.0
 """Multiple of the median distance of points from the median of the cameras."""
 
-MOST_NAMED = 5
-
 
 def at_control_points(prepared: Prepared) -> Prepared:
     """Return a prepared request with its control points at a minimum for the present cameras.
@@ -262,9 +260,9 @@ def note_on_inner_constraints(problem: Problem, out: dict[str, Any]) -> str:
         if not shares.sum() > of_poses / 9:
             return ""
     ids = problem.point_ids[rows[is_meant]].tolist()
-    named = ", ".join(map(str, ids[:MOST_NAMED])) + (", ..." if len(ids) > MOST_NAMED else "")
     return (
-        f"{plural(len(ids), 'point')} {which} (ids {named}) dominate the inner constraints: sigmas "
+        f"{plural(len(ids), 'point')} {which} ({named('point', ids)}) "
+        f"{noun(len(ids), 'dominates', 'dominate')} the inner constraints: sigmas "
         "are relative to these. Use two_cameras, or leave them out."
     )
 

@@ -30,7 +30,7 @@ from bundle.analysis.uncertainty.covariance_result import Covariance, SavedBlock
 from bundle.base.arrays import freeze
 from bundle.base.display import Display
 from bundle.base.records import dataclass
-from bundle.base.words import not_converged, number, plural
+from bundle.base.words import few, not_converged, number, plural
 from bundle.errors import InputError, brief
 from bundle.graphs.factors.factor_graph import FactorGraph
 from bundle.graphs.factors.factors import PositionFactor, RelativePoseFactor, ReprojectionFactor
@@ -236,10 +236,9 @@ def selected_covariance(
 
 def _undetermined(equations: NormalEquations, blocks: Sequence[int]) -> InputError:
     words, names = equations.words, [equations.name(block) for block in blocks]
-    more = f" and {len(names) - 3} more" if len(names) > 3 else ""
     return InputError(
         f"graph: expected {words.term}s that determine all {words.block}s but for the gauge, found "
-        f"{words.block if len(names) == 1 else words.block + 's'} {', '.join(names[:3])}{more} "
+        f"{words.block if len(names) == 1 else words.block + 's'} {few(names)} "
         f"with an undetermined direction; {words.command} names it"
     )
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from bundle.base.paths import is_path
-from bundle.base.words import plural
+from bundle.base.words import few, plural
 from bundle.errors import InputError, shown
 from bundle.georeference.control_point import GroundControlPoint
 from bundle.georeference.pose_alignment import align_centers, moved_poses
@@ -243,12 +243,10 @@ def _missing(pairs: Association) -> list[Finding]:
     count = len(pairs.only_b)
     if not count or pairs.by == "time":
         return []
-    named = ", ".join(pairs.only_b[:3])
-    more = f" and {count - 3} more" if count > 3 else ""
     return [
         Finding(
             kind="missing_images",
-            sentence=f"A lacks {plural(count, 'image')} of B: {named}{more}.",
+            sentence=f"A lacks {plural(count, 'image')} of B: {few(pairs.only_b)}.",
             evidence={"num_images": count, "num_shared": len(pairs)},
         )
     ]
