@@ -20,14 +20,14 @@ RULE = SimpleNamespace(target=SimpleNamespace(kind="camera"))
 
 def judged(
     monkeypatch, *, end="CONVERGENCE", steps=5, usable=True, sliced=None, inertial=None, warned=(),
-    rule=RULE, similarity=None,
+    rule=RULE, similarity=None, kind="found", advised="",
 ):  # fmt: skip
     """Return the kinds of the findings, and what ``find`` was given."""
     given = {}
 
     def find(problem, **more):
         given.update(more, problem=problem)
-        return (Finding(kind="found", sentence=""),)
+        return (Finding(kind=kind, sentence="", command=advised),)
 
     broken = Finding(kind="broken", sentence="")
     monkeypatch.setattr(refine, "find", find)
@@ -75,6 +75,16 @@ def test_an_end_by_the_limit_is_no_minimum(monkeypatch):
     assert kinds == ["not_converged", "broken", "found"] and given["is_minimum"] is False
     assert found[0].command == "bundle refine IN -o OUT --a 1 --max-iterations 40"
     assert judged(monkeypatch, end="NO_CONVERGENCE", steps=9)[0] == ["broken", "found"]
+
+
+@pytest.mark.parametrize(
+    ("kind", "flags"), [("undetermined_intrinsics", " --b 2"), ("shared_lens", "")]
+)
+def test_more_steps_have_the_prior_of_what_is_not_determined(monkeypatch, kind, flags):
+    advised = "bundle refine IN -o OUT --b 2"
+    more = {"end": "NO_CONVERGENCE", "steps": 10, "kind": kind, "advised": advised}
+    found = judged(monkeypatch, **more)[2]
+    assert found[0].command == f"bundle refine IN -o OUT --a 1{flags} --max-iterations 40"
 
 
 def test_an_imu_comes_first_and_is_a_prior(monkeypatch):

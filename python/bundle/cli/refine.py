@@ -289,7 +289,6 @@ def judge(
         )
         far = positions_of_start(given) or far_start(solved, command)
         return one_list(about_imu, () if far is None else (far,))
-    limited = not_converged(solved, command)
     found = find(
         solved.problem,
         source=asked.source,
@@ -302,6 +301,9 @@ def judge(
         start=_start(solved),
         is_minimum=solved.summary.termination_type == "CONVERGENCE",
     )
+    # What is not determined moves on as long as there are steps.
+    priors_of_lenses = [one.command for one in found if one.kind == "undetermined_intrinsics"]
+    limited = not_converged(solved, command.with_flags_of("".join(priors_of_lenses)))
     is_held = inertial is not None or any(one.target.kind == "image" for one in asked.constraints)
     held = set(solved.problem.image_ids.tolist()) if is_held else {*solved.options.fixed_image_ids}
     held |= {getattr(prior, "image", None) for prior in priors}

@@ -166,7 +166,7 @@ def test_sigmas_are_advised_only_if_a_model_can_have_them(monkeypatch, usable, h
     factors = set()
     for start, options, priors in tried:
         assert start is (scene.start if has_start else result.problem)
-        assert options.loss == "trivial" and options.max_num_iterations == 100
+        assert options.loss == "trivial" and options.max_num_iterations == 50  # of 100
         assert priors[len(scene.priors) :] == [gravity]
         factors |= {
             round(np.mean(np.asarray(one.sigma) / np.asarray(scaled_from.sigma)), 12)

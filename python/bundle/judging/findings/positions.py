@@ -39,7 +39,7 @@ from bundle.errors import InputError, shown
 from bundle.interface.finding import Finding
 from bundle.interface.georeference_options import GPS_SIGMA
 from bundle.judging.findings.measured import Measured
-from bundle.judging.findings.repaired import is_affordable, solved
+from bundle.judging.findings.repaired import MOST_STEPS, is_affordable, solved
 from bundle.model.problem import Problem
 from bundle.model.rigid_motions import (
     cross_matrices,
@@ -280,8 +280,9 @@ def scale_drift(measured: Measured, free: Problem) -> Finding | None:
 def _has_model(measured: Measured, factors: list[float], radius: float) -> bool:
     positions = _used(measured)[1]
     scaled = [_scaled(one, np.array(factors)) for one in positions]
-    start = measured.whole if measured.start is None else measured.start
     options = measured.options.replace(num_threads=1, initial_trust_region_radius=radius)
+    options = options.replace(max_num_iterations=min(options.max_num_iterations, MOST_STEPS))
+    start = measured.start or measured.whole
     try:
         solved(measured, start, options, [*scaled, *_others(measured, positions)])
     except InputError:
