@@ -43,6 +43,7 @@ from bundle.solving.result import Result
 if TYPE_CHECKING:
     from bundle.georeference.measurements import Prior
     from bundle.graphs.factors.factors import Factor
+    from bundle.model.problem import Problem
     from bundle.solving.constraints.rule_list import Constraints
     from bundle.solving.constraints.rules import Rule
 
@@ -238,15 +239,17 @@ def names_of_markers(prepared: Prepared) -> dict[str, int]:
     return {target.point.name: key for target, key in pairs}
 
 
+def with_observations(start: Problem, keep: NDArray[np.bool_]) -> Problem:
+    """Return the problem with some of its observations, and all else as it is."""
+    names = ("image", "point", "xy", "keypoint", "sigma")
+    arrays = {f"observation_{name}": getattr(start, f"observation_{name}") for name in names}
+    return start.replace(**{name: one[keep] for name, one in arrays.items() if one is not None})
+
+
 def _core_influence(prepared: Prepared, quantity: Quantity, keep: Any = None) -> dict[str, Any]:
     """Return the output of the core, with some of the observations."""
-    start, layout = prepared.start, prepared.layout
-    if keep is not None:
-        names = ("image", "point", "xy", "keypoint", "sigma")
-        arrays = {f"observation_{name}": getattr(start, f"observation_{name}") for name in names}
-        start = start.replace(
-            **{name: one[keep] for name, one in arrays.items() if one is not None}
-        )
+    layout = prepared.layout
+    start = prepared.start if keep is None else with_observations(prepared.start, keep)
     return _core.influence(
         start,
         layout.options.asdict(),

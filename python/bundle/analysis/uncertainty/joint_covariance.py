@@ -38,6 +38,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import bundle._core as _core
+from bundle.analysis.uncertainty.influence import with_observations
 from bundle.analysis.uncertainty.quantity import Quantity
 from bundle.base.records import dataclass
 from bundle.model.cameras import camera_models, project
@@ -169,14 +170,15 @@ def joint_covariance(
     own = _given_the_cameras(start, options, given)
     sigma = 1.0 if start.observation_sigma is None else start.observation_sigma
     information = np.where(weights > 0, weights, 0) / sigma**2
-    lines = linearize(start, options.cheirality)
     is_wanted = np.isin(start.observation_point, list(of_points)) & (information > 0)
-    for row in np.flatnonzero(is_wanted).tolist():
-        point, image = int(start.observation_point[row]), int(start.observation_image[row])
-        by_camera = np.hstack([lines.d_pose[row], lines.d_params[row]])
-        normal = information[row] * lines.d_point[row].T @ by_camera
+    part = with_observations(start, is_wanted)
+    lines = linearize(part, options.cheirality)
+    by_camera = np.concatenate([lines.d_pose, lines.d_params], axis=2)
+    normal = np.einsum("n,nai,naj->nij", information[is_wanted], lines.d_point, by_camera)
+    pairs = zip(part.observation_point.tolist(), part.observation_image.tolist(), strict=True)
+    for row, (point, image) in enumerate(pairs):
         place = of_points[point]
-        functions[place : place + 3, image] -= own[point] @ normal
+        functions[place : place + 3, image] -= own[point] @ normal[row]
     out = _core.covariance(
         start, options.asdict(), *given, inner=True, sandwich=False, of_points=False, relative=[],
         long_sums=True, of_images=False, functions=functions,

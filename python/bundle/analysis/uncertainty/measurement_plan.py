@@ -89,10 +89,10 @@ class Proposal:
     """A measurement to add, and the sigma of the quantity without and with it."""
 
     kind: str  # "image", "tie", "gcp" or "bar"
-    what: str  # the measurement, such as "point 11, to 0.02"
+    what: str  # the measurement, such as "point 11 to 0.02"
     sigma_before: float  # sigma without it
     sigma_after: float  # sigma with it
-    lines: tuple[str, ...]  # what to write down: lines of gcp_list.txt, a pixel, a pose
+    lines: tuple[str, ...]  # to write down: of gcp_list.txt and bars.txt, or a camera_from_world
     then: tuple[str, ...]  # flags with which bundle refine uses these lines; () if none does
 
 
@@ -248,10 +248,7 @@ def plan(
 
 
 def _best(joint: Joint, candidates: Sequence[Candidate]) -> Candidate | None:
-    """Return the candidate of the largest gain; None if none helps.
-
-    Those with small bounds are not evaluated.
-    """
+    """Return the candidate of the largest gain, bounds first; None if none helps."""
     most = np.array([joint.most(one.rows) for one in candidates])
     best, gain = None, HELPS * joint.variance
     for place in np.argsort(-most, kind="stable").tolist():
@@ -299,9 +296,9 @@ class Scene:
         points = _chosen(start, np.flatnonzero((rays >= 2) | own), share + 2 * share.max() * own)
         images = np.unique(start.observation_image[used])
         if len(images) > MOST_IMAGES:
-            poses = zip(start.cam_from_world[images], start.image_camera[images], strict=True)
-            counts = [-len(view(start, pose, camera, points).points) for pose, camera in poses]
-            images = np.sort(images[np.argsort(counts, kind="stable")[:MOST_IMAGES]])
+            seeing = start.observation_image[used & np.isin(start.observation_point, points)]
+            counts = np.bincount(seeing, minlength=start.num_images)[images]
+            images = np.sort(images[np.argsort(-counts, kind="stable")[:MOST_IMAGES]])
         cameras = np.unique(start.image_camera[images])
         wanted = images.tolist(), cameras.tolist(), points.tolist()
         spread = 1.0 if start.observation_sigma is None else start.observation_sigma[used]
