@@ -149,8 +149,9 @@ POINT = {"name": "a", "position": (1, 2, 3), "measurements": [("i.jpg", 1, 2)]}
     ],
 )
 def test_control_points_from_python_are_checked(change, wanted):
-    with pytest.raises(InputError, match=wanted):
+    with pytest.raises(InputError, match=wanted) as caught:
         GroundControlPoint(**{**POINT, **change})
+    assert "name" in change or "control point a: " in str(caught.value)
 
 
 def test_control_points_pickle():

@@ -162,7 +162,8 @@ def test_wrong_closures_are_left_out_and_the_rest_is_solved(dimension):
         np.testing.assert_allclose(result.chi2_after, after, rtol=1e-9)
         assert (result.chi2_before[79:] > 0).all()
         assert result.summary.chi2_final == clean.summary.chi2_final
-        np.testing.assert_array_equal(result.problem.edges, bad.edges)
+        for graph_of_all in (result.problem, result.initial_problem):
+            np.testing.assert_array_equal(graph_of_all.edges, bad.edges)
     worst = [entry.chi2 for entry in result.left_out]
     assert worst == sorted(worst, reverse=True)
     assert worst[-1] > ONE_IN_A_MILLION[graph.tangent_size]

@@ -99,6 +99,11 @@ def test_graduation_leaves_trusted_edges_alone_and_ends_with_in_or_out():
     weights, count = graduate(chi2, doubted, 10.0, solve)
     assert weights.tolist() == [1, 0, 1, 1, 0] and count == len(seen) > 1
     assert all(found[2] == 1 for found in seen)
+    mu = 10 / (2 * 900 - 10)  # of the paper, with its factor of 1.4 from one solve to the next
+    for found in seen:
+        soft = np.sqrt(10 * mu * (mu + 1) / chi2) - mu
+        np.testing.assert_allclose(found[doubted], np.clip(soft, 0, 1)[doubted])
+        mu *= 1.4
     assert graduate(chi2 / 100, doubted, 10.0, solve)[1] == 0  # nothing to doubt
 
 
