@@ -275,11 +275,11 @@ def judge(
         )
         for one in (() if inertial is None else inertial.findings)
     )
-    shift = () if opened.sliced is not None else _shifted_input(opened, solved, command)
-    if shift:
-        return one_list(shift, about_imu, broken_parts(solved.problem))
     if opened.sliced is not None:
         return about_imu
+    shift = _shifted_input(opened, solved, command)
+    if shift:
+        return one_list(shift, about_imu, broken_parts(solved.problem))
     priors = opened.known.priors
     if not solved.summary.is_solution_usable:
         if any(one.is_problem for one in about_imu):  # the cause
@@ -301,9 +301,8 @@ def judge(
         start=_start(solved),
         is_minimum=solved.summary.termination_type == "CONVERGENCE",
     )
-    # What is not determined moves on as long as there are steps.
-    priors_of_lenses = [one.command for one in found if one.kind == "undetermined_intrinsics"]
-    limited = not_converged(solved, command.with_flags_of("".join(priors_of_lenses)))
+    loose = "".join(one.command for one in found if one.kind == "undetermined_intrinsics")
+    limited = not_converged(solved, command.with_flags_of(loose))  # more steps alone move it on
     is_held = inertial is not None or any(one.target.kind == "image" for one in asked.constraints)
     held = set(solved.problem.image_ids.tolist()) if is_held else {*solved.options.fixed_image_ids}
     held |= {getattr(prior, "image", None) for prior in priors}
