@@ -117,7 +117,7 @@ def chi2_limit(degrees: int) -> float:
     return ONE_IN_A_MILLION.get(degrees) or _quantile(degrees, _NORMAL_ONE_IN_A_MILLION)
 
 
-def chi2_bound(degrees: int, probability: float) -> float:
+def chi2_bound(degrees: float, probability: float) -> float:
     """Return the value that chi2 exceeds with a small probability.
 
     It is exact for one degree of freedom, and that of Wilson and Hilferty for more.

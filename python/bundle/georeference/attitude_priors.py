@@ -242,7 +242,6 @@ class HeadingPrior(AttitudePrior):
     loss_scale: float | None = field(default=None, kw_only=True)
 
     noun = "heading"
-    num_residuals = 1
 
     def __post_init__(self) -> None:
         self._check()

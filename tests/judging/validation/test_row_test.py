@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 from scipy.stats import chi2
 
 from bundle.judging.validation import row_test as module
@@ -108,11 +109,10 @@ def test_anisotropy_and_shear_together_are_suspected(monkeypatch):
     r = noise(problem) + planted(problem, draw(problem, 0.3))
     found = row_test(problem, r)
     total = 11 * (found.anisotropy + found.shear)
-    limit = module._chi2_quantile(22, module._SIGNIFICANT)
+    limit = chi2.isf(1e-4, 22)
     assert 11 * max(found.anisotropy, found.shear) < limit < total
     assert found.is_suspected and not found.fires
-    beyond = next(z for z in np.arange(3.7, 20, 0.1) if module._chi2_quantile(22, z) > total)
-    monkeypatch.setattr(module, "_SIGNIFICANT", beyond)
+    monkeypatch.setattr(module, "_SIGNIFICANT", 0.99 * chi2.sf(total, 22))
     assert not row_test(problem, r).is_suspected
 
 
@@ -193,18 +193,26 @@ def test_too_little_to_compare(problem):
     assert not still.fires and not still.is_suspected
 
 
-def test_quantile():
-    freedom = np.arange(1, 200)
-    found = [module._chi2_quantile(int(d), module._SIGNIFICANT) for d in freedom]
-    assert found == pytest.approx(chi2.isf(1e-4, freedom), rel=0.08)
-    assert found[2:] == pytest.approx(chi2.isf(1e-4, freedom[2:]), rel=0.04)
+@pytest.mark.parametrize("share", [0.99, 1.01])
+def test_the_limit_of_suspicion_is_exact_with_few_images(share):
+    problem = scene(num_images=3)
+    slopes = planted(problem, draw(problem, [0.0, 1.0, 1.0]))
+
+    def tested(size):
+        return row_test(problem, noise(problem) + size * slopes)
+
+    def excess(size):
+        found = tested(size)
+        return 2 * (found.anisotropy + found.shear) - share * chi2.isf(1e-4, 4)
+
+    assert tested(brentq(excess, 0.0, 10.0)).is_suspected == (share > 1)
 
 
 def test_a_ratio_that_lens_errors_reach_does_not_fire(monkeypatch):
     problem = scene(num_images=60, num_points=60)
     r = noise(problem) + planted(problem, draw(problem, 0.4))
     found = row_test(problem, r)
-    assert 59 * found.shear > module._chi2_quantile(59, module._SIGNIFICANT)
+    assert 59 * found.shear > chi2.isf(1e-4, 59)
     assert found.shear < module.SMALLEST_RATIO
     assert found.size > module.RELEVANT
     assert not found.fires

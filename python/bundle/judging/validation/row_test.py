@@ -56,6 +56,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.base.records import dataclass
+from bundle.base.tails import chi2_bound, chi2_tail
 from bundle.model.cameras import param_kinds
 from bundle.model.folds import measurement_numbers
 from bundle.model.point_elimination import SINGULAR, eliminate_points, part_of_observations
@@ -65,8 +66,8 @@ from bundle.model.reprojection import linearize
 FEWEST_OF_IMAGE = 30
 """Number of observations that an image needs to take part."""
 
-_SIGNIFICANT = 3.719  # quantile 1 - 1e-4 of the normal distribution
-_CONFIRMED = 1.645  # quantile 0.95
+_SIGNIFICANT = 1e-4  # probability of a larger chi2 without motion
+_CONFIRMED = 0.05  # the same in the exact test
 SMALLEST_RATIO = 3.0
 RELEVANT = 0.01
 CONFIRMED_RATIO = 2.0
@@ -133,13 +134,13 @@ def row_test(problem: Problem, residuals: _Floats) -> RowTest:
     ratios = chi2 / freedom if freedom else np.full(3, np.nan)
     added = tau2[1:].sum() * float((position**2).sum(axis=1).mean()) if freedom else 0.0
     growth = math.sqrt(1 + added / (2 * sigma**2)) - 1 if added else 0.0
-    is_clear = chi2[2] > max(_chi2_quantile(freedom, _SIGNIFICANT), SMALLEST_RATIO * freedom)
+    is_significant = chi2_tail(chi2[2], freedom) < _SIGNIFICANT
     score = ShearScore(math.nan, 0.0)
-    if is_clear and growth > RELEVANT:
+    if is_significant and chi2[2] > SMALLEST_RATIO * freedom and growth > RELEVANT:
         score = shear_score(problem, rows, position, r)
     return RowTest(
         fires=_is_confirmed(score),
-        is_suspected=bool(chi2[1] + chi2[2] > _chi2_quantile(2 * freedom, _SIGNIFICANT)),
+        is_suspected=chi2_tail(chi2[1] + chi2[2], 2 * freedom) < _SIGNIFICANT,
         isotropy=float(ratios[0]),
         anisotropy=float(ratios[1]),
         shear=float(ratios[2]),
@@ -222,20 +223,8 @@ def _variation(
 
 
 def _is_confirmed(score: ShearScore) -> bool:
-    quantile = _chi2_quantile(score.freedom, _CONFIRMED)
-    return score.ratio > CONFIRMED_RATIO or score.ratio * score.freedom > quantile
-
-
-def _chi2_quantile(freedom: float, normal: float) -> float:
-    """Return the quantile of the chi-square distribution for a quantile of the normal distribution.
-
-    (chi2 / d)^(1/3) is about normal with mean 1 - 2 / (9 d) and variance 2 / (9 d) (Wilson and
-    Hilferty 1931). For 1 - 1e-4 this is 5 % high at 2 degrees of freedom, and 2 % at 5.
-    """
-    if not freedom:
-        return math.inf
-    spread = 2 / (9 * freedom)
-    return freedom * (1 - spread + normal * math.sqrt(spread)) ** 3
+    bound = chi2_bound(score.freedom, _CONFIRMED)
+    return score.ratio > CONFIRMED_RATIO or score.ratio * score.freedom > bound
 
 
 # Exact test for shear of single images: with poses, points, and a lens per image free.
