@@ -33,7 +33,7 @@ import bundle.cli.refine
 import bundle.reports.terminal.refine
 from bundle.cli.main import main
 from bundle.io.atomic import replacement
-from bundle.io.atomic.model_files import MODEL_FILES
+from bundle.io.atomic.replaced_paths import MODEL_FILES
 from bundle.io.atomic.temporary import is_temporary
 from tests.io.kills import killed_before
 from tests.scenes import make_problem, scene

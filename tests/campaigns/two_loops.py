@@ -24,7 +24,7 @@ import bundle
 from bundle.inertial.two_loops.closure_loop import Keyframe
 from bundle.inertial.two_loops.loop_thread import deadline_priority
 from bundle.inertial.two_loops.pose_publisher import Solution
-from bundle.inertial.two_loops.process_solver import ProcessSolver, serve
+from bundle.inertial.two_loops.replay import ProcessSolver, serve
 from tests.inertial.two_loops.motion import KEYFRAME_EVERY, RATE, Flight, drifted
 from tests.inertial.two_loops.test_loops import SHIFT, YAW, closure_of
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import bundle
+from bundle.judging.validation.candidate_fits import refine_command
 from bundle.judging.validation.candidates import Candidate, default_candidates, with_cameras
-from bundle.judging.validation.prediction import refine_command
 from tests.judging.validation.test_candidates import two_sizes
 from tests.judging.validation.test_validate import photographs
 from tests.scenes import make_problem, scene

@@ -17,10 +17,10 @@ from bundle.georeference import survey
 from bundle.georeference.control_point import Measurement
 from bundle.georeference.gcp_list import read_gcp_list
 from bundle.georeference.gps_positions import GpsPositions
-from bundle.georeference.image_index import ImageIndex
 from bundle.georeference.local_frame import LocalFrame
 from bundle.georeference.similarity import Similarity, moved
 from bundle.georeference.similarity_fit import Correspondences, fit_similarity
+from bundle.georeference.text_lines import ImageIndex
 from bundle.georeference.triangulated_targets import triangulate
 from bundle.model.lenses.pixel_rays import pixel_rays
 from bundle.model.reprojection import reprojection_errors

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from bundle.georeference.consensus import _squared_lengths, agreeing
-from bundle.georeference.similarity import umeyama
+from bundle.georeference.similarity import _squared_lengths, agreeing, umeyama
 
 
 def correspondences(count, sigma, seed, flat=False):

@@ -9,7 +9,7 @@ from bundle import GroundControlPoint, InputError, PositionPrior
 from bundle.georeference.control_point import Measurement
 from bundle.georeference.prior_alignment import level_similarity
 from bundle.georeference.similarity_fit import WIDEST_ANGLE, Correspondences
-from bundle.solving.placed_problem import place_at_priors
+from bundle.solving.request import place_at_priors
 from tests.georeference.test_attitude_priors import gravity_of, tilt, upright_and_turned
 
 

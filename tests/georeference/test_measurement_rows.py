@@ -14,7 +14,6 @@ import pytest
 import bundle
 from bundle.base.display import Display
 from bundle.errors import InputError
-from bundle.georeference.image_index import ImageFinder, rows_of_images
 from bundle.georeference.measurements import (
     ROWS,
     FoundPriors,
@@ -27,6 +26,7 @@ from bundle.georeference.measurements import (
     move_models,
     settings_of,
 )
+from bundle.georeference.text_lines import ImageFinder, rows_of_images
 from bundle.graphs.factors.factors import PositionFactor
 from bundle.interface.georeference_options import GeoreferenceOptions
 from bundle.interface.option_class import Options

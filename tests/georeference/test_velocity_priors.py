@@ -11,7 +11,7 @@ import bundle
 from bundle import InputError, PositionPrior, VelocityPrior
 from bundle.georeference.similarity import Similarity, moved
 from bundle.georeference.velocities import ProblemVelocities
-from bundle.solving.placed_problem import place_at_priors
+from bundle.solving.request import place_at_priors
 from tests import rolling, scenes
 from tests.campaigns.rolling_shutter import found_readout, make
 

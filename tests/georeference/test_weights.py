@@ -8,9 +8,9 @@ import pytest
 import bundle
 from bundle import GroundControlPoint
 from bundle.georeference.gps_positions import GpsPositions
-from bundle.georeference.image_index import ImageIndex
 from bundle.georeference.local_frame import LocalFrame
 from bundle.georeference.survey_priors import gcp_priors
+from bundle.georeference.text_lines import ImageIndex
 from bundle.georeference.triangulated_targets import triangulate
 from tests.georeference.flights import flight
 

@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from bundle.io.atomic import model_files
-from bundle.io.atomic.model_files import missing_model_files, models_below
+from bundle.io.atomic import replaced_paths
+from bundle.io.atomic.replaced_paths import missing_model_files, models_below
 
 
 def make_model(folder: Path) -> Path:
@@ -28,7 +28,7 @@ def test_links_are_not_followed(tmp_path: Path) -> None:
 
 
 def test_the_search_is_bounded(tmp_path: Path, monkeypatch) -> None:
-    monkeypatch.setattr(model_files, "MOST_FOLDERS", 3)
+    monkeypatch.setattr(replaced_paths, "MOST_FOLDERS", 3)
     for name in "abcde":
         make_model(tmp_path / name)
     assert models_below(tmp_path) == [tmp_path / name for name in "abc"]

@@ -4,7 +4,7 @@ import pytest
 
 import bundle
 from bundle.interface.colmap_options import ROUNDING
-from bundle.io.project_ini import read_project_ini
+from bundle.io.database_images import read_project_ini
 
 WRITTEN = """log_to_stderr=false
 database_path=a.db

@@ -19,7 +19,7 @@ from bundle.model.folds import folds_of
 from bundle.model.rigid_motions import rotation_matrices
 from bundle.planning.comparison import process
 from bundle.solving.rounds import input_digest
-from bundle.solving.slices.out_of_core import OutOfCoreRefinement, scratch_folder
+from bundle.solving.slices.sliced_refinement import OutOfCoreRefinement, scratch_folder
 from tests.rig_scenes import rig_problem
 from tests.rolling import filmed
 from tests.solving.ranks.thread_crew import processes

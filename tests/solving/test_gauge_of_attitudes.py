@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 import bundle
 from bundle import GravityPrior, HeadingPrior, OrientationPrior, PositionPrior
-from bundle.solving.placed_problem import place_at_priors
+from bundle.solving.request import place_at_priors
 from tests.rig_scenes import STEREO
 from tests.solving.test_gauge_freedom import mono, nullity, options, rigs, two_halves
 

@@ -17,8 +17,9 @@ from bundle.interface.scene_options import MOTIONS
 from bundle.io.sequences.sequence_folder import load_sequence
 from bundle.io.sequences.trajectory_files import load_trajectory
 from bundle.model.rigid_motions import inverse_poses, multiply_poses, quaternion_rotate
-from bundle.synthetic.flight_motions import (
+from bundle.synthetic.synthetic_flight import (
     DEGREE,
+    DENSITIES,
     GRAVITY,
     control_points,
     control_times,
@@ -27,7 +28,6 @@ from bundle.synthetic.flight_motions import (
     spline_at,
     surroundings,
 )
-from bundle.synthetic.synthetic_flight import DENSITIES
 
 QUIET = {"imu_noise_scale": 0.0, "gyro_bias": 0.0, "accel_bias": 0.0, "pixel_noise": 0.0}
 

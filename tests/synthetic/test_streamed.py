@@ -9,8 +9,7 @@ from bundle import InputError, SceneOptions, _core
 from bundle.base.components import component_roots
 from bundle.model.reprojection import reprojection_error
 from bundle.synthetic import blocks
-from bundle.synthetic.blocks import SceneInBlocks
-from bundle.synthetic.streamed import ErrorTally, SceneTally, write_bal_scene
+from bundle.synthetic.blocks import ErrorTally, SceneInBlocks, SceneTally, write_bal_scene
 from tests.scenes import make_problem
 
 ARRAYS = (

@@ -14,7 +14,7 @@ from bundle.cli.refinement import OF_PLAIN, Refinement
 from bundle.errors import InputError, shown
 from bundle.interface.option_class import OPTION_CLASSES, option_class
 from bundle.interface.options import SolveOptions
-from bundle.io.atomic.model_files import ROLLING_SHUTTER, is_text_model, missing_model_files
+from bundle.io.atomic.replaced_paths import ROLLING_SHUTTER, is_text_model, missing_model_files
 from bundle.io.open import output_format, recover
 from bundle.io.recognition import imported_format
 from bundle.reports.sections import Report, Section
@@ -22,8 +22,7 @@ from bundle.solving.ranks.launch import current
 from bundle.solving.slices.scratch_size import RESIDENT_BYTES
 
 if TYPE_CHECKING:
-    from bundle.solving.slices.out_of_core import OutOfCoreRefinement
-    from bundle.solving.slices.sliced_refinement import SlicedRefinement
+    from bundle.solving.slices.sliced_refinement import OutOfCoreRefinement, SlicedRefinement
 
 _FLAG = "--out-of-core"
 _SERVED = OF_PLAIN - {"checkpoints"}
@@ -49,7 +48,7 @@ def on_disk(asked: Refinement) -> AbstractContextManager[None]:
             f"{_FLAG}: expected --twists free, found {asked.options.twists}, whose ties need all "
             "of INPUT"
         )
-    from bundle.solving.slices.out_of_core import scratch_folder  # few runs need it
+    from bundle.solving.slices.sliced_refinement import scratch_folder  # few runs need it
 
     return scratch_folder(folder)
 
@@ -69,7 +68,7 @@ def input_on_disk(asked: Refinement) -> OutOfCoreRefinement:
             f"{_FLAG}: expected OUTPUT in the format of INPUT, which is copied from file to file, "
             f"found {shown(asked.target)}"
         )
-    from bundle.solving.slices.out_of_core import OutOfCoreRefinement
+    from bundle.solving.slices.sliced_refinement import OutOfCoreRefinement
 
     return OutOfCoreRefinement(path, str(asked.disk.out_of_core))
 

@@ -18,8 +18,7 @@ from typing import Any
 from bundle.base.records import dataclass
 from bundle.errors import InputError, shown
 from bundle.io.atomic import atomic_write as atomic
-from bundle.io.atomic.model_files import MODEL_FILES
-from bundle.io.atomic.replaced_paths import is_stream
+from bundle.io.atomic.replaced_paths import MODEL_FILES, is_stream
 from bundle.io.georeference_file import GEOREFERENCE
 from bundle.io.recognition import PAGE, SEQUENCE_FILES, check_name, reconstruction_at
 

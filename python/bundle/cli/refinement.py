@@ -256,7 +256,7 @@ def take_colmap_options(arguments: argparse.Namespace) -> None:
     path = arguments.colmap_options
     if path is None:
         return
-    from bundle.io.project_ini import read_project_ini  # for this flag only
+    from bundle.io.database_images import read_project_ini  # for this flag only
 
     asked = read_project_ini(path)
     if asked.min_track_length > SHORTEST_TRACK:

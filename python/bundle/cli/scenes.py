@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from bundle.cli.run import Run
     from bundle.georeference.attitude_priors import AttitudePrior
     from bundle.model.problem import Problem
-    from bundle.synthetic.streamed import SceneTally
+    from bundle.synthetic.blocks import SceneTally
     from bundle.synthetic.synthesis import SyntheticScene
 
 
@@ -37,8 +37,7 @@ def make_scene(run: Run) -> Report:
     from bundle.io.open import check_target, output_format, save
     from bundle.io.rolling_shutter_file import LOST_ROLLING_SHUTTER
     from bundle.reports.terminal.outputs import synthesized
-    from bundle.synthetic.blocks import SceneInBlocks
-    from bundle.synthetic.streamed import write_bal_scene
+    from bundle.synthetic.blocks import SceneInBlocks, write_bal_scene
     from bundle.synthetic.synthesis import SyntheticScene, assemble, filmed, measured_attitudes
 
     arguments, progress, path = run.arguments, run.progress, run.target
@@ -98,8 +97,12 @@ def _write_attitudes(
     paths: dict[str, str], priors: tuple[AttitudePrior, ...], images: Problem, format: str
 ) -> None:
     """Write the priors of each kind; a BAL file identifies images by index only."""
-    from bundle.georeference.attitude_files import gravity_text, orientation_text
-    from bundle.georeference.attitude_priors import GravityPrior, OrientationPrior
+    from bundle.georeference.attitude_priors import (
+        GravityPrior,
+        OrientationPrior,
+        gravity_text,
+        orientation_text,
+    )
 
     ids = images.image_ids.tolist()
     words = map(str, range(len(ids))) if format == "bal" else images.image_names
@@ -116,7 +119,7 @@ def _write_attitudes(
 
 def _tally(scene: SyntheticScene) -> SceneTally:
     from bundle.model.reprojection import reprojection_error
-    from bundle.synthetic.streamed import SceneTally
+    from bundle.synthetic.blocks import SceneTally
 
     problem = scene.problem
     tally = SceneTally(problem.num_images)

@@ -11,7 +11,7 @@ points that meet at a keypoint of a shared image, and centres of other shared im
 pair the scale is undetermined.
 
 Every shared image gives such a candidate; of many images, a selection does. Another candidate is
-the weighted fit to consistent points and centres (``georeference.consensus``,
+the weighted fit to consistent points and centres (``georeference.similarity``,
 ``georeference.similarity_fit``), unless these lie on one line. The candidate with the smallest
 median residual in sigmas wins. One sigma is the error of a point that appears as large as the width
 of an image, so that distant points count less. This method needs no third image, unlike
@@ -27,8 +27,7 @@ from numpy.typing import NDArray
 
 from bundle.base.words import plural
 from bundle.errors import InputError
-from bundle.georeference.consensus import agreeing
-from bundle.georeference.similarity import Similarity
+from bundle.georeference.similarity import Similarity, agreeing
 from bundle.georeference.similarity_fit import Correspondences, fit_similarity
 from bundle.model.problem import Problem
 from bundle.model.rigid_motions import rotation_matrices

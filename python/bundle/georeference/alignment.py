@@ -26,13 +26,13 @@ from bundle.georeference.control_point import (
 )
 from bundle.georeference.gcp_list import given_control_points, with_check_points
 from bundle.georeference.gps_positions import GpsPositions
-from bundle.georeference.image_index import ImageIndex
 from bundle.georeference.local_frame import with_origin
 from bundle.georeference.other_readings import check_readings
 from bundle.georeference.similarity import moved
 from bundle.georeference.similarity_fit import Correspondences, fit_similarity
 from bundle.georeference.survey import Survey, control_point_error
 from bundle.georeference.survey_priors import GPS_SIGMA, given_gps
+from bundle.georeference.text_lines import ImageIndex
 from bundle.interface.georeference_options import ROBUST_SCALE
 from bundle.interface.option_fields import choice, number
 from bundle.interface.options import LOSSES

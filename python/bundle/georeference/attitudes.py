@@ -15,9 +15,12 @@ from bundle.base.display import Display
 from bundle.base.records import dataclass
 from bundle.base.words import few, noun, plural
 from bundle.errors import InputError, brief, shown
-from bundle.georeference.attitude_files import read_gravity, read_orientations
-from bundle.georeference.attitude_priors import AttitudePrior, GravityPrior
-from bundle.georeference.image_index import ImageFinder
+from bundle.georeference.attitude_priors import (
+    AttitudePrior,
+    GravityPrior,
+    read_gravity,
+    read_orientations,
+)
 from bundle.georeference.measurements import KnownPriors, MeasurementErrors, Solved
 from bundle.georeference.problem_attitudes import (
     MEDIAN,
@@ -28,6 +31,7 @@ from bundle.georeference.problem_attitudes import (
     log,
 )
 from bundle.georeference.similarity import Similarity, moved
+from bundle.georeference.text_lines import ImageFinder
 from bundle.interface.georeference_options import GRAVITY_SIGMA, ORIENTATION_SIGMA, ROBUST_SCALES
 from bundle.interface.option_fields import choice, number
 from bundle.interface.options import LOSSES

@@ -28,8 +28,8 @@ from bundle.base.words import few, plural
 from bundle.errors import InputError, brief, shown
 from bundle.georeference.attitude_priors import OrientationPrior
 from bundle.georeference.gps_positions import EXIF_TAGS, GpsPositions
-from bundle.georeference.image_index import last_part
 from bundle.georeference.reference_system import WGS84
+from bundle.georeference.text_lines import last_part
 
 _GPS = 0x8825
 """Tag of the directory of GPS tags."""

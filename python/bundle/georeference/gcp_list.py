@@ -45,9 +45,8 @@ from bundle.georeference.control_point import (
     parse_pixel_sigma,
     parse_sigma,
 )
-from bundle.georeference.image_index import ImageIndex
 from bundle.georeference.local_frame import is_opensfm
-from bundle.georeference.text_lines import parse_number, read_lines
+from bundle.georeference.text_lines import ImageIndex, parse_number, read_lines
 from bundle.io.formats.file_values import Node, read_json
 from bundle.model.problem import Problem
 

@@ -17,10 +17,9 @@ from bundle.base.records import dataclass
 from bundle.base.words import few, plural
 from bundle.errors import InputError, brief, shown
 from bundle.georeference.control_point import Sigma
-from bundle.georeference.image_index import ImageIndex
 from bundle.georeference.local_frame import LocalFrame, frame_of
 from bundle.georeference.reference_system import ReferenceSystem
-from bundle.georeference.text_lines import parse_number, read_lines
+from bundle.georeference.text_lines import ImageIndex, parse_number, read_lines
 from bundle.io.database_images import open_database
 from bundle.io.formats.file_values import Node, parsed, read_json
 from bundle.model.problem import Problem

@@ -34,8 +34,7 @@ if TYPE_CHECKING:
     from bundle.georeference.alignment_result import ControlPointError
     from bundle.georeference.attitude_priors import AttitudePrior
     from bundle.georeference.control_point import GroundControlPoint, ScaleBar
-    from bundle.georeference.point_check import SurveyChecks
-    from bundle.georeference.position_offset import PositionOffset
+    from bundle.georeference.point_check import PositionOffset, SurveyChecks
     from bundle.georeference.similarity import Similarity
     from bundle.georeference.vector_priors import VectorPrior
     from bundle.graphs.factors.factors import Factor

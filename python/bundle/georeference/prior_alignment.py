@@ -19,13 +19,12 @@ from numpy.typing import NDArray
 
 from bundle.base.records import dataclass
 from bundle.errors import InputError, brief
-from bundle.georeference.consensus import agreeing
-from bundle.georeference.image_index import rows_of_images
 from bundle.georeference.measurements import FoundPriors
-from bundle.georeference.position_offset import PositionOffset
-from bundle.georeference.similarity import Similarity, moved
+from bundle.georeference.point_check import PositionOffset
+from bundle.georeference.similarity import Similarity, agreeing, moved
 from bundle.georeference.similarity_fit import WIDEST_ANGLE, Correspondences, fit_similarity
 from bundle.georeference.target_priors import TargetPriors
+from bundle.georeference.text_lines import rows_of_images
 from bundle.georeference.vector_priors import PositionPrior
 from bundle.graphs.factors.factors import Factor, PositionFactor
 from bundle.graphs.factors.variables import as_list

@@ -29,9 +29,9 @@ from bundle.georeference.attitude_priors import (
     HeadingPrior,
     OrientationPrior,
 )
-from bundle.georeference.image_index import rows_of_images
 from bundle.georeference.measurements import FoundPriors
 from bundle.georeference.similarity import Similarity
+from bundle.georeference.text_lines import rows_of_images
 from bundle.graphs.factors.factors import Factor
 from bundle.model.problem import Problem
 from bundle.model.rigid_motions import (

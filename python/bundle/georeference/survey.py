@@ -16,10 +16,10 @@ from bundle.errors import InputError
 from bundle.georeference.alignment_result import ControlPointError, as_triple
 from bundle.georeference.control_point import GroundControlPoint, Sigma
 from bundle.georeference.gps_positions import GpsPositions, case_notes, matched, too_few
-from bundle.georeference.image_index import ImageIndex
 from bundle.georeference.local_frame import LocalFrame
 from bundle.georeference.reference_system import ReferenceSystem
 from bundle.georeference.similarity_fit import Correspondences, SimilarityFit, fit_similarity
+from bundle.georeference.text_lines import ImageIndex
 from bundle.georeference.triangulated_targets import Triangulated, triangulate
 from bundle.model.problem import Problem
 from bundle.model.rigid_motions import rotation_matrices

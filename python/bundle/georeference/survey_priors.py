@@ -37,7 +37,6 @@ from bundle.georeference.gps_positions import (
     unmatched_notes,
     with_fix,
 )
-from bundle.georeference.image_index import ImageIndex
 from bundle.georeference.local_frame import LocalFrame, is_opensfm
 from bundle.georeference.measurements import KnownPriors, Solved
 from bundle.georeference.other_readings import check_readings
@@ -45,6 +44,7 @@ from bundle.georeference.point_check import SurveyChecks
 from bundle.georeference.prior_alignment import ProblemPriors, robust_similarity
 from bundle.georeference.similarity_fit import fit_similarity
 from bundle.georeference.survey import Survey
+from bundle.georeference.text_lines import ImageIndex
 from bundle.georeference.vector_priors import PositionPrior
 from bundle.interface.georeference_options import ROBUST_SCALE
 from bundle.io.database_images import is_database

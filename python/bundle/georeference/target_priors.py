@@ -23,11 +23,11 @@ from bundle.base.records import dataclass
 from bundle.errors import InputError
 from bundle.georeference.alignment_result import ControlPointError
 from bundle.georeference.control_point import GCP_PIXEL_SIGMA, GCP_SIGMA, GroundControlPoint
-from bundle.georeference.image_index import ImageIndex
 from bundle.georeference.measurements import FoundPriors
 from bundle.georeference.similarity import Similarity
 from bundle.georeference.similarity_fit import Correspondences
 from bundle.georeference.survey import control_point_error, surveyed
+from bundle.georeference.text_lines import ImageIndex
 from bundle.georeference.triangulated_targets import Triangulated, triangulate
 from bundle.georeference.vector_priors import UNKNOWN
 from bundle.graphs.factors.factors import PriorFactor

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from bundle.base.records import dataclass
 from bundle.georeference.control_point import GroundControlPoint, Measurement
-from bundle.georeference.image_index import ImageIndex
+from bundle.georeference.text_lines import ImageIndex
 from bundle.model.cameras import camera_models, project
 from bundle.model.lenses.pixel_rays import pixel_rays
 from bundle.model.problem import Problem

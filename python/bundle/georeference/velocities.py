@@ -31,9 +31,8 @@ from bundle.base.records import dataclass
 from bundle.base.words import plural
 from bundle.errors import InputError, shown
 from bundle.georeference.control_point import parse_sigma
-from bundle.georeference.image_index import ImageFinder, rows_of_images
 from bundle.georeference.measurements import FoundPriors, KnownPriors, MeasurementErrors, Solved
-from bundle.georeference.text_lines import headed_rows, row_numbers
+from bundle.georeference.text_lines import ImageFinder, headed_rows, row_numbers, rows_of_images
 from bundle.georeference.vector_priors import VectorPrior
 from bundle.graphs.factors.image_factors import VelocityFactor
 from bundle.interface.georeference_options import ROBUST_SCALE, VELOCITY_SIGMA

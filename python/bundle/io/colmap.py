@@ -6,7 +6,7 @@ an error. COLMAP's writer does not check for write errors.
 
 A solve changes poses, camera parameters and points only. If the output has the format of the
 source, these numbers are replaced in the source's files, which
-``bundle.model.pycolmap.deferred_source`` keeps in memory or open. Comments, other digits and the
+``bundle.model.pycolmap.problem_source`` keeps in memory or open. Comments, other digits and the
 order of records stay. All other models are written record by record
 (``bundle.model.colmap.model_records``), byte for byte as COLMAP writes them.
 """
@@ -26,19 +26,18 @@ from numpy.typing import NDArray
 import bundle._core as _core
 from bundle.base.arrays import at
 from bundle.errors import InputError, shown
-from bundle.io.atomic.model_files import (
+from bundle.io.atomic.replaced_paths import (
     ROLLING_SHUTTER,
+    NoteWarning,
     is_text_model,
     missing_model_files,
     models_below,
 )
-from bundle.io.atomic.replaced_paths import NoteWarning
 from bundle.io.rolling_shutter_file import rolling_shutter_text, with_rolling_shutter
 from bundle.model import rig_arrays
 from bundle.model.colmap.model_records import ModelRecords, check, model_records
 from bundle.model.problem import Problem
-from bundle.model.pycolmap.deferred_source import DeferredSource
-from bundle.model.pycolmap.problem_source import LOST_SIGMAS, is_colmap
+from bundle.model.pycolmap.problem_source import LOST_SIGMAS, DeferredSource, is_colmap
 from bundle.model.rig_arrays import pose_differences
 
 # Fields that a solve does not change.

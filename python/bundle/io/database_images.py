@@ -1,4 +1,4 @@
-"""COLMAP's database: access, image sizes, and keypoints with their matches.
+"""COLMAP's database and project.ini: image sizes, keypoints with their matches; options.
 
 Formats such as Bundler's and NVM have no image sizes. A database of the same photographs has them,
 by the name of the image.
@@ -12,6 +12,7 @@ Source: src/colmap/scene/database_sqlite.cc of COLMAP.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from pathlib import Path
@@ -20,10 +21,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.paths import numbered_lines
 from bundle.errors import InputError, brief, shown
+from bundle.interface.colmap_options import ColmapAdjustment, colmap_adjustment
 
 if TYPE_CHECKING:
     import sqlite3
+
 
 MOST_IMAGES = 2**31 - 1
 """COLMAP's ``kMaxNumImages``."""
@@ -166,3 +170,48 @@ def _table(
             f"found {len(data)} bytes"
         )
     return np.frombuffer(data, dtype).reshape(rows, cols)
+
+
+# Reader of COLMAP's project.ini: the options of ``colmap bundle_adjuster``.
+#
+# The file has lines NAME=VALUE, in sections such as [BundleAdjustment] or with the section in the
+# name (BundleAdjustment.refine_focal_length=1); "#" begins a comment. A file that COLMAP writes has
+# the sections of all its programs, of which only those of the bundle adjustment are read.
+
+
+SECTIONS = ("BundleAdjustment", "BundleAdjustmentCeres")
+RENAMED = {"refine_extrinsics": "refine_rig_from_world"}
+"""Names before COLMAP 3.13, by which a file may still call an option."""
+
+
+def read_project_ini(path: str | os.PathLike[str]) -> ColmapAdjustment:
+    """Read the options of a bundle adjustment; those that the file lacks have COLMAP's default."""
+    values: dict[str, str] = {}
+    places: dict[str, str] = {}
+    section = ""
+    for number, line in numbered_lines(path):
+        place = f"{shown(path)}:{number}"
+        text = line.partition("#")[0].strip()
+        if not text:
+            continue
+        if text.startswith("[") and text.endswith("]"):
+            section = text[1:-1].strip()
+            continue
+        name, equals, value = text.partition("=")
+        if not equals:
+            raise InputError(f"{place}: expected NAME=VALUE or [SECTION], found {brief(text)}")
+        owner, _, leaf = f"{section}.{name.strip()}".lstrip(".").rpartition(".")
+        if owner not in SECTIONS:
+            continue
+        leaf = RENAMED.get(leaf, leaf)
+        if leaf in values:
+            raise InputError(f"{place}: {leaf}: expected one value, found a second one")
+        values[leaf], places[leaf] = value.strip(), f"{place}: {owner}.{leaf}"
+    if not values:
+        raise InputError(
+            f"{shown(path)}: expected options of COLMAP's bundle_adjuster in a section "
+            "[BundleAdjustment], found 0"
+        )
+    if (backend := values.pop("backend", "CERES").upper()) not in ("CERES", "0"):
+        raise InputError(f"{places['backend']}: expected CERES, found {brief(backend)}")
+    return colmap_adjustment(values, {}, lambda name: places.get(name, f"{shown(path)}: {name}"))

@@ -12,7 +12,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from bundle.io.atomic.model_files import missing_model_files
+from bundle.io.atomic.replaced_paths import missing_model_files
 
 GEOREFERENCE = "georeference.json"
 OWNER = "model"

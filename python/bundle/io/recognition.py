@@ -11,7 +11,7 @@ from typing import TypeGuard
 
 from bundle.base.words import FORMATS
 from bundle.errors import InputError, shown
-from bundle.io.atomic.model_files import MODEL_FILES, missing_model_files
+from bundle.io.atomic.replaced_paths import MODEL_FILES, missing_model_files
 from bundle.io.formats.registry import BUILT_IN, Format, format_at, format_written
 from bundle.io.python_objects import is_python_object
 

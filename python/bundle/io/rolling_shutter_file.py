@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.errors import InputError, shown
-from bundle.io.atomic.model_files import ROLLING_SHUTTER
+from bundle.io.atomic.replaced_paths import ROLLING_SHUTTER
 from bundle.model.problem import Problem
 from bundle.model.rolling_shutter import DIRECTIONS, ROW_TIMES, RollingShutter
 

@@ -27,8 +27,7 @@ from bundle.model import rig_arrays, rolling_shutter
 from bundle.model.cameras import camera_models
 from bundle.model.problem_arrays import ProblemArrays
 from bundle.model.problem_fields import ARRAYS, check_values, default, sigmas_or_none, strings
-from bundle.model.pycolmap.deferred_source import DeferredSource
-from bundle.model.pycolmap.problem_source import packed, unpacked
+from bundle.model.pycolmap.problem_source import DeferredSource, packed, unpacked
 from bundle.model.selection import select
 
 if TYPE_CHECKING:

@@ -48,7 +48,7 @@ from bundle.interface.options import SolveOptions
 from bundle.io.files import Source, as_problem
 from bundle.model.problem import Problem
 from bundle.model.rigid_motions import cross_matrices, rotation_matrices
-from bundle.solving.placed_problem import place_at_priors
+from bundle.solving.request import place_at_priors
 
 if TYPE_CHECKING:
     from typing import Unpack

@@ -28,8 +28,7 @@ from bundle.model.unobserved import are_images_unrelated
 from bundle.solving.kept_errors import Edit
 from bundle.solving.layout import Layout, lay_out
 from bundle.solving.parameter_changes import known_readouts, weak_baseline
-from bundle.solving.placed_problem import PlacedProblem, place_at_priors
-from bundle.solving.request import Bounds, PartRequest, SolveRequest
+from bundle.solving.request import Bounds, PartRequest, PlacedProblem, SolveRequest, place_at_priors
 from bundle.solving.result import Result
 
 if TYPE_CHECKING:

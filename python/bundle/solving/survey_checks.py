@@ -4,7 +4,7 @@ Control points. ``georeference/point_check.py`` has the test. With n tested poin
 p < 0.01 / n. The largest is accused first; its prior is removed, the rest is adjusted again, and
 tested again: otherwise a gross error hides smaller ones and makes its neighbours look bad.
 
-Offset of positions (``georeference/position_offset.py``). At the minimum without an offset, let
+Offset of positions (``georeference/point_check.py``). At the minimum without an offset, let
 g = sum w L^-T r over all positions be the gradient of the cost by o, and C the covariance of o in
 the model that has it. The offset and its test are
 
@@ -38,10 +38,10 @@ from bundle.georeference.point_check import (
     BarCheck,
     OffsetCheck,
     PointCheck,
+    PositionOffset,
     SurveyChecks,
     scaled_tail,
 )
-from bundle.georeference.position_offset import PositionOffset
 from bundle.georeference.scale_bars import MOST_TESTED, FoundBars, bars_among
 from bundle.georeference.target_priors import TargetPriors, survey_sigmas
 from bundle.graphs.factors.factors import Factor, PositionFactor

@@ -15,6 +15,7 @@ import os
 from typing import NamedTuple, Unpack
 
 import numpy as np
+from numpy.polynomial import polynomial
 from numpy.typing import NDArray
 
 from bundle.interface.option_class import takes_options
@@ -26,21 +27,250 @@ from bundle.model.rigid_motions import (
     inverse_poses,
     multiply_poses,
     quaternion_from_matrix,
+    quaternion_inverse,
+    quaternion_multiply,
+    quaternion_rotate,
     rotation_matrices,
+    vector_from_quaternion,
 )
 from bundle.model.sequence.calibration import Calibration, ImuNoise
 from bundle.model.sequence.sequence import Sequence
-from bundle.synthetic.flight_motions import (
-    Surroundings,
-    control_points,
-    imu_samples,
-    motion_at,
-    surroundings,
-)
+
+# Motions of a flight: splines of position and of yaw, pitch, roll, and exact IMU samples.
+#
+# The body's x axis points forward, y left, z up. Its rotation is R = Rz(yaw) Ry(pitch) Rx(roll),
+# with positive pitch nose down. A motion starts at rest and accelerates over some seconds, so that
+# all splines are continuous.
+#
+# Splines are uniform B-splines of degree five. They have four continuous derivatives, which are
+# computed exactly.
+#
+# The basis function of degree n is nonzero on [0, n + 1] and a polynomial q_k^n(u) on each [k, k +
+# 1], u = t - k. The recursion of Cox and de Boor is
+#
+#     n q_k^n(u) = (u + k) q_k^{n-1}(u) + (n + 1 - k - u) q_{k-1}^{n-1}(u),   q_0^0 = 1.
+#
+# Between knots j and j + 1 the spline is sum_i q_{n-i}^n(u) c_{j+i} over the n + 1 control points
+# of this interval. A control point has its largest influence (n + 1) / 2 intervals after the start
+# of its support. This time is the time of the control point.
+#
+# IMU samples are computed from the states along the spline.
+#
+# With R = Rz(yaw) Ry(pitch) Rx(roll) the angular rate in the body's frame is
+#
+#     w = (roll' - yaw' sin pitch,
+#          pitch' cos roll + yaw' sin roll cos pitch,
+#          yaw' cos roll cos pitch - pitch' sin roll)
+#
+# and the specific force is f = R^T (p'' - g). These are the samples of kind "instant". The kind
+# "interval" is a sensor that integrates over the interval h to its next sample. It measures
+#
+#     w_k = Log(R_k^T R_{k+1}) / h,    f_k = R_k^T ((v_{k+1} - v_k) / h - g)
+#
+# so that R_{k+1} = R_k Exp(w_k h) and v_{k+1} = v_k + (R_k f_k + g) h are exact.
+
 
 Array = NDArray[np.float64]
 
-CHUNK = 64  # number of images to project at once
+DEGREE = 5
+CHUNK = 100_000
+
+
+def control_times(duration: float, spacing: float) -> Array:
+    """Return the times of the control points of a spline over [0, duration]."""
+    count = int(duration / spacing) + 1 + DEGREE
+    times: Array = spacing * (np.arange(count, dtype=np.float64) - (DEGREE - 1) / 2)
+    return times
+
+
+def spline_at(control: Array, spacing: float, times: Array, derivative: int = 0) -> Array:
+    """Return the values of a spline, or of a time derivative, at times within its duration.
+
+    Args:
+        control: (m, d) control points, at :func:`control_times`.
+        spacing: seconds between knots.
+        times: (n,) times in seconds.
+        derivative: order of the derivative.
+
+    Returns:
+        Values (n, d).
+    """
+    weights = _basis(DEGREE)[::-1]  # in the order of the control points
+    coefficients = np.array(
+        [polynomial.polyder(row, derivative) / spacing**derivative for row in weights]
+    )
+    result = np.empty((len(times), control.shape[1]))
+    for begin in range(0, len(times), CHUNK):
+        part = slice(begin, begin + CHUNK)
+        place = times[part] / spacing
+        knot = np.clip(np.floor(place), 0, len(control) - DEGREE - 1).astype(np.int64)
+        shares = polynomial.polyval(place - knot, coefficients.T)  # (DEGREE + 1, chunk)
+        total = np.zeros((len(place), control.shape[1]))
+        for i in range(DEGREE + 1):
+            total += shares[i][:, None] * control[knot + i]
+        result[part] = total
+    return result
+
+
+def _basis(degree: int) -> Array:
+    """Return the coefficients of q_k, constant first, in row k: (degree + 1, degree + 1)."""
+    pieces = np.ones((1, 1))
+    for n in range(1, degree + 1):
+        raised = np.zeros((n + 1, n + 1))
+        for k in range(n):
+            raised[k] += polynomial.polymul(pieces[k], [k, 1.0]) / n
+            raised[k + 1] += polynomial.polymul(pieces[k], [n - k, -1.0]) / n
+        pieces = raised
+    return pieces
+
+
+SPACING = 0.1  # s between knots
+RAMP = 2.0  # s from rest to full motion
+ROOM = np.array([12.0, 12.0, 5.0])  # m, centred at the origin, with the floor at 0
+ROOM_POINTS = 3000
+LOOP_RADIUS, LOOP_SPEED = 3.5, 1.5
+MOTORWAY_SPEED, MOTORWAY_RAMP, MOTORWAY_WEAVING = 30.0, 10.0, 15.0  # m/s, s, s
+ROAD_POINTS_PER_METRE = 4.0
+HOVER_AFTER, HOVER_FADE, HOVER_DRIFT = 8.0, 3.0, 0.002  # s, s, remaining share
+
+
+class Surroundings(NamedTuple):
+    """Points (n, 3) sorted by x, and the range of distances at which the camera sees them [m]."""
+
+    points: Array
+    near: float
+    far: float
+
+
+def control_points(motion: str, duration: float, rest: float, rng: np.random.Generator) -> Array:
+    """Return control points (m, 6): x y z [m], yaw pitch roll [rad]."""
+    time = np.maximum(control_times(duration, SPACING) - rest, 0.0)
+    start = np.clip(time / RAMP, 0, 1)
+    start = start**2 * (3 - 2 * start)
+    if motion == "loop":
+        angle = _distance(time, LOOP_SPEED, RAMP) / LOOP_RADIUS
+        path = np.zeros((len(time), 6))
+        path[:, 0] = LOOP_RADIUS * np.cos(angle)
+        path[:, 1] = LOOP_RADIUS * np.sin(angle)
+        path[:, 2] = 2.0 + 0.4 * np.sin(0.6 * time) * start
+        path[:, 3] = angle + np.pi / 2
+        shake = _wander(time, [0.05, 0.05, 0.05, 0.05, 0.06, 0.08], 0.4, 1.0, rng)
+        return path + start[:, None] * shake
+    if motion == "motorway":
+        path = np.zeros((len(time), 6))
+        path[:, 0] = _distance(time, MOTORWAY_SPEED, MOTORWAY_RAMP)
+        path[:, 2] = 1.5
+        weaving = np.clip((MOTORWAY_WEAVING - time) / RAMP, 0, 1)
+        weaving = start * weaving**2 * (3 - 2 * weaving)
+        shake = _wander(time, [0, 0.5, 0.05, 0.03, 0.01, 0.02], 0.2, 0.7, rng)
+        return path + weaving[:, None] * shake
+    path = np.tile([0.0, 0.0, 2.0, 0.0, 0.0, 0.0], (len(time), 1))
+    slow = _wander(time, [1.6, 1.6, 0.4, 0.8, 0.1, 0.1], 0.05, 0.25, rng)
+    shake = _wander(time, [0.05, 0.05, 0.05, 0.05, 0.06, 0.08], 0.4, 1.0, rng)
+    wander = start[:, None] * (slow + shake)
+    if motion == "hover":
+        fade = np.clip((HOVER_AFTER + HOVER_FADE - time) / HOVER_FADE, 0, 1)
+        fade = fade**2 * (3 - 2 * fade)
+        wander *= np.maximum(fade, HOVER_DRIFT)[:, None]
+    if motion == "rotation_only":
+        wander[:, :3] = 0
+    return path + wander
+
+
+def surroundings(motion: str, control: Array, rng: np.random.Generator) -> Surroundings:
+    """Return the points around the path of a motion."""
+    if motion == "motorway":
+        length = control[:, 0].max() + 150.0
+        count = int(length * ROAD_POINTS_PER_METRE)
+        side = np.where(rng.random(count) < 0.5, -1.0, 1.0)
+        points = np.column_stack(
+            [
+                rng.uniform(-5.0, length, count),
+                side * rng.uniform(6.0, 25.0, count),
+                rng.uniform(0.0, 8.0, count),
+            ]
+        )
+        return Surroundings(points[np.argsort(points[:, 0])], 4.0, 80.0)
+    points = rng.uniform(-0.5, 0.5, (ROOM_POINTS, 3)) * ROOM
+    areas = np.array([ROOM[1] * ROOM[2], ROOM[0] * ROOM[2], ROOM[0] * ROOM[1]])
+    axis = rng.choice(3, ROOM_POINTS, p=areas / areas.sum())
+    rows = np.arange(ROOM_POINTS)
+    points[rows, axis] = np.where(rng.random(ROOM_POINTS) < 0.5, -0.5, 0.5) * ROOM[axis]
+    points[:, 2] += ROOM[2] / 2
+    return Surroundings(points[np.argsort(points[:, 0])], 0.5, 30.0)
+
+
+def _distance(time: Array, speed: float, ramp: float) -> Array:
+    """Return the travelled distance; the acceleration is constant over the first `ramp` seconds."""
+    result: Array = np.where(time < ramp, speed * time**2 / (2 * ramp), speed * (time - ramp / 2))
+    return result
+
+
+def _wander(
+    time: Array, sizes: list[float], slowest: float, fastest: float, rng: np.random.Generator
+) -> Array:
+    """Return sums of three sine waves for each size, with frequencies in Hz between the bounds."""
+    size = np.array(sizes)
+    frequency = rng.uniform(slowest, fastest, (3, len(size)))
+    phase = rng.uniform(0, 2 * np.pi, (3, len(size)))
+    waves = np.sin(2 * np.pi * frequency * time[:, None, None] + phase)
+    result: Array = size * waves.sum(axis=1) / np.sqrt(3)
+    return result
+
+
+GRAVITY = np.array([0.0, 0.0, -9.81])
+
+
+def motion_at(control: Array, times: Array) -> Array:
+    """Return (n, 10) rows qx qy qz qw px py pz vx vy vz at times (n,) in seconds."""
+    place = spline_at(control, SPACING, times)
+    velocity = spline_at(control[:, :3], SPACING, times, 1)
+    return np.hstack([_quaternions(place[:, 3:]), place[:, :3], velocity])
+
+
+def imu_samples(control: Array, times: Array, kind: str) -> tuple[Array, Array]:
+    """Return angular rates and specific forces (n, 3) without noise and biases.
+
+    Args:
+        control: (m, 6) control points of the motion.
+        times: (n,) times in seconds; with "interval", the last sample repeats the previous sample.
+        kind: "instant" or "interval".
+    """
+    if kind == "instant":
+        angles = spline_at(control[:, 3:], SPACING, times)
+        rates = spline_at(control[:, 3:], SPACING, times, 1)
+        acceleration = spline_at(control[:, :3], SPACING, times, 2)
+        back = quaternion_inverse(_quaternions(angles))
+        return _body_rates(angles, rates), quaternion_rotate(back, acceleration - GRAVITY)
+    states = motion_at(control, times)
+    back = quaternion_inverse(states[:-1, :4])
+    step = np.diff(times)[:, None]
+    gyro = vector_from_quaternion(quaternion_multiply(back, states[1:, :4])) / step
+    accel = quaternion_rotate(back, np.diff(states[:, 7:], axis=0) / step - GRAVITY)
+    return np.vstack([gyro, gyro[-1:]]), np.vstack([accel, accel[-1:]])
+
+
+def _body_rates(angles: Array, rates: Array) -> Array:
+    (_, pitch, roll), (d_yaw, d_pitch, d_roll) = angles.T, rates.T
+    return np.column_stack(
+        [
+            d_roll - d_yaw * np.sin(pitch),
+            d_pitch * np.cos(roll) + d_yaw * np.sin(roll) * np.cos(pitch),
+            d_yaw * np.cos(roll) * np.cos(pitch) - d_pitch * np.sin(roll),
+        ]
+    )
+
+
+def _quaternions(angles: Array) -> Array:
+    """Return unit quaternions (n, 4) of yaw, pitch, roll (n, 3)."""
+    sine, cosine = np.sin(angles / 2), np.cos(angles / 2)
+    axes = [np.zeros((len(angles), 4)) for _ in range(3)]
+    for index, axis in enumerate((2, 1, 0)):
+        axes[index][:, axis], axes[index][:, 3] = sine[:, index], cosine[:, index]
+    return quaternion_multiply(quaternion_multiply(axes[0], axes[1]), axes[2])
+
+
+CHUNK_OF_IMAGES = 64  # number of images to project at once
 
 
 class Pinhole(NamedTuple):
@@ -84,8 +314,8 @@ def follow(
     next_id = 0
     parts: list[tuple[NDArray[np.int64], ...]] = []
     coordinates: list[Array] = []
-    for begin in range(0, len(poses), CHUNK):
-        chunk = slice(begin, min(begin + CHUNK, len(poses)))
+    for begin in range(0, len(poses), CHUNK_OF_IMAGES):
+        chunk = slice(begin, min(begin + CHUNK_OF_IMAGES, len(poses)))
         ahead = poses[chunk, 4]
         low = int(np.searchsorted(x, ahead.min() - around.far))
         near = around.points[low : int(np.searchsorted(x, ahead.max() + around.far))]

@@ -152,7 +152,7 @@ def test_attitudes_beside_the_motions(flight, model, kind, free):
 def test_the_minimum_with_attitudes_is_that_of_a_dense_system(monkeypatch, flight, model):
     """The Newton step of all factors, from the information matrix of a graph, is zero."""
     from bundle.inertial.offline import motion_solve
-    from bundle.solving.placed_problem import place_at_priors
+    from bundle.solving.request import place_at_priors
     from tests.inertial.offline.test_imu_consistency import graph_of
 
     problem, stamps = model

@@ -13,8 +13,7 @@ import bundle
 from bundle import InputError
 from bundle.cli.main import main
 from bundle.inertial.two_loops.closure_loop import Closure, ClosureLoop, load_closures
-from bundle.inertial.two_loops.process_solver import ProcessSolver
-from bundle.inertial.two_loops.replay import run_two_loops
+from bundle.inertial.two_loops.replay import ProcessSolver, run_two_loops
 from bundle.inertial.two_loops.yaw_motion import YawMotion
 from bundle.inertial.vio.odometry import run_odometry
 from bundle.inertial.vio.trajectory_comparison import states_at

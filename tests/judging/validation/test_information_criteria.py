@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from bundle import SolveOptions
+from bundle.judging.validation.candidate_fits import dispersion, information_criteria
 from bundle.judging.validation.judgement import _criteria
 from bundle.judging.validation.known_positions import Certainty
-from bundle.judging.validation.prediction import dispersion, information_criteria
 
 
 def test_dispersion_of_the_trivial_loss_is_the_variance():

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bundle.judging.validation.prediction import (
+from bundle.judging.validation.candidate_fits import (
     normalized_errors,
     prediction_covariances,
     squared_errors,

@@ -12,8 +12,8 @@ from bundle.model.reprojection import linearize
 from bundle.model.rigid_motions import quaternion_from_vector, quaternion_multiply
 from bundle.planning.comparison import process
 from bundle.planning.comparison.compare_methods import compare
-from bundle.planning.comparison.minima import SolutionDistance, find_minima
 from bundle.planning.comparison.process import WorkerEnd
+from bundle.planning.comparison.recommendation import SolutionDistance, find_minima
 from tests.planning.comparison.fakes import CERES, DENSE, ITERATIVE, SPARSE, done, failed
 from tests.scenes import make_problem
 

@@ -12,8 +12,7 @@ import pytest
 import bundle
 from bundle.figures.marks import linear, logarithmic, short
 from bundle.reports.page.elimination_player import place
-from bundle.reports.page.page import as_json, tag, write_page
-from bundle.reports.page.pictures import png
+from bundle.reports.page.page import as_json, png, tag, write_page
 from tests.reports.page.reader import Page, check_self_contained
 
 HOSTILE = "</script><script>alert(1)</script><!-- & \u2028 \" ' \\"

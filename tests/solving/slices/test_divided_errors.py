@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from bundle.model.reprojection import summarize_errors
-from bundle.solving.slices.slice_errors import divided_statistics
+from bundle.solving.slices.slice_process import divided_statistics
 from tests.solving.ranks.thread_crew import ThreadCrew
 
 

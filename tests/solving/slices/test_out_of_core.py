@@ -18,9 +18,9 @@ import bundle._core as _core
 from bundle.errors import InputError
 from bundle.solving import kept_errors
 from bundle.solving.kept_errors import PixelErrors
-from bundle.solving.slices import out_of_core, slice_errors, slice_reading
-from bundle.solving.slices.out_of_core import scratch_folder
+from bundle.solving.slices import slice_process, slice_reading, sliced_refinement
 from bundle.solving.slices.scratch_size import scratch_bytes
+from bundle.solving.slices.sliced_refinement import scratch_folder
 from tests.cli.conftest import command, environment, run  # noqa: F401
 from tests.rig_scenes import rig_problem
 
@@ -91,8 +91,8 @@ GROWTH = """
 import re, sys
 from pathlib import Path
 from bundle.cli.main import main
-from bundle.solving.slices import out_of_core
-out_of_core.RESIDENT_BYTES = 1 << 24
+from bundle.solving.slices import sliced_refinement
+sliced_refinement.RESIDENT_BYTES = 1 << 24
 code = main(sys.argv[1:])
 print(code, re.search(r"VmHWM:\\s+(\\d+)", Path("/proc/self/status").read_text())[1])
 """
@@ -188,7 +188,7 @@ def test_statistics_by_blocks_are_those_of_all(monkeypatch, limit, spoilt, cheir
 
     before, after = errors(1), errors(2)
     expected = kept_errors.measure(copied(before), copied(after), None, limit)
-    found = slice_errors.measure_on_disk(copied(before), copied(after), limit)
+    found = slice_process.measure_on_disk(copied(before), copied(after), limit)
     assert expected is not None
     for one, other in zip(numbers(found), numbers(expected), strict=True):
         assert one == pytest.approx(other, rel=1e-12, nan_ok=True)
@@ -250,7 +250,7 @@ def test_the_predicted_disk_bounds_the_measured_one(tmp_path):
     path, num_observations = tmp_path / "scene.txt", 900_000
     write_scene(path, num_observations)
     with scratch_folder(str(tmp_path)):
-        refinement = out_of_core.OutOfCoreRefinement(path, str(tmp_path))
+        refinement = sliced_refinement.OutOfCoreRefinement(path, str(tmp_path))
         refinement.solve(bundle.SolveOptions(max_num_iterations=1), None)
         _, most = _core.scratch_use()
     predicted = scratch_bytes(num_observations, num_observations // TRACK_LENGTH)

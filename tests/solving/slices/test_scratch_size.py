@@ -5,7 +5,7 @@ import shutil
 import pytest
 
 import bundle
-from bundle.solving.slices import out_of_core
+from bundle.solving.slices import sliced_refinement
 from bundle.solving.slices.scratch_size import RESIDENT_BYTES, refuse_small_disk, scratch_bytes
 
 CASES = [
@@ -43,13 +43,13 @@ def test_a_small_disk_is_refused_before_the_model_is_read(monkeypatch, tmp_path)
     def read(*_):
         raise AssertionError("the model was read")
 
-    monkeypatch.setattr(out_of_core, "LoneProcess", read)
+    monkeypatch.setattr(sliced_refinement, "LoneProcess", read)
     disk(monkeypatch, 1000)
     with pytest.raises(bundle.InputError, match=r"^--out-of-core: expected"):
-        out_of_core.OutOfCoreRefinement(tmp_path / "m.txt", str(tmp_path))
+        sliced_refinement.OutOfCoreRefinement(tmp_path / "m.txt", str(tmp_path))
     disk(monkeypatch, 1 << 40)
     with pytest.raises(AssertionError, match="the model was read"):
-        out_of_core.OutOfCoreRefinement(tmp_path / "m.txt", str(tmp_path))
+        sliced_refinement.OutOfCoreRefinement(tmp_path / "m.txt", str(tmp_path))
 
 
 def test_a_gibibyte_stays_in_memory():

@@ -31,8 +31,14 @@ from pathlib import Path
 from bundle.base.own_process import interrupts_deferred
 from bundle.errors import InputError, shown
 from bundle.io.atomic import replacement
-from bundle.io.atomic.model_files import MODEL_FILES, missing_model_files
-from bundle.io.atomic.replaced_paths import append, is_stream, mount_points, note_replaced
+from bundle.io.atomic.replaced_paths import (
+    MODEL_FILES,
+    append,
+    is_stream,
+    missing_model_files,
+    mount_points,
+    note_replaced,
+)
 from bundle.io.atomic.temporary import (
     NEW,
     Temporary,

@@ -14,8 +14,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from bundle.errors import InputError, shown
-from bundle.io.atomic.model_files import MODEL_FILES
-from bundle.io.atomic.replaced_paths import mount_points
+from bundle.io.atomic.replaced_paths import MODEL_FILES, mount_points
 from bundle.io.atomic.temporary import (
     NEW,
     OLD,

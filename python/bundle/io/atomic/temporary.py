@@ -19,7 +19,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from bundle.io.atomic.model_files import MODEL_FILES
+from bundle.io.atomic.replaced_paths import MODEL_FILES
 
 NEW = "new"  # inside a temporary folder: the new model; after an exchange, the old model
 OLD = "old"  # inside a temporary folder: old files that were moved away one by one

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from bundle.base.records import dataclass
 from bundle.base.words import noun, number
 from bundle.errors import InputError, brief
-from bundle.georeference.image_index import last_part
+from bundle.georeference.text_lines import last_part
 from bundle.model.pose_table import PoseTable
 from bundle.model.sequence.sequence import other_unit
 

@@ -33,8 +33,7 @@ from bundle.judging.evaluation.evaluation_result import Evaluation, RelativeErro
 from bundle.judging.evaluation.lens_difference import lens_differences
 from bundle.judging.evaluation.movement_in_sigmas import SigmaMovement, movement_in_sigmas
 from bundle.judging.evaluation.pair_errors import MOST_IMAGES as MOST_IN_PAIRS
-from bundle.judging.evaluation.pair_errors import pair_errors
-from bundle.judging.evaluation.shared_points import point_difference, shared_points
+from bundle.judging.evaluation.pair_errors import pair_errors, point_difference, shared_points
 from bundle.judging.evaluation.verdict_word import Compared, findings_of, headline_of, word_of
 from bundle.model.pose_table import ErrorStatistics, PoseTable, absolute_errors, relative_errors
 from bundle.model.problem import Problem

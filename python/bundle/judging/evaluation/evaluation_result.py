@@ -19,8 +19,7 @@ from bundle.interface.tabular import Tabular, columns_of
 from bundle.judging.evaluation.association import Association
 from bundle.judging.evaluation.lens_difference import LensDifference
 from bundle.judging.evaluation.movement_in_sigmas import SigmaMovement
-from bundle.judging.evaluation.pair_errors import PairErrors
-from bundle.judging.evaluation.shared_points import PointDifference
+from bundle.judging.evaluation.pair_errors import PairErrors, PointDifference
 from bundle.model.pose_table import ErrorStatistics
 
 Array = NDArray[np.float64]

@@ -12,7 +12,7 @@ shared centres from their mean) and on the rotation error, both as root mean squ
 
 Causes are tried one by one. A cause is a finding if it removes at least 80 % of the error:
 
-    outlier_images  errors of the images that agree with the majority (``georeference.consensus``)
+    outlier_images  errors of the images that agree with the majority (``georeference.similarity``)
     mirrored        A's centres with one coordinate negated, then aligned again
     direction       A or B read as inverse poses, if it is a table of poses; half of the position
                     error suffices, because rotations decide
@@ -36,9 +36,8 @@ from numpy.typing import NDArray
 from bundle.base.records import dataclass
 from bundle.base.words import few, noun, number, plural
 from bundle.errors import InputError
-from bundle.georeference.consensus import agreeing
 from bundle.georeference.pose_alignment import align_centers, angle_about_line, moved_poses
-from bundle.georeference.similarity import Similarity
+from bundle.georeference.similarity import Similarity, agreeing
 from bundle.interface.finding import Finding
 from bundle.judging.evaluation.association import Association
 from bundle.judging.evaluation.lens_difference import LensDifference

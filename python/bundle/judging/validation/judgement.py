@@ -15,7 +15,15 @@ from bundle.georeference.pose_alignment import align_centers
 from bundle.interface.finding import Finding
 from bundle.interface.options import SolveOptions
 from bundle.judging.findings.images import GAIN, gain_of_shutter, price_of
-from bundle.judging.validation.candidate_fits import CandidateFit, Fitting
+from bundle.judging.validation.candidate_fits import (
+    CandidateFit,
+    Fitting,
+    dispersion,
+    information_criteria,
+    normalized_errors,
+    prediction_covariances,
+    refine_command,
+)
 from bundle.judging.validation.candidates import groups_of, is_shared
 from bundle.judging.validation.decision import Cameras, Decision, DecisionRule, decide
 from bundle.judging.validation.known_positions import (
@@ -23,13 +31,6 @@ from bundle.judging.validation.known_positions import (
     KnownErrors,
     certainty,
     known_errors,
-)
-from bundle.judging.validation.prediction import (
-    dispersion,
-    information_criteria,
-    normalized_errors,
-    prediction_covariances,
-    refine_command,
 )
 from bundle.judging.validation.rolling_fits import (
     are_clearly_worse,

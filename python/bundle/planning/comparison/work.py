@@ -45,8 +45,8 @@ from bundle.model.unobserved import require_observations, require_tracks
 from bundle.planning.comparison import process
 from bundle.planning.comparison.comparison_result import ComparedProblem
 from bundle.planning.comparison.measured_run import Measurement, Method, Prediction, Run
-from bundle.planning.comparison.minima import find_minima
 from bundle.planning.comparison.process import WorkerEnd, run_worker
+from bundle.planning.comparison.recommendation import find_minima
 from bundle.planning.inspection.inspection_result import Inspection, MethodInspection
 from bundle.planning.inspection.problem_inspection import inspect
 from bundle.solving.solve import solve

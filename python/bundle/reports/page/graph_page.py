@@ -26,8 +26,7 @@ from bundle.reports.page.elimination_player import (
     order_name,
 )
 from bundle.reports.page.graph_report import structure_section
-from bundle.reports.page.page import tag, write_page
-from bundle.reports.page.pictures import orderings
+from bundle.reports.page.page import orderings, tag, write_page
 from bundle.reports.page.table import CONVENTION, rendered
 from bundle.reports.sections import Section, Table
 from bundle.reports.terminal.inputs import contents_of

@@ -37,8 +37,7 @@ from bundle.reports.page.elimination_player import (
     image_graph,
 )
 from bundle.reports.page.graph_page import write_graph
-from bundle.reports.page.page import command_box, tag, write_page
-from bundle.reports.page.pictures import matrix, orderings
+from bundle.reports.page.page import command_box, matrix, orderings, tag, write_page
 from bundle.reports.page.table import CONVENTION, Notes, rendered
 from bundle.reports.sections import Section, Table
 from bundle.reports.terminal.inspect import factor_table, rank_sections, size_facts

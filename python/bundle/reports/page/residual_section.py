@@ -18,7 +18,7 @@ from bundle.figures.residual_figures import (
     image_frame,
     image_name,
 )
-from bundle.reports.page.pictures import Photograph, photograph
+from bundle.reports.page.page import Photograph, photograph
 from bundle.reports.page.table import rounded
 from bundle.reports.sections import Section, Table
 

@@ -18,8 +18,7 @@ from bundle.figures.marks import (
     direction_colours,
     short,
 )
-from bundle.reports.page.page import tag
-from bundle.reports.page.pictures import data_uri
+from bundle.reports.page.page import data_uri, tag
 
 WIDTH = 400.0
 PAD = 2.0

@@ -10,8 +10,12 @@ from bundle.errors import shown
 from bundle.interface.finding import Finding
 from bundle.planning.comparison.comparison_result import Comparison
 from bundle.planning.comparison.measured_run import Run, Spread
-from bundle.planning.comparison.minima import SAME
-from bundle.planning.comparison.recommendation import command_line, comparison_command, reached_best
+from bundle.planning.comparison.recommendation import (
+    SAME,
+    command_line,
+    comparison_command,
+    reached_best,
+)
 
 SUGGESTED = 1e-3
 """Suggested size of a perturbation: some pixels, from which real models return to their minimum."""

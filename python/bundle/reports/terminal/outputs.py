@@ -38,7 +38,7 @@ from bundle.reports.terminal.inputs import (
     shutter_moves,
     written,
 )
-from bundle.synthetic.streamed import SceneTally
+from bundle.synthetic.blocks import SceneTally
 
 if TYPE_CHECKING:
     from bundle.editing.edit_record import CameraEdits

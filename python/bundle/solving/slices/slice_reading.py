@@ -14,7 +14,7 @@ import bundle._core as _core
 from bundle.base.records import dataclass
 from bundle.errors import InputError, shown
 from bundle.io import bal, colmap
-from bundle.io.atomic.model_files import ROLLING_SHUTTER
+from bundle.io.atomic.replaced_paths import ROLLING_SHUTTER
 from bundle.io.rolling_shutter_file import with_rolling_shutter
 from bundle.model.problem import Problem
 from bundle.solving.ranks.crew import Ranks
