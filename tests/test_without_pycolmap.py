@@ -130,14 +130,14 @@ for call in (
 def test_pixels_are_inverted_as_by_pycolmap(monkeypatch):
     import numpy as np
 
-    from bundle.model.lenses import pixel_rays
+    from bundle.model.lenses import exact_image
     from tests.formulas import PARAMS
 
     rng = np.random.default_rng(4)
     for model in ("SIMPLE_RADIAL", "OPENCV", "OPENCV_FISHEYE", "FOV"):
         xy = rng.uniform(100, 500, (50, 2))
-        expected = pixel_rays.normalized(model, PARAMS[model], xy)
+        expected = exact_image.normalized(model, PARAMS[model], xy)
         with monkeypatch.context() as patch:
-            patch.setattr(pixel_rays, "has_pycolmap", lambda: False)
-            found = pixel_rays.normalized(model, PARAMS[model], xy)
+            patch.setattr(exact_image, "has_pycolmap", lambda: False)
+            found = exact_image.normalized(model, PARAMS[model], xy)
         assert found == pytest.approx(expected, rel=1e-6, abs=1e-7), model

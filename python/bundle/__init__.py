@@ -51,8 +51,9 @@ _DEFERRED = {
         "Certificate PoseGraphResult PoseGraphSummary Staircase"
     ),
     "inertial.preintegration.imu_factors": "BiasWalkFactor ImuFactor",
-    "inertial.preintegration.motion_excitation": "Excitation excitation",
-    "inertial.preintegration.preintegration": "Preintegration Repropagation propagate",
+    "inertial.preintegration.preintegration": (
+        "Excitation Preintegration Repropagation excitation propagate"
+    ),
     "inertial.tracking.track_recording": "TrackedImages Tracking track_images",
     "inertial.two_loops.closure_loop": "ClosureLoop",
     "inertial.two_loops.pose_publisher": "PosePublisher",
@@ -101,7 +102,7 @@ _DEFERRED = {
     "planning.inspection.inspection_result": "Inspection MethodInspection",
     "planning.inspection.problem_inspection": "inspect",
     "reports.page": "report",
-    "reports.saved_report": "save_report",
+    "reports.json_schema": "save_report",
     "solving.colmap_adjustment": "bundle_adjustment",
     "solving.constraints.rule_list": "Constraints",
     "solving.gauge_freedom": "GaugeFreedom gauge_freedom",

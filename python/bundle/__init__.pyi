@@ -80,8 +80,8 @@ from bundle.graphs.pose_graphs.pose_graph_result import Staircase as Staircase
 from bundle.inertial import two_loops as two_loops
 from bundle.inertial.preintegration.imu_factors import BiasWalkFactor as BiasWalkFactor
 from bundle.inertial.preintegration.imu_factors import ImuFactor as ImuFactor
-from bundle.inertial.preintegration.motion_excitation import Excitation as Excitation
-from bundle.inertial.preintegration.motion_excitation import excitation as excitation
+from bundle.inertial.preintegration.preintegration import Excitation as Excitation
+from bundle.inertial.preintegration.preintegration import excitation as excitation
 from bundle.inertial.preintegration.preintegration import Preintegration as Preintegration
 from bundle.inertial.preintegration.preintegration import Repropagation as Repropagation
 from bundle.inertial.preintegration.preintegration import propagate as propagate
@@ -160,7 +160,7 @@ from bundle.planning.inspection.inspection_result import MethodInspection as Met
 from bundle.planning.inspection.problem_inspection import inspect as inspect
 from bundle.reports import page as html
 from bundle.reports.page import report as report
-from bundle.reports.saved_report import save_report as save_report
+from bundle.reports.json_schema import save_report as save_report
 from bundle.solving import constraints as constraints
 from bundle.solving.colmap_adjustment import bundle_adjustment as bundle_adjustment
 from bundle.solving.constraints.rule_list import Constraints as Constraints

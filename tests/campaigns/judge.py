@@ -35,7 +35,7 @@ from scipy.stats import beta
 import bundle
 from bundle.judging.validation import judgement
 from bundle.judging.validation import validate_problem as validation_module
-from bundle.judging.validation.decision import Cameras, DecisionRule, decide
+from bundle.judging.validation.validation_result import Cameras, DecisionRule, decide
 from bundle.model.folds import are_repeated, folds_of
 from bundle.model.reprojection import residuals
 from tests.campaigns import judge_scenes

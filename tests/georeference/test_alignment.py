@@ -22,7 +22,7 @@ from bundle.georeference.similarity import Similarity, moved
 from bundle.georeference.similarity_fit import Correspondences, fit_similarity
 from bundle.georeference.text_lines import ImageIndex
 from bundle.georeference.triangulated_targets import triangulate
-from bundle.model.lenses.pixel_rays import pixel_rays
+from bundle.model.lenses.exact_image import pixel_rays
 from bundle.model.reprojection import reprojection_errors
 from bundle.model.rigid_motions import quaternion_from_matrix, rotation_matrices
 from tests.formulas import PARAMS as MODELS

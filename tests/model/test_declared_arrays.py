@@ -15,7 +15,7 @@ import bundle
 from bundle.base.arrays import VALUES, Array, Index, as_declared, at, check_distinct, refuse_row
 from bundle.io.sequences.trajectory_files import Trajectory
 from bundle.model.pose_table import PoseTable
-from bundle.model.problem_fields import ARRAYS
+from bundle.model.problem import ARRAYS
 from tests.graphs.pose_graphs import graphs
 from tests.inertial.vio.test_sequence_folder import sequence
 from tests.model.test_rolling_shutter import problem_of

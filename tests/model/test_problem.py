@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 import bundle
 from bundle import InputError, Problem, _core
 from bundle.base.arrays import immutable
-from bundle.model.problem_fields import ARRAYS
+from bundle.model.problem import ARRAYS
 from tests import scenes
 
 OPTIONS = bundle.SolveOptions(max_num_iterations=1, num_threads=1)

@@ -303,9 +303,9 @@ COMMANDS: dict[str, Command] = {
             a.pose_graph(("error",), "pose graphs (.g2o)"),
         ),
         ways={
-            Kind.RECONSTRUCTION: Way(run="cli.check:check_model"),
-            Kind.POSE_GRAPH: Way(run="cli.check:check_pose_graph", accepts=f"error {_OF_CHECKS}"),
-            Kind.PYTHON: Way(run="cli.check:check_object", accepts=_OF_CHECKS),
+            Kind.RECONSTRUCTION: Way(run="cli.costs:check_model"),
+            Kind.POSE_GRAPH: Way(run="cli.costs:check_pose_graph", accepts=f"error {_OF_CHECKS}"),
+            Kind.PYTHON: Way(run="cli.costs:check_object", accepts=_OF_CHECKS),
         },
     ),
     "covariance": Command(

@@ -251,8 +251,8 @@ def adjusted_with_imu(
     from bundle.inertial.offline.image_intervals import read_image_times
     from bundle.inertial.offline.imu_adjustment import adjust_with_imu
     from bundle.inertial.offline.inertial_result import ImuSamples
-    from bundle.io.sequences.csv_tables import read_csv
     from bundle.io.sequences.recording_calibration import find_calibration, kind_of_yaml
+    from bundle.io.sequences.trajectory_files import read_csv
     from bundle.model.sequence.calibration import load_calibration, read_yaml
     from bundle.model.sequence.sequence import check_imu, check_stamp_unit
 

@@ -17,10 +17,9 @@ from bundle.base.words import pixels, plural
 from bundle.cli.error_lines import EXIT_DONE, EXIT_NO_SOLUTION, complain
 from bundle.cli.georeferencing import carry_georeference, write_georeference
 from bundle.cli.inertial_flags import adjusted_with_imu
-from bundle.cli.on_disk import on_disk, with_disk_use
 from bundle.cli.output import Progress, publish
 from bundle.cli.problem_edits import loops_closed
-from bundle.cli.refine_input import Opened, open_input
+from bundle.cli.refine_input import Opened, on_disk, open_input, with_disk_use
 from bundle.cli.refinement import Refinement
 from bundle.errors import InputError, shown
 from bundle.georeference.measurements import place_of

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.figures.marks import Figure, Line, line_figure
-from bundle.inertial.preintegration.motion_excitation import HEALTHY, UNOBSERVABLE
+from bundle.inertial.preintegration.preintegration import HEALTHY, UNOBSERVABLE
 from bundle.inertial.vio.keyframe_record import KeyframeRecord
 from bundle.inertial.vio.odometry import OdometryResult
 from bundle.inertial.vio.trajectory_comparison import aligned_in_yaw

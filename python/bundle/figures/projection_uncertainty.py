@@ -39,7 +39,7 @@ from numpy.typing import NDArray
 from bundle.base.records import dataclass
 from bundle.figures.residual_field import image_box, principal_point
 from bundle.model.cameras import camera_models, project
-from bundle.model.lenses.pixel_rays import pixel_rays
+from bundle.model.lenses.exact_image import pixel_rays
 from bundle.model.losses import evaluate_loss
 from bundle.model.problem import Problem
 from bundle.model.reprojection import Residuals, residuals

@@ -17,7 +17,7 @@ from bundle.base.records import dataclass
 from bundle.georeference.control_point import GroundControlPoint, Measurement
 from bundle.georeference.text_lines import ImageIndex
 from bundle.model.cameras import camera_models, project
-from bundle.model.lenses.pixel_rays import pixel_rays
+from bundle.model.lenses.exact_image import pixel_rays
 from bundle.model.problem import Problem
 from bundle.model.rigid_motions import rotation_matrices
 

@@ -24,8 +24,7 @@ from bundle.base.words import plural
 from bundle.errors import InputError, brief, shown
 from bundle.interface.judging_options import DIRECTIONS, POSE_FORMATS
 from bundle.interface.option_fields import choice
-from bundle.io.sequences.csv_tables import read_csv
-from bundle.io.sequences.trajectory_files import load_ground_truth, load_tum
+from bundle.io.sequences.trajectory_files import load_ground_truth, load_tum, read_csv
 from bundle.model.pose_table import PoseTable
 from bundle.model.rigid_motions import inverse_poses, quaternion_from_matrix, unit_poses
 

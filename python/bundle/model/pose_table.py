@@ -15,8 +15,7 @@ from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
 from bundle.base.words import plural
 from bundle.errors import InputError
-from bundle.model.problem import Problem
-from bundle.model.problem_fields import strings
+from bundle.model.problem import Problem, strings
 from bundle.model.rigid_motions import (
     inverse_poses,
     multiply_poses,

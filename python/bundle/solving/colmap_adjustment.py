@@ -18,7 +18,7 @@ from bundle.interface.summary import Summary
 from bundle.model.cameras import camera_models
 from bundle.model.problem import Problem
 from bundle.model.rigid_motions import inverse_poses, multiply_poses, rotation_matrices
-from bundle.solving.constraints.applied import HELD_POSITION, HELD_ROTATION, Applied
+from bundle.solving.constraints.ends import HELD_POSITION, HELD_ROTATION, Applied
 from bundle.solving.executors import finished, solve_prepared
 from bundle.solving.prepare import prepare
 from bundle.solving.request import SolveRequest

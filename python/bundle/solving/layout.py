@@ -15,7 +15,7 @@ from bundle.solving.ranks.launch import threads_of_one_process
 if TYPE_CHECKING:
     from bundle.graphs.factors.factors import Factor
     from bundle.graphs.factors.problem_factors import ProblemFactors
-    from bundle.solving.constraints.applied import Applied
+    from bundle.solving.constraints.ends import Applied
     from bundle.solving.constraints.restrictions import Restrictions
     from bundle.solving.request import Bounds
 

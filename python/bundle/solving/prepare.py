@@ -33,8 +33,7 @@ from bundle.solving.result import Result
 
 if TYPE_CHECKING:
     from bundle.graphs.factors.factors import Factor
-    from bundle.solving.constraints.applied import Applied
-    from bundle.solving.constraints.ends import RuleEnd
+    from bundle.solving.constraints.ends import Applied, RuleEnd
     from bundle.solving.request import Rules
     from bundle.solving.rounds.local_part import LocalPart
     from bundle.solving.rounds.plan import State
@@ -206,7 +205,7 @@ def _resolve_rules(
     """
     if isinstance(rules, tuple | list) and not rules:
         return problem, options, None
-    from bundle.solving.constraints.applied import Applied  # not imported without rules
+    from bundle.solving.constraints.ends import Applied  # not imported without rules
 
     if isinstance(rules, Applied):  # resolved by the caller
         return problem, options, rules

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from bundle.georeference.measurements import Prior
     from bundle.graphs.factors.factors import Factor
-    from bundle.solving.constraints.applied import Applied
+    from bundle.solving.constraints.ends import Applied
     from bundle.solving.constraints.rule_list import Constraints
     from bundle.solving.constraints.rules import Rule
 

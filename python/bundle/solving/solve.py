@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from bundle.graphs.factors.factors import Factor
     from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
     from bundle.interface.option_keywords import PoseGraphKeywords, SolveKeywords
-    from bundle.solving.constraints.applied import Applied
+    from bundle.solving.constraints.ends import Applied
     from bundle.solving.constraints.rule_list import Constraints
     from bundle.solving.constraints.rules import Rule
     from bundle.solving.result import Result

@@ -6,7 +6,7 @@ import pytest
 
 import bundle
 from bundle import InputError
-from bundle.model.lenses.pixel_rays import angles, pixel_rays
+from bundle.model.lenses.exact_image import angles, pixel_rays
 from tests.formulas import PARAMS
 from tests.io.colmap_models import fields, synthesize
 from tests.scenes import make_problem, project, scene

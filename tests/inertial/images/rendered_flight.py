@@ -16,7 +16,7 @@ import numpy as np
 import yaml
 from scipy.spatial.transform import Rotation
 
-from bundle.model.lenses.pixel_rays import pixel_rays
+from bundle.model.lenses.exact_image import pixel_rays
 
 Array = np.ndarray[Any, Any]
 

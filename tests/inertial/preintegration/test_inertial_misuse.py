@@ -5,7 +5,7 @@ import pytest
 
 import bundle
 from bundle import InputError
-from bundle.inertial.preintegration.motion_excitation import HEALTHY, UNOBSERVABLE
+from bundle.inertial.preintegration.preintegration import HEALTHY, UNOBSERVABLE
 
 NOISE = bundle.ImuNoise(1.7e-4, 2e-3, 2e-5, 3e-3)
 GYRO, ACCEL, DT = np.full((4, 3), 0.1), np.tile([0, 0, 9.81], (4, 1)), np.full(4, 0.01)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 import bundle
-from bundle.inertial.two_loops.yaw_motion import YawMotion
+from bundle.inertial.two_loops.pose_publisher import YawMotion
 
 RATE = 200
 PERIOD_NS = 5_000_000

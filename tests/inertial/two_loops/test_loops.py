@@ -10,8 +10,7 @@ import bundle
 from bundle import InputError
 from bundle.inertial.two_loops.closure_loop import Closure, Keyframe
 from bundle.inertial.two_loops.loop_thread import Ring
-from bundle.inertial.two_loops.pose_publisher import Solution
-from bundle.inertial.two_loops.yaw_motion import YawMotion
+from bundle.inertial.two_loops.pose_publisher import Solution, YawMotion
 from tests.inertial.two_loops.motion import KEYFRAME_EVERY, PERIOD_NS, Flight, drifted
 
 PATIENCE = 60  # seconds until a thread counts as hung

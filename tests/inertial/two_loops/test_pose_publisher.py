@@ -7,8 +7,7 @@ import pytest
 
 import bundle
 from bundle import InputError
-from bundle.inertial.two_loops.pose_publisher import Solution
-from bundle.inertial.two_loops.yaw_motion import Correction, YawMotion
+from bundle.inertial.two_loops.pose_publisher import Correction, Solution, YawMotion
 from tests.inertial.two_loops.motion import PERIOD_NS, Flight
 
 

@@ -13,8 +13,8 @@ import bundle
 from bundle import InputError
 from bundle.cli.main import main
 from bundle.inertial.two_loops.closure_loop import Closure, ClosureLoop, load_closures
+from bundle.inertial.two_loops.pose_publisher import YawMotion
 from bundle.inertial.two_loops.replay import ProcessSolver, run_two_loops
-from bundle.inertial.two_loops.yaw_motion import YawMotion
 from bundle.inertial.vio.odometry import run_odometry
 from bundle.inertial.vio.trajectory_comparison import states_at
 from bundle.io.sequences.sequence_folder import save_sequence

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from bundle import InputError
 from bundle.inertial.two_loops.loop_thread import Ring
-from bundle.inertial.two_loops.yaw_motion import YawMotion
+from bundle.inertial.two_loops.pose_publisher import YawMotion
 
 
 def test_a_full_ring_forgets_its_oldest():

@@ -9,7 +9,7 @@ import bundle
 from bundle.georeference.similarity import Similarity, moved
 from bundle.judging.evaluation.lens_difference import lens_differences
 from bundle.judging.evaluation.pair_errors import shared_points
-from bundle.model.lenses.pixel_rays import pixel_rays
+from bundle.model.lenses.exact_image import pixel_rays
 from tests.rig_scenes import rig_problem
 from tests.scenes import make_problem, with_observations
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bundle.errors import InputError
-from bundle.judging.validation.decision import Cameras, DecisionRule, decide, jackknife
+from bundle.judging.validation.validation_result import Cameras, DecisionRule, decide, jackknife
 
 
 def planted(levels, num_images=20, per_image=50, seed=0, spread=0.02):

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from bundle.judging.validation.decision import DecisionRule
+from bundle.judging.validation.validation_result import DecisionRule
 from tests.campaigns import judge, judge_scenes
 
 CLEAN = (6, 9, 16, 17, 22, 36)  # one with duplicated points, four sharings

@@ -11,8 +11,8 @@ from bundle.judging.findings.images import GAIN
 from bundle.judging.findings.measured import Measured
 from bundle.judging.findings.next_command import NextCommand
 from bundle.judging.validation import judgement, rolling_fits
-from bundle.judging.validation.decision import DecisionRule, decide
 from bundle.judging.validation.rolling_fits import motion_test
+from bundle.judging.validation.validation_result import DecisionRule, decide
 from tests.judging.validation.test_validate import QUICK, photographs
 
 ROWS, COLUMNS = np.array([0.0, 1.0]), np.array([1.0, 0.0])

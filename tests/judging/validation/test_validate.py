@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import bundle
-from bundle.judging.validation.decision import decide
+from bundle.judging.validation.validation_result import decide
 from bundle.model.folds import folds_of
 from bundle.model.reprojection import summarize_clipped
 from bundle.solving.hold_out import with_values

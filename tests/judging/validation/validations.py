@@ -2,9 +2,14 @@
 
 import numpy as np
 
-from bundle.judging.validation.decision import DecisionRule, decide
 from bundle.judging.validation.row_test import RowTest
-from bundle.judging.validation.validation_result import ValidatedCandidate, Validation, verdict_of
+from bundle.judging.validation.validation_result import (
+    DecisionRule,
+    ValidatedCandidate,
+    Validation,
+    decide,
+    verdict_of,
+)
 from tests.scenes import make_problem
 
 LENSES = (

@@ -49,7 +49,7 @@ from bundle.solving.result import Result
 if TYPE_CHECKING:
     from bundle.georeference.measurements import Prior
     from bundle.graphs.factors.factors import Factor
-    from bundle.solving.constraints.applied import Applied
+    from bundle.solving.constraints.ends import Applied
     from bundle.solving.constraints.rule_list import Constraints
     from bundle.solving.constraints.rules import Rule
 

@@ -22,7 +22,7 @@ import numpy as np
 from bundle.base.records import dataclass
 from bundle.interface.window_options import TrackingOptions
 from bundle.model.cameras import project
-from bundle.model.lenses.pixel_rays import normalized
+from bundle.model.lenses.exact_image import normalized
 from bundle.model.sequence.calibration import Calibration
 
 Array = np.ndarray[Any, Any]

@@ -7,7 +7,13 @@ and the publisher uses the newest. :func:`run_two_loops` replays a sequence thro
 
 from bundle.inertial.two_loops.closure_loop import Closure, ClosureLoop, Keyframe, load_closures
 from bundle.inertial.two_loops.loop_thread import Ring, deadline_priority
-from bundle.inertial.two_loops.pose_publisher import PosePublisher, PublishedPose, Solution
+from bundle.inertial.two_loops.pose_publisher import (
+    Correction,
+    PosePublisher,
+    PublishedPose,
+    Solution,
+    YawMotion,
+)
 from bundle.inertial.two_loops.replay import (
     LoopStatistics,
     ProcessSolver,
@@ -15,7 +21,6 @@ from bundle.inertial.two_loops.replay import (
     run_two_loops,
 )
 from bundle.inertial.two_loops.window_loop import WindowLoop
-from bundle.inertial.two_loops.yaw_motion import Correction, YawMotion
 
 __all__ = [
     "Closure",

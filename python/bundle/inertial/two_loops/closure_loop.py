@@ -22,10 +22,10 @@ from bundle.base.paths import as_path
 from bundle.base.records import dataclass
 from bundle.errors import InputError, shown
 from bundle.inertial.two_loops.loop_thread import Ring, SolveLoop
-from bundle.inertial.two_loops.yaw_motion import Correction, YawMotion
+from bundle.inertial.two_loops.pose_publisher import Correction, YawMotion
 from bundle.io.g2o_files import load_g2o
 from bundle.io.recognition import is_pose_graph_file
-from bundle.io.sequences.csv_tables import read_csv
+from bundle.io.sequences.trajectory_files import read_csv
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.model.rigid_motions import inverse_poses, multiply_poses, unit_poses
 from bundle.solving.solve import solve

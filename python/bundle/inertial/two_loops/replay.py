@@ -27,9 +27,8 @@ from bundle.base.records import dataclass
 from bundle.errors import InputError
 from bundle.inertial.two_loops.closure_loop import Closure, ClosureLoop, solved_on_one_thread
 from bundle.inertial.two_loops.loop_thread import deadline_priority
-from bundle.inertial.two_loops.pose_publisher import PosePublisher
+from bundle.inertial.two_loops.pose_publisher import PosePublisher, YawMotion
 from bundle.inertial.two_loops.window_loop import WindowDriver, WindowLoop
-from bundle.inertial.two_loops.yaw_motion import YawMotion
 from bundle.inertial.vio.odometry import OdometryResult
 from bundle.inertial.vio.window_run import WindowRun
 from bundle.interface.option_class import takes_options

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
-from bundle.inertial.preintegration.motion_excitation import excitation
+from bundle.inertial.preintegration.preintegration import excitation
 from bundle.inertial.vio.initialize import rest_at_start
 from bundle.inertial.vio.keyframe_record import KeyframeRecord
 from bundle.inertial.vio.sequence_images import SequenceImages

@@ -7,7 +7,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from bundle.inertial.preintegration.motion_excitation import excitation
+from bundle.inertial.preintegration.preintegration import excitation
 from bundle.inertial.vio.keyframe_record import KeyframeRecord
 from bundle.inertial.vio.landmark_table import LandmarkTable
 from bundle.inertial.vio.marginal_prior import SLOWEST, MarginalPrior

@@ -15,9 +15,9 @@ from bundle.base.records import dataclass
 from bundle.errors import InputError, brief, shown
 from bundle.io.recognition import RECORDINGS, mav_root, sequence_at
 from bundle.io.sequences.bag_recording import read_bag
-from bundle.io.sequences.csv_tables import CsvTable, read_csv
 from bundle.io.sequences.grey_images import GreyScale, check_size, grey_images, require_opencv
 from bundle.io.sequences.recording_calibration import find_calibration
+from bundle.io.sequences.trajectory_files import CsvTable, read_csv
 from bundle.model.sequence.sequence import Recording
 
 

@@ -25,7 +25,7 @@ from bundle.errors import InputError, brief, shown
 from bundle.io.atomic import atomic_write as atomic
 from bundle.io.recognition import RECORDINGS, check_name, is_recording, sequence_at
 from bundle.io.recognition import SEQUENCE_FILES as FILES
-from bundle.io.sequences.csv_tables import CsvTable, csv_lines, read_csv
+from bundle.io.sequences.trajectory_files import CsvTable, csv_lines, read_csv
 from bundle.model.rigid_motions import inverse_poses, unit_poses
 from bundle.model.sequence.calibration import (
     Calibration,

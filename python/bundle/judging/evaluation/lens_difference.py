@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from bundle.base.records import dataclass
 from bundle.model.cameras import camera_models, project
-from bundle.model.lenses.pixel_rays import pixel_rays
+from bundle.model.lenses.exact_image import pixel_rays
 from bundle.model.pose_table import ErrorStatistics
 from bundle.model.problem import Problem
 from bundle.model.rigid_motions import (

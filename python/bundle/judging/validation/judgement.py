@@ -25,7 +25,6 @@ from bundle.judging.validation.candidate_fits import (
     refine_command,
 )
 from bundle.judging.validation.candidates import groups_of, is_shared
-from bundle.judging.validation.decision import Cameras, Decision, DecisionRule, decide
 from bundle.judging.validation.known_positions import (
     Certainty,
     KnownErrors,
@@ -40,7 +39,15 @@ from bundle.judging.validation.rolling_fits import (
     rolling_fits,
 )
 from bundle.judging.validation.row_test import RowTest, row_test
-from bundle.judging.validation.validation_result import ValidatedCandidate, Validation, verdict_of
+from bundle.judging.validation.validation_result import (
+    Cameras,
+    Decision,
+    DecisionRule,
+    ValidatedCandidate,
+    Validation,
+    decide,
+    verdict_of,
+)
 from bundle.model.cameras import param_kinds
 from bundle.model.folds import are_repeated
 from bundle.model.problem import Problem

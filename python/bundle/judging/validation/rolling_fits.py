@@ -44,7 +44,7 @@ from bundle.judging.findings.next_command import NextCommand
 from bundle.judging.findings.systematic import SystematicResiduals
 from bundle.judging.validation.candidate_fits import CandidateFit, Fitting, fit_candidates
 from bundle.judging.validation.candidates import is_shared
-from bundle.judging.validation.decision import Decision, DecisionRule, decide
+from bundle.judging.validation.validation_result import Decision, DecisionRule, decide
 from bundle.model.shutter_motion import can_roll
 
 _CLEAR = 0.001

@@ -16,9 +16,8 @@ from bundle.interface.options import LOSSES, SolveOptions
 from bundle.io.files import Source, as_problem
 from bundle.judging.validation.candidate_fits import Fitting, Progress, fit_candidates
 from bundle.judging.validation.candidates import SHARES, Candidate, default_candidates
-from bundle.judging.validation.decision import DecisionRule
 from bundle.judging.validation.judgement import judged
-from bundle.judging.validation.validation_result import Validation
+from bundle.judging.validation.validation_result import DecisionRule, Validation
 from bundle.model.cameras import camera_models as all_models
 from bundle.model.folds import folds_of
 from bundle.model.problem import Problem
@@ -60,11 +59,11 @@ def validate(
     score is the RMS of the normalised errors of all folds, clipped at 3 sigmas. The recommended
     candidate is the one with the fewest parameters among those that predict as well as the best:
     within 2 standard errors or 1 %, unless its cameras moved or the best one is much less certain
-    (:mod:`bundle.judging.validation.decision`). Errors at repeated measurements (points that occur
-    twice) do not count in the decision. Where the residuals of
-    shared lenses show motion or a rolling shutter, and one lens with a shutter predicts as well as
-    any lenses per image (:mod:`bundle.judging.validation.rolling_fits`), the latter are vetoed, and
-    shared lenses are compared beside a shutter.
+    (:mod:`bundle.judging.validation.validation_result`). Errors at repeated measurements (points
+    that occur twice) do not count in the decision. Where the residuals of shared lenses show motion
+    or a rolling shutter, and one lens with a shutter predicts as well as any lenses per image
+    (:mod:`bundle.judging.validation.rolling_fits`), the latter are vetoed, and shared lenses are
+    compared beside a shutter.
 
     Args:
         problem: the problem, which is not changed; also the path of one, or a

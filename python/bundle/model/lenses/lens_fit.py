@@ -39,12 +39,13 @@ from bundle.errors import InputError
 from bundle.model.cameras import param_kinds, project
 from bundle.model.lenses.exact_image import (
     PERSPECTIVE,
+    angles,
     asymmetric_params,
     extras_of,
     focal_and_center,
     is_symmetric,
+    pixel_rays,
 )
-from bundle.model.lenses.pixel_rays import angles, pixel_rays
 
 GRID = 24
 """Pixels along each side of the grid."""

@@ -99,7 +99,7 @@ class Sequence(Displayed):
         calibration = self.calibration
         if calibration.camera_model is None:
             return self.xy
-        from bundle.model.lenses.pixel_rays import normalized  # slow: loads pycolmap
+        from bundle.model.lenses.exact_image import normalized  # slow: loads pycolmap
 
         return normalized(calibration.camera_model, calibration.camera_params, self.xy)
 

@@ -37,11 +37,6 @@ from bundle.judging.findings.next_command import NextCommand
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.model.problem import Problem
 from bundle.model.reprojection import Residuals, residuals
-from bundle.reports.page.certainty_section import (
-    certainty_sections,
-    projection_data,
-    scene_ellipsoids,
-)
 from bundle.reports.page.graph_report import write_graph_report
 from bundle.reports.page.model_sections import (
     MOST_LENSES,
@@ -58,9 +53,12 @@ from bundle.reports.page.page import lead, tag, write_page
 from bundle.reports.page.residual_section import (
     MOST_CLICKED,
     Photographs,
+    certainty_sections,
     field_data,
     field_sections,
     image_data,
+    projection_data,
+    scene_ellipsoids,
     worst_section,
 )
 from bundle.reports.page.scene_section import (

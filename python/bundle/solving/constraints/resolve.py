@@ -14,13 +14,6 @@ from bundle.interface.options import SolveOptions
 from bundle.model.cameras import camera_models, param_kinds
 from bundle.model.problem import Problem
 from bundle.model.problem_keys import named_images, parameter_names
-from bundle.solving.constraints.applied import (
-    HELD_POSITION,
-    HELD_ROTATION,
-    Applied,
-    KnownPrior,
-    Tie,
-)
 from bundle.solving.constraints.constant_parts import (
     MOST_SHARED,
     ConstantParts,
@@ -30,6 +23,7 @@ from bundle.solving.constraints.constant_parts import (
     check_components,
     divided_bounds,
 )
+from bundle.solving.constraints.ends import HELD_POSITION, HELD_ROTATION, Applied, KnownPrior, Tie
 from bundle.solving.constraints.rule_list import rules_of
 from bundle.solving.constraints.rules import Bounds, Fixed, Prior, Ratio, Rule, Share
 

@@ -16,7 +16,7 @@ from bundle.model.problem import Problem
 from bundle.model.problem_keys import ProblemKeys, parameter_names
 
 if TYPE_CHECKING:
-    from bundle.solving.constraints.applied import Applied
+    from bundle.solving.constraints.ends import Applied
 
 
 @dataclass(frozen=True, eq=False)
