@@ -33,8 +33,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bundle.base.arrays import FrozenArrays, as_array, freeze
-from bundle.base.display import Display, Displayed
+from bundle.base.arrays import as_array
+from bundle.base.display import Display
 from bundle.base.records import dataclass
 from bundle.errors import InputError, brief
 from bundle.georeference.text_lines import (
@@ -44,7 +44,7 @@ from bundle.georeference.text_lines import (
     image_rows,
     row_numbers,
 )
-from bundle.georeference.vector_priors import check_image, three_numbers
+from bundle.georeference.vector_priors import ImagePrior, three_numbers
 from bundle.graphs.factors.factors import Factor
 from bundle.graphs.factors.image_factors import (
     DOWN,
@@ -53,9 +53,7 @@ from bundle.graphs.factors.image_factors import (
     HeadingFactor,
     RotationFactor,
 )
-from bundle.interface.georeference_options import ROBUST_SCALES
-from bundle.interface.option_fields import choice, number
-from bundle.interface.options import LOSSES
+from bundle.interface.option_fields import number
 from bundle.model.rigid_motions import quaternion_from_matrix
 
 Array = NDArray[np.float64]
@@ -65,35 +63,12 @@ LEAST_SIGMA, MOST_SIGMA = 1e-12, 1e12
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class AttitudePrior(FrozenArrays, Displayed):
+class AttitudePrior(ImagePrior):
     """Base class of priors on the attitude of an image."""
-
-    image: int | str
-
-    noun = ""
-    num_residuals = 1
-
-    def _check(self) -> None:
-        check_image(self)
-        given: Any = self
-        scale = given.loss_scale
-        if scale is None:
-            scale = ROBUST_SCALES[self.num_residuals]
-        self._set("loss", choice(f"{self.name}: loss", given.loss, LOSSES))
-        self._set("loss_scale", number(f"{self.name}: loss_scale", scale, above=0))
-
-    @property
-    def name(self) -> str:
-        """Name for messages."""
-        return f"{type(self).__name__}({brief(self.image)})"
 
     def factor(self, image_id: int) -> Factor:
         """Return the factor of a solve for the image with this id."""
         raise NotImplementedError
-
-    def _set(self, attribute: str, value: Any) -> None:
-        frozen = freeze(value.copy()) if isinstance(value, np.ndarray) else value
-        object.__setattr__(self, attribute, frozen)
 
     def _direction(self, attribute: str) -> Array:
         name = f"{self.name}: {attribute}"
@@ -106,13 +81,6 @@ class AttitudePrior(FrozenArrays, Displayed):
             )
         vector = vector / largest
         return np.asarray(vector / np.linalg.norm(vector))
-
-    def _shown(self, *facts: tuple[str, str]) -> Display:
-        given: Any = self
-        rows = [("image", brief(self.image)), *facts]
-        if given.loss != "trivial":
-            rows.append(("loss", f"{given.loss}, scale {given.loss_scale:g} sigmas"))
-        return Display(title=type(self).__name__, facts=tuple(rows))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -134,22 +102,20 @@ class GravityPrior(AttitudePrior):
 
     direction: ArrayLike
     sigma_degrees: float
-    loss: str = field(default="trivial", kw_only=True)
-    loss_scale: float | None = field(default=None, kw_only=True)
 
     noun = "gravity"
     num_residuals = 2
 
     def __post_init__(self) -> None:
-        self._check()
-        self._set("direction", self._direction("direction"))
+        super().__post_init__()
+        self._set(direction=self._direction("direction"))
         sigma = as_sigma(f"{self.name}: sigma_degrees", self.sigma_degrees)
-        self._set("sigma_degrees", sigma)
+        self._set(sigma_degrees=sigma)
 
     def factor(self, image_id: int) -> DirectionFactor:
         """Return the factor of a solve for the image with this id."""
         sigma = math.radians(self.sigma_degrees)
-        return DirectionFactor(("image", image_id), self.direction, sigma, axis=DOWN, **_loss(self))
+        return DirectionFactor(("image", image_id), self.direction, sigma, axis=DOWN, **self._robust)
 
     def _display(self) -> Display:
         down = ", ".join(f"{value:.6g}" for value in np.asarray(self.direction))
@@ -176,14 +142,12 @@ class OrientationPrior(AttitudePrior):
 
     rotation: ArrayLike
     sigma_degrees: ArrayLike
-    loss: str = field(default="trivial", kw_only=True)
-    loss_scale: float | None = field(default=None, kw_only=True)
 
     noun = "orientation"
     num_residuals = 3
 
     def __post_init__(self) -> None:
-        self._check()
+        super().__post_init__()
         name = f"{self.name}: rotation"
         rotation = as_array(name, self.rotation)
         if rotation.shape != (4,) or not np.isfinite(rotation).all() or not rotation.any():
@@ -191,7 +155,7 @@ class OrientationPrior(AttitudePrior):
                 f"{name}: expected a quaternion qx qy qz qw, found {brief(rotation.tolist())}"
             )
         rotation = rotation / np.abs(rotation).max()
-        self._set("rotation", rotation / np.linalg.norm(rotation))
+        self._set(rotation=rotation / np.linalg.norm(rotation))
         name = f"{self.name}: sigma_degrees"
         sigmas = np.atleast_1d(as_array(name, self.sigma_degrees))
         if sigmas.shape not in ((1,), (2,)):
@@ -201,7 +165,7 @@ class OrientationPrior(AttitudePrior):
             )
         for sigma in sigmas.tolist():
             as_sigma(name, sigma)
-        self._set("sigma_degrees", np.array([sigmas[0], sigmas[-1]]))
+        self._set(sigma_degrees=np.array([sigmas[0], sigmas[-1]]))
 
     @staticmethod
     def from_angles(
@@ -215,7 +179,7 @@ class OrientationPrior(AttitudePrior):
         """Return the factor of a solve for the image with this id."""
         heading, tilt = np.radians(np.asarray(self.sigma_degrees))
         information = np.diag([tilt**-2, tilt**-2, heading**-2])
-        return RotationFactor(("image", image_id), self.rotation, information, **_loss(self))
+        return RotationFactor(("image", image_id), self.rotation, information, **self._robust)
 
     def _display(self) -> Display:
         rotation = ", ".join(f"{value:.6g}" for value in np.asarray(self.rotation))
@@ -247,24 +211,23 @@ class HeadingPrior(AttitudePrior):
     heading_degrees: float
     sigma_degrees: float
     axis: ArrayLike = field(default=FORWARD, kw_only=True)
-    loss: str = field(default="trivial", kw_only=True)
-    loss_scale: float | None = field(default=None, kw_only=True)
 
     noun = "heading"
+    num_residuals = 1
 
     def __post_init__(self) -> None:
-        self._check()
+        super().__post_init__()
         heading = number(f"{self.name}: heading_degrees", self.heading_degrees)
-        self._set("heading_degrees", math.fmod(heading, 360))
+        self._set(heading_degrees=math.fmod(heading, 360))
         sigma = as_sigma(f"{self.name}: sigma_degrees", self.sigma_degrees)
-        self._set("sigma_degrees", sigma)
-        self._set("axis", self._direction("axis"))
+        self._set(sigma_degrees=sigma)
+        self._set(axis=self._direction("axis"))
 
     def factor(self, image_id: int) -> HeadingFactor:
         """Return the factor of a solve for the image with this id."""
         heading, sigma = math.radians(self.heading_degrees), math.radians(self.sigma_degrees)
         key = ("image", image_id)
-        return HeadingFactor(key, heading, sigma, axis=self.axis, **_loss(self))
+        return HeadingFactor(key, heading, sigma, axis=self.axis, **self._robust)
 
     def _display(self) -> Display:
         sigma = f"{self.sigma_degrees:g} degrees"
@@ -294,10 +257,6 @@ def quaternion_of_angles(angles: Array) -> Array:
     )
     enu = np.stack([ned[1], ned[0], -ned[2]])  # (3, 3, n): rows of the world, columns of the body
     return quaternion_from_matrix(np.ascontiguousarray(enu[:, [1, 2, 0]].transpose(2, 1, 0)))
-
-
-def _loss(prior: Any) -> dict[str, Any]:
-    return {"loss": prior.loss, "loss_scale": prior.loss_scale}
 
 
 # Text files of attitudes: directions of gravity, orientations, headings.

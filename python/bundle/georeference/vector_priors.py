@@ -1,4 +1,4 @@
-"""Prior of a measured vector at an image, and that of its position."""
+"""Priors of what is measured at an image: of any kind, of a vector, of its position."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
 from bundle.errors import InputError, brief
 from bundle.graphs.factors.factors import PositionFactor
-from bundle.interface.georeference_options import OFFSET_AXES, ROBUST_SCALE
+from bundle.interface.georeference_options import OFFSET_AXES, ROBUST_SCALES
 from bundle.interface.option_fields import choice, number
 from bundle.interface.options import LOSSES
 
@@ -25,22 +25,60 @@ UNKNOWN = 1e100
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class VectorPrior(FrozenArrays, Displayed):
-    """Measured vector at an image, with its uncertainty, a lever arm and a loss.
+class ImagePrior(FrozenArrays, Displayed):
+    """Quantity measured at an image, with a robust loss; a base class."""
+
+    image: int | str
+    loss: str = field(default="trivial", kw_only=True)
+    loss_scale: float | None = field(default=None, kw_only=True)
+
+    noun = ""
+    num_residuals = 3  # determines the default of loss_scale
+
+    def __post_init__(self) -> None:
+        place, image = f"{type(self).__name__}: image", self.image
+        kind: Any = str if isinstance(image, bool) else int | str | np.integer
+        check_type(place, image, kind, "an id or a name")
+        scale = ROBUST_SCALES[self.num_residuals] if self.loss_scale is None else self.loss_scale
+        self._set(
+            loss=choice(f"{self.name}: loss", self.loss, LOSSES),
+            loss_scale=number(f"{self.name}: loss_scale", scale, above=0),
+        )
+
+    @property
+    def name(self) -> str:
+        """Name for messages."""
+        return f"{type(self).__name__}({brief(self.image)})"
+
+    @property
+    def _robust(self) -> dict[str, Any]:
+        """Arguments of a factor with the loss."""
+        return {"loss": self.loss, "loss_scale": self.loss_scale}
+
+    def _set(self, **values: Any) -> None:
+        for attribute, value in values.items():
+            frozen = freeze(value.copy()) if isinstance(value, np.ndarray) else value
+            object.__setattr__(self, attribute, frozen)
+
+    def _shown(self, *facts: tuple[str, str]) -> Display:
+        rows = [("image", brief(self.image)), *facts]
+        if self.loss != "trivial":
+            rows.append(("loss", f"{self.loss}, scale {self.loss_scale:g} sigmas"))
+        return Display(title=type(self).__name__, facts=tuple(rows))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class VectorPrior(ImagePrior):
+    """Measured vector at an image, with its uncertainty and a lever arm.
 
     Subclasses add the vector, whose name is ``noun``, and ``sigma``.
     """
 
-    image: int | str
     covariance: ArrayLike | None = field(default=None, kw_only=True)
     lever_arm: ArrayLike = field(default=(0.0, 0.0, 0.0), kw_only=True)
-    loss: str = field(default="trivial", kw_only=True)
-    loss_scale: float = field(default=ROBUST_SCALE, kw_only=True)
-
-    noun = ""
 
     def __post_init__(self) -> None:
-        check_image(self)
+        super().__post_init__()
         given: Any = self
         name = self.name
         vector = three_numbers(f"{name}: {self.noun}", getattr(self, self.noun))
@@ -58,15 +96,6 @@ class VectorPrior(FrozenArrays, Displayed):
             self._set(sigma=_sigmas(f"{name}: sigma", given.sigma))
         else:
             self._set(covariance=_covariance(f"{name}: covariance", self.covariance))
-        self._set(
-            loss=choice(f"{name}: loss", self.loss, LOSSES),
-            loss_scale=number(f"{name}: loss_scale", self.loss_scale, above=0),
-        )
-
-    @property
-    def name(self) -> str:
-        """Name for messages."""
-        return f"{type(self).__name__}({brief(self.image)})"
 
     @property
     def full_covariance(self) -> Array:
@@ -96,28 +125,12 @@ class VectorPrior(FrozenArrays, Displayed):
         root = np.linalg.cholesky(self.information)
         return np.asarray(root.T @ np.nan_to_num(residual), dtype=np.float64)
 
-    def _set(self, **values: Any) -> None:
-        for attribute, value in values.items():
-            frozen = freeze(value.copy()) if isinstance(value, np.ndarray) else value
-            object.__setattr__(self, attribute, frozen)
-
     def _display(self) -> Display:
         given: Any = self
-        vector = ", ".join(f"{value:.10g}" for value in np.asarray(getattr(self, self.noun)))
-        facts = [("image", brief(self.image)), (self.noun, vector)]
+        facts = [(self.noun, ", ".join(f"{x:.10g}" for x in np.asarray(getattr(self, self.noun))))]
         if given.sigma is not None:
-            sigmas = ", ".join(f"{value:g}" for value in np.asarray(given.sigma))
-            facts.append(("sigma", sigmas))
-        if self.loss != "trivial":
-            facts.append(("loss", f"{self.loss}, scale {self.loss_scale:g} sigmas"))
-        return Display(title=type(self).__name__, facts=tuple(facts))
-
-
-def check_image(prior: Any) -> None:
-    """Check that the image of a prior is an id or a name."""
-    place, image = f"{type(prior).__name__}: image", prior.image
-    kind: Any = str if isinstance(image, bool) else int | str | np.integer
-    check_type(place, image, kind, "an id or a name")
+            facts.append(("sigma", ", ".join(f"{sigma:g}" for sigma in np.asarray(given.sigma))))
+        return self._shown(*facts)
 
 
 def three_numbers(name: str, value: Any) -> Array:
@@ -216,6 +229,5 @@ class PositionPrior(VectorPrior):
             self.known,
             self.information,
             lever_arm=self.lever_arm,
-            loss=self.loss,
-            loss_scale=self.loss_scale,
+            **self._robust,
         )

@@ -96,8 +96,7 @@ class VelocityPrior(VectorPrior):
             self.known / frame_rate,
             self.information * frame_rate**2,
             lever_arm=self.lever_arm,
-            loss=self.loss,
-            loss_scale=self.loss_scale,
+            **self._robust,
         )
 
 
