@@ -37,6 +37,11 @@ def is_path(value: Any) -> TypeGuard[str | os.PathLike[str]]:
     )
 
 
+def compression_of(path: Path) -> str:
+    """Return the compression that a name asks for: "gzip", "bzip2" or ""."""
+    return {".gz": "gzip", ".bz2": "bzip2"}.get(path.suffix.lower(), "")
+
+
 def numbered_lines(path: str | os.PathLike[str]) -> list[tuple[int, str]]:
     """Return the lines of a text file with their numbers from 1.
 

@@ -115,7 +115,9 @@ class GravityPrior(AttitudePrior):
     def factor(self, image_id: int) -> DirectionFactor:
         """Return the factor of a solve for the image with this id."""
         sigma = math.radians(self.sigma_degrees)
-        return DirectionFactor(("image", image_id), self.direction, sigma, axis=DOWN, **self._robust)
+        return DirectionFactor(
+            ("image", image_id), self.direction, sigma, axis=DOWN, **self._robust
+        )
 
     def _display(self) -> Display:
         down = ", ".join(f"{value:.6g}" for value in np.asarray(self.direction))

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import os
-from pathlib import Path
 from typing import Any
 
 import bundle._core as _core
-from bundle.base.paths import as_path
+from bundle.base.paths import as_path, compression_of
 from bundle.base.words import plural
 from bundle.errors import shown
 from bundle.io.atomic import atomic_write as atomic
@@ -53,7 +52,7 @@ def save_g2o(graph: PoseGraph, path: str | os.PathLike[str]) -> tuple[str, ...]:
     """
     path = as_path(path)
     with atomic.replace_file(path) as temporary:
-        _core.write_g2o(temporary, graph, _compression(path))
+        _core.write_g2o(temporary, graph, compression_of(path))
     return ()
 
 
@@ -83,7 +82,3 @@ def _notes(read: dict[str, Any]) -> tuple[str, ...]:
     if packets:
         notes.append(f"{plural(packets, 'packet')} of sensors (ROBOTLASER1) ignored.")
     return tuple(notes)
-
-
-def _compression(path: Path) -> str:
-    return {".gz": "gzip", ".bz2": "bzip2"}.get(path.suffix.lower(), "")

@@ -17,7 +17,7 @@ from collections.abc import Callable, Collection, Iterator, Sequence
 from pathlib import Path
 
 from bundle.base.arrays import check_type
-from bundle.base.paths import as_path
+from bundle.base.paths import as_path, compression_of
 from bundle.errors import InputError, brief, shown
 from bundle.interface.option_fields import choice
 from bundle.io import bal, colmap
@@ -153,7 +153,7 @@ def _save(
     if chosen == "bal":
         lost = bal.losses(problem)
         with atomic.replace_file(path) as temporary:
-            bal.save(problem, temporary, _compression(path), progress)
+            bal.save(problem, temporary, compression_of(path), progress)
             remove_georeference(path, is_folder=False)
         return lost + _lost_shutter(problem)
     imported = find_format(chosen)
@@ -350,10 +350,6 @@ def _files_of_other_format(folder: Path, format: str) -> tuple[str, ...]:
 
 def _check_problem(problem: Problem) -> None:
     check_type("problem", problem, Problem, "a Problem")
-
-
-def _compression(path: Path) -> str:
-    return {".gz": "gzip", ".bz2": "bzip2"}.get(path.suffix.lower(), "")
 
 
 _HEAD = struct.Struct("<I7dI")  # id, pose, camera

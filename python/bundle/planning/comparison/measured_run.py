@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import math
 import statistics
@@ -283,14 +284,7 @@ class Method:
 
     def options(self, base: SolveOptions) -> SolveOptions:
         """Return the options of a solve by this method."""
-        return base.replace(
-            backend=self.backend,
-            linear_solver_type=self.linear_solver_type,
-            linear_solver_ordering=self.linear_solver_ordering,
-            preconditioner_type=self.preconditioner_type,
-            trust_region_strategy_type=self.trust_region_strategy_type,
-            num_threads=self.num_threads,
-        )
+        return base.replace(**dataclasses.asdict(self))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -313,12 +307,7 @@ class GraphMethod:
 
     def options(self, base: PoseGraphOptions) -> PoseGraphOptions:
         """Return the options of a solve by this method."""
-        return base.replace(
-            backend=self.backend,
-            trust_region_strategy_type=self.trust_region_strategy_type,
-            ordering=self.ordering or "auto",
-            num_threads=self.num_threads,
-        )
+        return base.replace(**dataclasses.asdict(self) | {"ordering": self.ordering or "auto"})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -340,14 +329,11 @@ class FactorGraphMethod:
 
     def arguments(self) -> dict[str, Any]:
         """Return the arguments of :meth:`bundle.FactorGraph.solve`."""
-        of_solver: dict[str, Any] = {"linear_solver_type": self.linear_solver_type}
+        given = dataclasses.asdict(self)
         if self.linear_solver_type == "square_root":
-            of_solver = {"square_root": True}
-        return {
-            **of_solver,
-            "trust_region_strategy_type": self.trust_region_strategy_type,
-            "num_threads": self.num_threads,
-        }
+            del given["linear_solver_type"]
+            given = {"square_root": True} | given
+        return given
 
 
 def expand(
@@ -401,12 +387,5 @@ def thread_counts(argument: str, values: Iterable[Any]) -> tuple[int, ...]:
 
 
 def _method(options: SolveOptions) -> Method:
-    options = options.without_idle()
-    return Method(
-        backend=options.backend,
-        linear_solver_type=options.linear_solver_type,
-        linear_solver_ordering=options.linear_solver_ordering,
-        preconditioner_type=options.preconditioner_type,
-        trust_region_strategy_type=options.trust_region_strategy_type,
-        num_threads=options.num_threads,
-    )
+    used = options.without_idle()
+    return Method(**{field.name: getattr(used, field.name) for field in dataclasses.fields(Method)})
