@@ -112,7 +112,7 @@ _DEFERRED = {
     "solving.refine_tracks": "refine_tracks",
     "solving.rounds.solve_rounds": "solve_rounds",
     "solving.solve": "solve",
-    "solving.solver": "Solver",
+    "solving.executors": "Solver",
     "synthetic.synthetic_flight": "SyntheticFlight synthesize_flight",
     "synthetic.synthesis": "SyntheticScene synthesize",
 }

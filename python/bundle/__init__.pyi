@@ -173,7 +173,7 @@ from bundle.solving.rounds.plan import Filtered as Filtered
 from bundle.solving.rounds.plan import filter_observations as filter_observations
 from bundle.solving.rounds.solve_rounds import solve_rounds as solve_rounds
 from bundle.solving.solve import solve as solve
-from bundle.solving.solver import Solver as Solver
+from bundle.solving.executors import Solver as Solver
 from bundle.synthetic.synthesis import SyntheticScene as SyntheticScene
 from bundle.synthetic.synthesis import synthesize as synthesize
 from bundle.synthetic.synthetic_flight import SyntheticFlight as SyntheticFlight

@@ -47,7 +47,7 @@ def describe_model(run: Run) -> Report:
     from bundle.analysis.statistics.description import describe
     from bundle.cli.declarations import READING, given_of
     from bundle.judging.findings.find import find
-    from bundle.reports.terminal.info import information
+    from bundle.reports.terminal.outputs import information
 
     problem = run.load()
     run.progress.stage("counting")

@@ -31,7 +31,7 @@ from bundle.planning.inspection.graph_inspection import inspect_graph
 from bundle.planning.inspection.problem_inspection import inspect
 from bundle.planning.inspection.rank_prediction import NETWORK
 from bundle.reports.sections import Report
-from bundle.reports.terminal import analyses, compare, info, judged, outputs, refine
+from bundle.reports.terminal import analyses, compare, judged, outputs, refine
 from bundle.reports.terminal import inspect as inspect_report
 from bundle.reports.terminal.screen import laid_out
 from bundle.reports.terminal.solve_data import WallTime
@@ -59,7 +59,7 @@ def problem():
 def informed(_):
     path, description = "garden/sparse/0", describe(problem())
     found = one_list(description.suspicions, find(problem(), source=path))
-    return info.information(path, problem(), description, found)
+    return outputs.information(path, problem(), description, found)
 
 
 def refined(_):

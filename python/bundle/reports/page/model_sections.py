@@ -41,13 +41,13 @@ from bundle.model.cameras import camera_models, param_kinds
 from bundle.model.problem import Problem
 from bundle.model.reprojection import Residuals
 from bundle.reports.sections import Section, Table
-from bundle.reports.terminal.info import distributions
 from bundle.reports.terminal.inputs import (
     about_shutter,
     shutter_fact,
     solved_data,
     solved_sentences,
 )
+from bundle.reports.terminal.outputs import distributions
 from bundle.reports.terminal.solve_data import ERRORS, before_and_after, round_tables
 from bundle.solving.headline import edit_facts
 from bundle.solving.result import Result
