@@ -81,9 +81,9 @@ from bundle.inertial import two_loops as two_loops
 from bundle.inertial.preintegration.imu_factors import BiasWalkFactor as BiasWalkFactor
 from bundle.inertial.preintegration.imu_factors import ImuFactor as ImuFactor
 from bundle.inertial.preintegration.preintegration import Excitation as Excitation
-from bundle.inertial.preintegration.preintegration import excitation as excitation
 from bundle.inertial.preintegration.preintegration import Preintegration as Preintegration
 from bundle.inertial.preintegration.preintegration import Repropagation as Repropagation
+from bundle.inertial.preintegration.preintegration import excitation as excitation
 from bundle.inertial.preintegration.preintegration import propagate as propagate
 from bundle.inertial.tracking.track_recording import TrackedImages as TrackedImages
 from bundle.inertial.tracking.track_recording import Tracking as Tracking
@@ -159,11 +159,12 @@ from bundle.planning.inspection.inspection_result import Inspection as Inspectio
 from bundle.planning.inspection.inspection_result import MethodInspection as MethodInspection
 from bundle.planning.inspection.problem_inspection import inspect as inspect
 from bundle.reports import page as html
-from bundle.reports.page import report as report
 from bundle.reports.json_schema import save_report as save_report
+from bundle.reports.page import report as report
 from bundle.solving import constraints as constraints
 from bundle.solving.colmap_adjustment import bundle_adjustment as bundle_adjustment
 from bundle.solving.constraints.rule_list import Constraints as Constraints
+from bundle.solving.executors import Solver as Solver
 from bundle.solving.gauge_freedom import GaugeFreedom as GaugeFreedom
 from bundle.solving.gauge_freedom import gauge_freedom as gauge_freedom
 from bundle.solving.hold_out import hold_out as hold_out
@@ -173,7 +174,6 @@ from bundle.solving.rounds.plan import Filtered as Filtered
 from bundle.solving.rounds.plan import filter_observations as filter_observations
 from bundle.solving.rounds.solve_rounds import solve_rounds as solve_rounds
 from bundle.solving.solve import solve as solve
-from bundle.solving.executors import Solver as Solver
 from bundle.synthetic.synthesis import SyntheticScene as SyntheticScene
 from bundle.synthetic.synthesis import synthesize as synthesize
 from bundle.synthetic.synthetic_flight import SyntheticFlight as SyntheticFlight
