@@ -55,7 +55,8 @@ def test_control_points_and_bars_are_followed(run, model, tmp_path, monkeypatch)
             lines.append(f"{position} {x} {y} {name} gcp{key}")
     listed = tmp_path / "gcp_list.txt"
     listed.write_text("\n".join(lines))
-    flags = ("--for", "distance 3 9", "--gcp", listed.name, "--quiet")
+    loss = ("--loss", "huber", "--loss-scale", "20")
+    flags = ("--for", "distance 3 9", "--gcp", listed.name, *loss, "--quiet")
     for kind in ("gcp", "bar"):
         listed.write_text("\n".join(lines))
         given = (*flags, "--add", kind, "--count", "1", "--bar-sigma", "0.01")
@@ -73,9 +74,10 @@ def test_control_points_and_bars_are_followed(run, model, tmp_path, monkeypatch)
         listed.write_text("\n".join([*lines, *more, ""]))
         command = found["headline"][1].split("; then bundle ")[1]
         words = shlex.split(command)
-        words[words.index("refined")] = f"refined_{kind}"
+        assert " ".join(loss) in command and not {"--for", "--add", "--count"} & set(words)
+        words[words.index("measured")] = f"measured_{kind}"
         after = run(*words, "--quiet")
-        assert after.code == 0 and (tmp_path / f"refined_{kind}").is_dir()
+        assert after.code == 0 and (tmp_path / f"measured_{kind}").is_dir()
         if kind == "gcp":  # the core has no bars between points
             again = run("influence", model.name, "--on", *flags[1:], "--json", "again.json")
             assert again.code == 0

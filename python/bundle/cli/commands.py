@@ -461,7 +461,7 @@ COMMANDS: dict[str, Command] = {
                 keywords="PlanOptions",
                 gives="priors constraints",
                 report="reports.terminal.analyses:planned",
-                tells="source input found asked flags wall",
+                tells="source input found asked repeated wall",
             ),
         },
     ),

@@ -301,6 +301,11 @@ class Run:
                 words += [self.arguments.flags[name], str(one)]
         return shlex.join(words)
 
+    @property
+    def repeated(self) -> str:
+        """Flags of this run that affect the model, for `bundle refine`."""
+        return shlex.join(repeated_flags(self.arguments))
+
     def share(self, done: int, count: int, *_: Any) -> None:
         """Show how much of the call is done."""
         self.progress.share(done / count)
@@ -386,6 +391,7 @@ def planned(run: Run, predicted: list[str]) -> Report:
 DROPPED = (
     *("output", "json", "html", "quiet", "verbose", "check_gradients"),
     *("reliability", "delta0", "config", "dry_run"),
+    *("on", "without", "add", "count", "candidates", "bar_sigma"),
 )
 """Arguments about the files and the output of a run, which do not affect the model."""
 CHECKPOINTS = {"resume": "--checkpoint"}

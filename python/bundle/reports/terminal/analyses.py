@@ -351,7 +351,7 @@ def influenced(
 def planned(
     path: str, given: Problem, found: Plan, options: Mapping[str, Any], flags: str, wall_time: float
 ) -> Report:
-    """Return the report on what to measure next; ``flags``: of priors, for the next solve."""
+    """Return the report on what to measure next; ``flags``: those of the next solve."""
     columns = (
         Column("add", "kind"),
         Column("", "what"),
@@ -380,7 +380,9 @@ def planned(
 def _use(one: Proposal, path: str, flags: str) -> str:
     """Return the command that takes a measured proposal, with the flags of the run."""
     more = [flag for flag in one.then if flag.split()[0] not in flags.split()]
-    return " ".join([shlex.join(["bundle", "refine", path, "-o", "refined"]), *more, flags]).strip()
+    return " ".join(
+        [shlex.join(["bundle", "refine", path, "-o", "measured"]), *more, flags]
+    ).strip()
 
 
 def _moved(key: int | None, sigmas: float) -> str:
