@@ -208,6 +208,20 @@ def test_the_limit_of_suspicion_is_exact_with_few_images(share):
     assert tested(brentq(excess, 0.0, 10.0)).is_suspected == (share > 1)
 
 
+@pytest.mark.parametrize("share", [0.99, 1.01])
+def test_the_exact_test_is_for_significant_shear(share):
+    problem = scene(num_images=3)
+    slopes = planted(problem, draw(problem, [0.0, 0.0, 1.0], seed=2))
+
+    def tested(size):
+        return row_test(problem, noise(problem) + size * slopes)
+
+    found = tested(brentq(lambda size: 2 * tested(size).shear - share * chi2.isf(1e-4, 2), 0, 2))
+    assert found.shear > module.SMALLEST_RATIO
+    assert found.size > module.RELEVANT
+    assert np.isfinite(found.confirmation) == (share > 1)
+
+
 def test_a_ratio_that_lens_errors_reach_does_not_fire(monkeypatch):
     problem = scene(num_images=60, num_points=60)
     r = noise(problem) + planted(problem, draw(problem, 0.4))
