@@ -7,14 +7,16 @@ a sign, an operator, a threshold ten times larger or smaller, a count one off, a
 dropped, arguments or arrays exchanged, max for min, a statement dropped). Applies one at a time in
 place and runs the test files that import the module or have its name; with --wide also its mirror
 folder and the test files of modules that import it. Each line is a mutation with its verdict:
-killed by which test, SURVIVED, or slow (no verdict within the limit). The sources are restored,
-also after Ctrl-C. A survivor is either equivalent or a missing test.
+killed by which test, SURVIVED, or slow (no verdict within the limit). FILE may be any argument of
+pytest, such as a test of a file. The sources are restored, also after Ctrl-C. A survivor is either
+equivalent or a missing test.
 """
 
 from __future__ import annotations
 
 import argparse
 import ast
+import compileall
 import contextlib
 import itertools
 import multiprocessing
@@ -290,6 +292,7 @@ def main() -> int:
     lines = rng.sample(sorted(by_line), min(given.count, len(by_line)))
     drawn = [rng.choice(by_line[line]) for line in lines]
     verdicts = []
+    compileall.compile_dir(PACKAGE, quiet=2)  # children write no bytecode, and would compile it all
     for mutation in drawn:
         tests = given.tests or seen_by(mutation.path, given.wide)
         verdicts.append("listed" if given.list else verdict(mutation, tests))

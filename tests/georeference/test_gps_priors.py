@@ -72,7 +72,7 @@ def test_places_count_what_is_used_by_role():
         one = (0.3, -0.4, up)
         return ControlPointError(name, role, 3, one, one, (0.1, 0.1, 0.1), 0.5, (), False)
 
-    roles = ("control", "check", "control", "unused", "control", "check")
+    roles = ("control", "check", "control", "unused", "control", "check", "unused")
     points = tuple(point(f"t{k}", role, 0.1 * k) for k, role in enumerate(roles))
     images = tuple(
         ImageError(f"{k}.jpg", (k, 0.0, 0.0), used, sigmas)
@@ -82,7 +82,7 @@ def test_places_count_what_is_used_by_role():
     place = Georeference(None, None, here, images, (), control_points=points)
     facts = dict(place.displays[0].facts)
     assert facts["positions"].startswith("3 of 4 images")
-    assert facts["control points"] == "3 of 6 used, 2 check points"
+    assert facts["control points"] == "3 of 7 used, 2 check points"
     assert [one.name for one in place.suspects] == ["3.jpg", "1.jpg"]
     for kind, up in (("control", (0, 0.2, 0.4)), ("check", (0.1, 0.5))):
         assert place.rms_of(kind) == pytest.approx((0.3, 0.4, np.sqrt(np.mean(np.square(up)))))
