@@ -66,6 +66,20 @@ def test_a_burst_of_contradictions_counts(result: OdometryResult) -> None:
         assert expected in found and bool(found) == bool(expected)
 
 
+@pytest.mark.parametrize(("sensor", "name"), [(0, "gyroscope"), (1, "accelerometer")])
+def test_a_bias_may_be_far_at_a_tenth_of_the_keyframes(
+    result: OdometryResult, sensor: int, name: str
+) -> None:
+    for sigmas, count, expected in ((12.1, 10, ""), (12.1, 11, name), (11.9, 100, "")):
+        changes = [0.0, 0.0]
+        changes[sensor] = sigmas
+        far = {"bias_change_sigmas": tuple(changes)}
+        found = _lost_reason(records(result, dict.fromkeys(range(count), far)))
+        assert expected in found and bool(found) == bool(expected)
+        assert ("11 of 100" in found) == bool(expected)
+    assert _lost_reason([]) == ""
+
+
 def test_a_short_run_without_excitation_gets_its_alarm_at_the_end(result: OdometryResult) -> None:
     run = object.__new__(WindowRun)
     for count, verdict, expected in (
@@ -180,5 +194,7 @@ def test_a_more_robust_loss_is_not_advised_to_those_who_use_it() -> None:
         alarms = WindowAlarms(WindowOptions(loss=loss), (1e-4, 1e-2))
         prior = {"prior_asymmetry": 0.0, "prior_ratio": 1e-3, "prior_definiteness": 0.0}
         for k in range(2):
-            said = alarms.of(k, np.zeros(16), (None, 4), prior, (100.0, 60), "healthy", (None, 0.0))
+            state = np.zeros(16)
+            changes = alarms.bias_changes(k, state)
+            said = alarms.of(state, (None, 4), prior, (100.0, 60), "healthy", (None, 0.0), changes)
         assert ("--loss" in " ".join(said)) == expected

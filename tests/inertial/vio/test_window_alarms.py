@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from bundle.inertial.vio.odometry import run_odometry
+from bundle.inertial.vio.trajectory_comparison import compare_trajectories
 from bundle.inertial.vio.window_alarms import WindowAlarms, walks_down, yaw_falls
 from bundle.interface.window_options import WindowOptions
 from bundle.synthetic.synthetic_flight import synthesize_flight
@@ -24,7 +26,6 @@ def kinds(
     found = []
     for k in range(count):
         given: dict[str, Any] = {
-            "stamp": (at + k) * SECOND,
             "state": np.zeros(16),
             "nullity": (None, 4),
             "prior": HEALTHY,
@@ -32,6 +33,7 @@ def kinds(
             "verdict": "healthy",
             "yaw": (None, 0.0),
         } | changes
+        given["changes"] = alarms.bias_changes((at + k) * SECOND, given["state"])
         found.append(tuple(alarm.partition(":")[0] for alarm in alarms.of(**given)))
     return found
 
@@ -71,7 +73,7 @@ def test_the_cost_of_a_prior_is_a_chi_square(
 def test_a_bias_beyond_its_start_and_its_walk(part: int, sign: int) -> None:
     options = WindowOptions(start_gyro_bias_sigma=0.01, start_accel_bias_sigma=0.1)
     sigma, walk = (0.01, 1e-4) if part == 10 else (0.1, 1e-2)
-    for factor, later, expected in ((3.9, 0, 0), (4.1, 0, 1), (4.1, 10000, 0)):
+    for factor, later, expected in ((5.9, 0, 0), (6.1, 0, 1), (6.1, 10000, 0)):
         alarms = WindowAlarms(options, (1e-4, 1e-2))
         start = np.zeros(16)
         start[part : part + 3] = 0.3
@@ -81,6 +83,64 @@ def test_a_bias_beyond_its_start_and_its_walk(part: int, sign: int) -> None:
         assert np.sqrt(10000) * walk >= sigma  # the walk allows for it by then
         found = kinds(alarms, 2, at=later, state=state)
         assert [len(each) for each in found] == [0, expected]
+
+
+@pytest.mark.parametrize("part", [10, 13])
+def test_a_bias_that_changes_slowly_is_compared_with_all_its_estimates(part: int) -> None:
+    """Steps of a sigma of the walk, 1e-4 or 1e-2, are noise; a slope of 0.4 of it is none."""
+    walk, sensor = (1e-4, 0) if part == 10 else (1e-2, 1)
+
+    def largest(biases: Any) -> tuple[float, float, float]:
+        alarms = WindowAlarms(WindowOptions(), (1e-4, 1e-2))
+        state = np.zeros(16)
+        for k, bias in enumerate(biases):
+            state[part : part + 3] = bias
+            found = alarms.bias_changes(k * SECOND, state)
+            alarms.know_biases(k * SECOND, state, np.full(6, (0.5 * walk) ** 2))
+        assert found[0, 1 - sensor] == 0
+        return tuple(found[:, sensor].tolist())
+
+    rng = np.random.default_rng(1)
+    assert largest(walk * rng.normal(size=(400, 3)).cumsum(axis=0))[0] < 5.0
+    sigmas, size, seconds = largest(np.outer(np.arange(400), [0.0, 0.4 * walk, 0.0]))
+    assert (size, seconds) == pytest.approx((399 * 0.4 * walk, 399))
+    assert sigmas == pytest.approx(399 * 0.4 / np.sqrt(0.25 + 399))
+    back = np.concatenate([np.linspace(0, 1, 200), np.linspace(1, 0, 201)])[:, None]
+    assert largest(100 * walk * back)[1:] == pytest.approx((100 * np.sqrt(3) * walk, 201), rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("rate", "force", "walk", "said", "is_usable"),
+    [
+        (0.0, 0.0, None, "", True),
+        (0.02, 0.0, None, "gyroscope", True),
+        (0.0, 0.4, None, "accelerometer", True),
+        (0.0, 1.0, None, "accelerometer", False),
+        (0.02, 0.0, 1e-3, "", True),  # as the alarm advises
+    ],
+)
+def test_a_sensor_that_warms_up(
+    rate: float, force: float, walk: float | None, said: str, is_usable: bool
+) -> None:
+    flight = synthesize_flight(motion="loop", seed=42, duration=16.0, num_tracks=60)
+    given = flight.sequence
+    share = np.linspace(0, 1, len(given.gyro))[:, None]
+    noise = given.calibration.noise
+    walk = walk or noise.gyro_bias_random_walk
+    warm = replace(
+        given,
+        gyro=given.gyro + share * [0, rate, 0],
+        accel=given.accel + share * [force, 0, 0],
+        calibration=replace(given.calibration, noise=replace(noise, gyro_bias_random_walk=walk)),
+    )
+    found = run_odometry(warm, time_budget=100.0)
+    alarms = {alarm.partition(":")[0] for each in found.keyframes for alarm in each.alarms}
+    assert alarms == ({f"{said} bias changes"} if said else set())
+    assert found.is_usable == is_usable
+    assert (f"the {said} bias changed" in found.message) == (not is_usable)
+    if rate and is_usable:
+        error = compare_trajectories(found.trajectory, flight.ground_truth)
+        assert error.ate == pytest.approx(0.08 if said else 0.03, abs=0.01)
 
 
 def test_ratios_that_walk_down() -> None:

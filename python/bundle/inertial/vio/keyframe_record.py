@@ -60,11 +60,13 @@ class KeyframeRecord:
         prior_asymmetry: relative asymmetry before the prior is symmetrised.
         excitation, excitation_verdict: standard deviation of |a| - g over the window, m/s^2.
         gyro_bias, accel_bias: biases of the newest state, with their sigmas if requested.
+        bias_change_sigmas: largest changes of both biases since an earlier estimate, in sigmas of
+            it and of the random walk; below 4 in healthy windows.
         yaw_sigma: standard deviation of the newest yaw, rad; None without covariance or with a free
             yaw.
         speed_sigma: relative standard deviation of the newest speed, and of the scale while nothing
             accelerates. None below 0.5 m/s, or without covariance; that is also computed while the
-            accelerometer is quiet.
+            accelerometer is quiet, and with each imu_excess.
         accumulated_rotation: sum of rotation angles between keyframes since the start, rad.
         marginalized: stamp of the keyframe that left the window, or None, and the method.
         num_absorbed: landmarks that were marginalised into the prior.
@@ -108,6 +110,7 @@ class KeyframeRecord:
     accel_bias: tuple[float, float, float]
     gyro_bias_sigma: tuple[float, float, float] | None
     accel_bias_sigma: tuple[float, float, float] | None
+    bias_change_sigmas: tuple[float, float]
     yaw_sigma: float | None
     speed_sigma: float | None
     accumulated_rotation: float

@@ -258,6 +258,7 @@ class SlidingWindow:
             self.prior = self.prior.relinearized({f.stamp: f.state for f in self.frames})
         window["priors"] = self._priors(self.frames)
         self._telemetry.lap("assembly")
+        checks = self._telemetry.wants_expected_cost()
         solved = _core.solve_window(
             window,
             {
@@ -265,8 +266,8 @@ class SlidingWindow:
                 "time_budget": 10.0 if generous else options.time_budget,
                 "function_tolerance": options.function_tolerance,
                 "spectrum": options.nullity,
-                "covariance": options.covariance or self._telemetry.is_quiet,
-                "expected_imu_cost": self._telemetry.wants_expected_cost(),
+                "covariance": options.covariance or self._telemetry.is_quiet or checks,
+                "expected_imu_cost": checks,
                 "fix_gauge": self._telemetry.expected_nullity == 4,
             },
             None,

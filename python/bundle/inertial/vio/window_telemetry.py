@@ -73,6 +73,9 @@ class WindowTelemetry:
         if solved["expected_imu_cost"] > 0:
             self._imu_excess = solved["costs_after"]["imu"] / solved["expected_imu_cost"]
             self._is_new_excess = True
+            if solved["covariance"] is not None:
+                newest, variances = self.window.frames[-1], np.diag(solved["covariance"])[9:]
+                self._alarms.know_biases(newest.stamp, newest.state, variances)
         self._prior_size = max(sum(len(prior["vector"]) for prior in window["priors"]), 1)
         self._window = table, window
 
@@ -108,14 +111,15 @@ class WindowTelemetry:
         self.is_quiet = verdict == "unobservable"
         sigmas, yaw = self._sigmas(self.covariance, newest.state)
         turned = self._rotation_so_far()
+        changes = self._alarms.bias_changes(newest.stamp, newest.state)
         alarms = self._alarms.of(
-            newest.stamp,
             newest.state,
             (nullity, self.expected_nullity),
             prior,
             (costs["prior"], self._prior_size),
             verdict,
             (yaw, turned),
+            changes,
         )
         alarms += self._alarms.of_imu(self._imu_excess, self._is_new_excess)
         self._is_new_excess = False
@@ -145,6 +149,7 @@ class WindowTelemetry:
             accel_bias=_triple(newest.state[13:16]),
             gyro_bias_sigma=None if sigmas is None else _triple(sigmas[9:12]),
             accel_bias_sigma=None if sigmas is None else _triple(sigmas[12:15]),
+            bias_change_sigmas=(float(changes[0, 0]), float(changes[0, 1])),
             yaw_sigma=yaw,
             speed_sigma=_speed_sigma(solved["covariance"], newest.state),
             accumulated_rotation=turned,
