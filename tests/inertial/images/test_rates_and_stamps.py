@@ -191,7 +191,7 @@ def test_thresholds(
     size = math.sqrt(((1.48**2 + 3) * math.exp(ratio / pairs) - 1.48**2) / 3)
 
     class Pairs:
-        camera, spans = np.zeros((pairs, 3)), np.zeros((pairs, 2), int)
+        camera, spans, lens = np.zeros((pairs, 3)), np.zeros((pairs, 2), int), np.eye(3)
 
         def __init__(self, *_: Any, **__: Any) -> None:
             self.size = size
@@ -207,6 +207,5 @@ def test_thresholds(
 
     monkeypatch.setattr(rates_and_stamps, "RotationPairs", Pairs)
     images: Any = SimpleNamespace(stamps=stamps + np.round(1e9 * jitter * sign).astype(np.int64))
-    calibration = SimpleNamespace(camera_from_imu=(0, 0, 0, 1, 0, 0, 0))
-    recording: Any = SimpleNamespace(calibration=calibration, name="S")
+    recording: Any = SimpleNamespace(name="S")
     assert len(jitter_findings(images, recording)) == count

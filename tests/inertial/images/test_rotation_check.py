@@ -8,18 +8,22 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from bundle.inertial.preintegration.preintegration import Preintegration
 from bundle.inertial.tracking import track_recording
 from bundle.inertial.tracking.relative_rotation import Turn, refined_rotation, turns_of_tracks
 from bundle.inertial.tracking.rotation_check import (
     RotationCheck,
+    RotationPairs,
     check_rotations,
     tracking_findings,
 )
+from bundle.inertial.tracking.sequence_axes import _recording
 from bundle.inertial.tracking.track_recording import Tracking
-from bundle.inertial.vio.sequence_images import SequenceImages
+from bundle.inertial.vio.sequence_images import ImuSlices, SequenceImages
 from bundle.interface.window_options import TrackingOptions
 from bundle.io.sequences.recordings import read_mav
 from bundle.model.sequence.sequence import Recording, Sequence
+from bundle.synthetic.synthetic_flight import synthesize_flight
 from tests.inertial.images.rendered_flight import SMALL, Flight, render
 
 
@@ -94,6 +98,29 @@ def test_errors_are_named(
         assert check.time_shift == pytest.approx(0.03, abs=3e-3)
     if change == "slightly turned":
         assert check.angle == pytest.approx(4.0, abs=1.5)
+
+
+@pytest.mark.parametrize("scale", [1.0, np.pi / 180])
+def test_rotations_by_samples_are_those_of_their_preintegration(scale: float) -> None:
+    """Between samples, where the end of an interval is interpolated, to second order."""
+    flight = synthesize_flight(motion="loop", duration=3.0, num_tracks=5, seed=1).sequence
+    stamps = flight.imu_timestamps_ns
+    turns = [
+        Turn(int(stamps[k]), int(stamps[k + 50]), np.diag([1.0, -1.0, -1.0]), np.eye(3))
+        for k in range(100, 530, 25)
+    ]
+    pairs = RotationPairs(_recording(flight, "S"), turns)
+    assert len(pairs.spans) == len(turns)
+    for shift, error in ((0.0, 1e-14), (-0.005, 1e-14), (0.0031, 1e-6)):
+        found = pairs.imu(shift, scale)
+        for span, vector in zip(pairs.spans + round(1e9 * shift), found, strict=True):
+            interval = ImuSlices(stamps, flight.gyro, flight.accel, "midpoint").between(*span)
+            motion = Preintegration(flight.calibration.noise, rule="midpoint")
+            motion.integrate(scale * interval.gyro, interval.accel, interval.dt)
+            turned = Rotation.from_rotvec(vector) * Rotation.from_matrix(motion.delta_rotation)
+            assert turned.magnitude() < error
+    ends = pairs.imu(10.0)  # beyond the last sample
+    np.testing.assert_array_equal(ends, np.zeros_like(ends))
 
 
 def posed(recording: Recording, pose: list[float]) -> Recording:

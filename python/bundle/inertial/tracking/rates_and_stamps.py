@@ -38,7 +38,7 @@ from bundle.inertial.tracking.relative_rotation import Turn, turns_of_tracks
 from bundle.inertial.tracking.rotation_check import SHIFTS, RotationPairs
 from bundle.inertial.vio.sequence_images import SequenceImages
 from bundle.interface.finding import Finding
-from bundle.model.rigid_motions import cross_matrices, rotation_matrices
+from bundle.model.rigid_motions import cross_matrices
 from bundle.model.sequence.sequence import Recording
 from bundle.model.sequence.sequence_findings import bad_stretches
 
@@ -68,7 +68,7 @@ def scale_findings(
     pairs = RotationPairs(recording, turns, least_turn=0.0)
     if len(pairs.camera) < FEWEST:
         return ()
-    ratio, sigma, variance = scale_of_rates(pairs, _lens(recording))
+    ratio, sigma, variance = scale_of_rates(pairs, pairs.lens)
     if with_rays and variance > MOST_VARIANCE:
         sentence = (
             f"{recording.name}: rotations of tracks and gyroscope differ by {variance**0.5:.2g} "
@@ -116,7 +116,7 @@ def bias_findings(recording: Recording, turns: list[Turn]) -> tuple[Finding, ...
     pairs = RotationPairs(recording, turns, least_turn=0.0)
     if len(pairs.camera) < 2 * CHANGE_FEWEST:
         return ()
-    biases = (pairs.imu(0.0) - pairs.camera @ _lens(recording)) / (1e-9 * np.diff(pairs.spans))
+    biases = (pairs.imu(0.0) - pairs.camera @ pairs.lens) / (1e-9 * np.diff(pairs.spans))
     deviations, size, first = max(
         _change(biases, k) for k in range(CHANGE_FEWEST, len(biases) - CHANGE_FEWEST + 1)
     )
@@ -139,11 +139,6 @@ def _change(biases: Array, first: int) -> tuple[float, float, int]:
     sigma = 1.25 * 1.48 * share * np.maximum(np.median(errors, axis=0), 1e-9)
     change = medians[1] - medians[0]
     return float(np.linalg.norm(change / sigma)), float(np.linalg.norm(change)), first
-
-
-def _lens(recording: Recording) -> Array:
-    lens: Array = rotation_matrices(np.array(recording.calibration.camera_from_imu)[None, :4])[0]
-    return lens
 
 
 def regular_stamps(stamps: Array) -> Array:
@@ -170,7 +165,7 @@ def jitter_findings(images: SequenceImages, recording: Recording) -> tuple[Findi
     if len(given.camera) < FEWEST:
         return ()
     moved = given.at(regular[np.searchsorted(stamps, given.spans)])
-    errors = [pairs.errors(_lens(recording), pairs.imu(0.0)) for pairs in (given, moved)]
+    errors = [pairs.errors(given.lens, pairs.imu(0.0)) for pairs in (given, moved)]
     scale = min(1.48 * float(np.median(np.abs(each))) for each in errors)
     costs = [float(np.log1p(((each / scale) ** 2).sum(axis=1)).sum()) for each in errors]
     ratio = costs[0] - costs[1]

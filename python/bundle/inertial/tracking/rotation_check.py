@@ -29,12 +29,14 @@ from typing import Any
 import numpy as np
 
 from bundle.base.records import dataclass
-from bundle.inertial.preintegration.preintegration import Preintegration
 from bundle.inertial.tracking.relative_rotation import Turn
 from bundle.inertial.vio.sequence_images import ImuSlices
 from bundle.interface.finding import Finding
 from bundle.model.rigid_motions import (
     quaternion_from_matrix,
+    quaternion_from_vector,
+    quaternion_inverse,
+    quaternion_multiply,
     rotation_matrices,
     vector_from_quaternion,
 )
@@ -73,7 +75,7 @@ def check_rotations(recording: Recording, turns: list[Turn]) -> RotationCheck:
     pairs = RotationPairs(recording, turns)
     if len(pairs.camera) < FEWEST:
         return RotationCheck()
-    lens = rotation_matrices(np.array(recording.calibration.camera_from_imu)[None, :4])[0]
+    lens = pairs.lens
     imu = pairs.imu(0.0)
     cause, matrix, axes = "", lens, ""
     share = best = pairs.unexplained(lens, imu)
@@ -116,8 +118,7 @@ def share_unexplained(recording: Recording, turns: list[Turn]) -> float:
     pairs = RotationPairs(recording, turns)
     if len(pairs.camera) < FEWEST:
         return 0.0
-    lens = rotation_matrices(np.array(recording.calibration.camera_from_imu)[None, :4])[0]
-    return pairs.unexplained(lens, pairs.imu(0.0))
+    return pairs.unexplained(pairs.lens, pairs.imu(0.0))
 
 
 class RotationPairs:
@@ -129,6 +130,7 @@ class RotationPairs:
         spans: (n, 2) stamps of the pairs on the IMU's clock, ns.
         camera: (n, 3) rotation vectors by the tracks.
         information: (n, 3, 3) on each.
+        lens: (3, 3) rotation of camera_from_imu.
     """
 
     def __init__(
@@ -136,7 +138,9 @@ class RotationPairs:
     ) -> None:
         stamps = recording.imu_timestamps_ns
         self._slices = ImuSlices(stamps, recording.gyro, recording.accel, "midpoint")
-        self._noise = recording.calibration.noise
+        self._turned: dict[float, Array] = {}
+        pose = np.array(recording.calibration.camera_from_imu)
+        self.lens: Array = rotation_matrices(pose[None, :4])[0]
         spans = np.array([(each.earlier, each.later) for each in turns], np.int64).reshape(-1, 2)
         vectors = np.zeros((0, 3))
         if turns:
@@ -160,15 +164,23 @@ class RotationPairs:
 
     def imu(self, shift: float, scale: float = 1.0) -> Array:
         """Return (n, 3) later_from_earlier of scaled samples; shifts end at the last sample."""
-        matrices = []
-        first, last = self._slices.stamps[[0, -1]]
-        for begin, end in (self.spans + round(1e9 * shift)).clip(first, last).tolist():
-            interval = self._slices.between(begin, end)
-            motion = Preintegration(self._noise, rule="midpoint")
-            motion.integrate(scale * interval.gyro, interval.accel, interval.dt)
-            matrices.append(motion.delta_rotation.T)
-        vectors: Array = vector_from_quaternion(quaternion_from_matrix(np.array(matrices)))
-        return vectors
+        spans = (self.spans + round(1e9 * shift)).clip(*self._slices.stamps[[0, -1]])
+        earlier, later = (self._orientation(stamps, scale) for stamps in spans.T)
+        return vector_from_quaternion(quaternion_multiply(quaternion_inverse(later), earlier))
+
+    def _orientation(self, stamps: Array, scale: float) -> Array:
+        """Return quaternions (n, 4) first_from_now at stamps, by scaled samples."""
+        times, rates = self._slices.stamps, scale * self._slices.gyro
+        steps = 1e-9 * np.diff(times)[:, None]
+        if scale not in self._turned:
+            turned = quaternion_from_vector(0.5 * steps * (rates[:-1] + rates[1:]))
+            for reach in 2 ** np.arange(len(turned).bit_length()):  # products of 2, 4, 8, ... steps
+                turned[reach:] = quaternion_multiply(turned[:-reach], turned[reach:])
+            self._turned[scale] = np.vstack([[0.0, 0.0, 0.0, 1.0], turned])
+        row = np.searchsorted(times[:-1], stamps, "right") - 1
+        since = 1e-9 * (stamps - times[row])[:, None]
+        middle = rates[row] + 0.5 * since / steps[row] * (rates[row + 1] - rates[row])
+        return quaternion_multiply(self._turned[scale][row], quaternion_from_vector(since * middle))
 
     def ratio(self) -> float:
         """Return the median size by the gyroscope / by the tracks; a small scale avoids wraps."""

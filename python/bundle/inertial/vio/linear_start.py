@@ -154,32 +154,33 @@ class _System:
         offset -= self.depth[:, None] * (seen.xy - self.line)
         weight = (np.sqrt(self.robust) / (self.depth * self.sigma))[:, None]
         a = rows * weight[..., None]
+        # Unknowns are velocity, gravity over its length, and accelerometer bias: (k, 3, 9).
+        times = t[:, None, None] * np.eye(3)
+        falls = 0.5 * self.length * t[:, None, None] * times
+        columns = np.concatenate([times, falls, motion.position_by_bias], axis=2)
+        b = np.einsum("nij,nj->ni", a, motion.position[seen.image]) - weight * offset
+        c = -a @ columns[seen.image]
+        information, vector, solved = self._reduced(a, c, b)
         # The mean specific force is -g up to the change of velocity.
         direction = -motion.velocity[-1] / np.linalg.norm(motion.velocity[-1])
+        basis = np.zeros((9, 8))
+        basis[:3, :3] = basis[6:, 5:] = np.eye(3)
         for _ in range(SPHERE_STEPS):
-            tangent = np.linalg.svd(direction[None])[2][1:].T  # (3, 2)
-            columns = np.concatenate(
-                [
-                    t[:, None, None] * np.eye(3),
-                    0.5 * self.length * t[:, None, None] ** 2 * tangent,
-                    motion.position_by_bias,
-                ],
-                axis=2,
-            )
-            known = motion.position + 0.5 * self.length * t[:, None] ** 2 * direction
-            b = np.einsum("nij,nj->ni", a, known[seen.image]) - weight * offset
-            c = -a @ columns[seen.image]
-            x, points, covariance = self._least_squares(a, c, b)
-            step = x[3:5]
-            moved = direction + tangent @ step
-            direction = moved / np.linalg.norm(moved)
-        gravity, bias = self.length * direction, x[5:]
-        positions = known + columns @ x
+            basis[3:6, 3:5] = np.linalg.svd(direction[None])[2][1:].T
+            at = np.pad(direction, 3)
+            covariance = np.linalg.pinv(basis.T @ information @ basis, hermitian=True)
+            x = at + basis @ (covariance @ basis.T @ (vector - information @ at))
+            direction = x[3:6] / np.linalg.norm(x[3:6])
+        gravity, bias = self.length * direction, x[6:]
+        points = solved[..., 9] - solved[..., :9] @ x
+        positions = motion.position + columns @ x
         residuals = np.einsum("nij,nj->ni", a, points[seen.point]) + c @ x - b
         away = points[seen.point] - positions[seen.image]
         local = np.einsum("nij,nj->ni", back[seen.image], away) + self.shift
+        velocities = x[:3] + t[:, None] * gravity + motion.velocity + motion.velocity_by_bias @ bias
         way = float(np.linalg.norm(positions[-1] - positions[0]))
-        end = columns[-1] @ covariance @ columns[-1].T
+        end = columns[-1] @ basis
+        spread = float(np.sqrt(np.trace(end @ covariance @ end.T)))
         return LinearStart(
             gyro_bias=gyro_bias.copy(),
             accel_bias=bias,
@@ -187,16 +188,13 @@ class _System:
             gravity=gravity,
             rotations=motion.rotation,
             positions=positions,
-            velocities=x[:3]
-            + t[:, None] * gravity
-            + motion.velocity
-            + motion.velocity_by_bias @ bias,
+            velocities=velocities,
             points=points,
             depths=local[:, 2],
             predicted=local[:, :2] / np.where(np.abs(local[:, 2:]) > 1e-9, local[:, 2:], 1e-9),
             residuals=residuals,
             gravity_sigma=float(np.sqrt(np.trace(covariance[3:5, 3:5]))),
-            scale_sigma=float(np.sqrt(np.trace(end))) / way if way > 0 else float("inf"),
+            scale_sigma=spread / way if way > 0 else float("inf"),
         )
 
     def coplanar_bias(self, bias: Array) -> Array:
@@ -229,8 +227,8 @@ class _System:
             bias = bias + np.linalg.lstsq(np.column_stack(columns), -left, rcond=None)[0]
         return bias
 
-    def _least_squares(self, a: Array, c: Array, b: Array) -> tuple[Array, Array, Array]:
-        """Return the unknowns (8,), the points, and the covariance (8, 8) of the unknowns."""
+    def _reduced(self, a: Array, c: Array, b: Array) -> tuple[Array, Array, Array]:
+        """Return information (9, 9), right side (9,), and s (m, 3, 10): points are s [-x, 1]."""
 
         def by_point(values: Array) -> Array:
             return np.add.reduceat(values, self.begin, axis=0)
@@ -241,22 +239,18 @@ class _System:
         coupling = by_point(transposed @ c)
         right = by_point((transposed @ b[..., None])[..., 0])
         solved = np.linalg.solve(h, np.concatenate([coupling, right[..., None]], axis=2))
-        prior = np.zeros((8, 8))
-        prior[5:, 5:] = np.eye(3) / ACCEL_BIAS_SIGMA**2
-        information = prior + np.einsum("nij,nik->jk", c, c)
-        information -= np.einsum("mij,mik->jk", coupling, solved[..., :8])
-        vector = np.einsum("nij,ni->j", c, b) - np.einsum("mij,mi->j", coupling, solved[..., 8])
+        information = np.einsum("nij,nik->jk", c, c)
+        information -= np.einsum("mij,mik->jk", coupling, solved[..., :9])
         information = (information + information.T) / 2
-        covariance = np.linalg.pinv(information, hermitian=True)
-        x = covariance @ vector
-        return x, solved[..., 8] - solved[..., :8] @ x, covariance
+        information[6:, 6:] += np.eye(3) / ACCEL_BIAS_SIGMA**2
+        vector = np.einsum("nij,ni->j", c, b) - np.einsum("mij,mi->j", coupling, solved[..., 9])
+        return information, vector, solved
 
     def _motion(self, gyro_bias: Array) -> _Motion:
         total = Preintegration(self.noise, gyro_bias, rule=self.rule)
         zero = np.zeros(3)
-        rows: list[tuple[Any, ...]] = [
-            (0.0, np.eye(3), zero, zero, np.zeros((3, 3)), np.zeros((3, 3)))
-        ]
+        start = (0.0, np.eye(3), zero, zero, np.zeros((3, 3)), np.zeros((3, 3)))
+        rows: list[tuple[Any, ...]] = [start]
         for interval in self.intervals:
             total.integrate(interval.gyro, interval.accel, interval.dt)
             rows.append(
