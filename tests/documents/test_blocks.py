@@ -24,6 +24,7 @@ from tools.quoted_outputs import QUOTE
 import bundle
 from bundle.cli.main import COMMANDS, main
 from tests.documents import workspace
+from tests.inertial.once import compute_once
 
 ROOT = workspace.REPOSITORY
 WITH_DATA: dict[str, Callable[[Path, Path], None]] = {
@@ -107,6 +108,7 @@ def test_the_blocks_of_a_page_run(
 ) -> None:
     name = page.relative_to(ROOT).as_posix()
     monkeypatch.chdir(tmp_path)
+    compute_once(monkeypatch)  # pages name a flight in many commands
     if name == "docs/merge.md":
         workspace.two_pieces(tmp_path)
     elif name == "docs/vio_input.md":

@@ -4,6 +4,7 @@ import os
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -14,12 +15,27 @@ import bundle
 from bundle import InputError
 from tests.io.colmap_models import fields, synthesize, write_model
 
+Large = Callable[..., Path]
+
 LARGEST_IN_MEMORY = 4 << 20
 FORMATS = pytest.mark.parametrize("binary", [True, False], ids=["binary", "text"])
 
 
-def large(folder: Path, *, binary: bool) -> Path:
-    """A model whose images and points are in files of more than 4 MB."""
+@pytest.fixture(scope="module")
+def large(tmp_path_factory: pytest.TempPathFactory) -> Large:
+    """Copies of a model whose images and points are in files of more than 4 MB."""
+    made: dict[bool, Path] = {}
+
+    def copy(folder: Path, *, binary: bool) -> Path:
+        if binary not in made:
+            made[binary] = write_large(tmp_path_factory.mktemp("large") / "model", binary=binary)
+        shutil.copytree(made[binary], folder)
+        return folder
+
+    return copy
+
+
+def write_large(folder: Path, *, binary: bool) -> Path:
     reconstruction = synthesize(5)
     if binary:  # an image with many keypoints without a point, and many points without a track
         points = reconstruction.image(3).points2D
@@ -40,7 +56,9 @@ def suffix(binary: bool) -> str:
 
 
 @FORMATS
-def test_a_solution_is_written_into_the_text_that_was_read(tmp_path: Path, binary: bool) -> None:
+def test_a_solution_is_written_into_the_text_that_was_read(
+    tmp_path: Path, large: Large, binary: bool
+) -> None:
     folder = large(tmp_path / "in", binary=binary)
     for stem in ("images", "points3D"):
         assert (folder / f"{stem}{suffix(binary)}").stat().st_size > LARGEST_IN_MEMORY
@@ -61,7 +79,7 @@ def test_a_solution_is_written_into_the_text_that_was_read(tmp_path: Path, binar
 
 
 @FORMATS
-def test_the_arrays_are_those_of_the_small_file(tmp_path: Path, binary: bool) -> None:
+def test_the_arrays_are_those_of_the_small_file(tmp_path: Path, large: Large, binary: bool) -> None:
     problem = bundle.load(large(tmp_path / "large", binary=binary))
     small = bundle.load(write_model(synthesize(5), tmp_path / "small", binary=binary))
     for name in ("observation_xy", "observation_image", "observation_keypoint", "cam_from_world"):
@@ -84,7 +102,7 @@ def test_lines_may_lie_anywhere_in_the_blocks(tmp_path: Path) -> None:
 
 
 @FORMATS
-def test_errors_have_their_lines_and_bytes(tmp_path: Path, binary: bool) -> None:
+def test_errors_have_their_lines_and_bytes(tmp_path: Path, large: Large, binary: bool) -> None:
     folder = large(tmp_path / "in", binary=binary)
     path = folder / f"points3D{suffix(binary)}"
     content = bytearray(path.read_bytes())
@@ -100,7 +118,7 @@ def test_errors_have_their_lines_and_bytes(tmp_path: Path, binary: bool) -> None
         bundle.load(folder)
 
 
-def test_another_file_of_the_same_name_changes_nothing(tmp_path: Path) -> None:
+def test_another_file_of_the_same_name_changes_nothing(tmp_path: Path, large: Large) -> None:
     """Programs that write atomically give the name to a new file."""
     folder = large(tmp_path / "in", binary=False)
     problem = bundle.load(folder)
@@ -115,7 +133,9 @@ def test_another_file_of_the_same_name_changes_nothing(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("format", ["colmap", "colmap-text", "nvm", "opensfm"])
 @pytest.mark.parametrize("change", ["overwritten", "truncated", "emptied", "longer"])
-def test_a_result_outlives_its_files(tmp_path: Path, change: str, format: str) -> None:
+def test_a_result_outlives_its_files(
+    tmp_path: Path, large: Large, change: str, format: str
+) -> None:
     """The files are written to while a solve runs; pages of a mapped file would be gone."""
     folder = large(tmp_path / "in", binary=False)
     problem = bundle.load(folder)

@@ -33,7 +33,7 @@ def end_error(path: Path, mav: Path) -> float:
 
 @pytest.fixture(scope="module")
 def flight(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return render(Flight(duration=6.0), tmp_path_factory.mktemp("flight"))
+    return render(Flight(duration=6.0, **SMALL), tmp_path_factory.mktemp("flight"))
 
 
 @pytest.fixture(scope="module")

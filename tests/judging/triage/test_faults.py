@@ -6,6 +6,13 @@ import pytest
 
 from tests.campaigns.triage import NOISE, PAIRS, judge
 from tests.campaigns.triage_inputs import Workshop
+from tests.inertial.once import compute_once
+
+
+@pytest.fixture(autouse=True)
+def once(monkeypatch):
+    """Both runs of a flight have the same rotations of tracks and starts."""
+    compute_once(monkeypatch)
 
 
 @pytest.fixture(scope="module")

@@ -37,7 +37,8 @@ def mixed_graph(function=landmarks):
     return graph
 
 
-def test_the_work_of_factors_is_that_of_their_jacobians():
+def test_the_work_of_factors_is_that_of_their_jacobians(monkeypatch):
+    monkeypatch.setattr(factor_graph_time, "MOST_SECONDS", np.inf)  # also on a busy machine
     graph = mixed_graph()
     work = factor_work(graph)
     free = {key: len(v.coordinates) - sum(v.held) for key, v in graph.variables.items()}

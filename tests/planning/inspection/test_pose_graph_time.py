@@ -7,7 +7,7 @@ import pytest
 
 import bundle
 from bundle import _core
-from bundle.planning.inspection import elimination_costs, pose_graph_time
+from bundle.planning.inspection import elimination_costs, machine_rates, pose_graph_time
 from bundle.planning.inspection.machine_rates import Rates
 from bundle.planning.inspection.problem_pattern import pattern_of_edges
 
@@ -211,14 +211,21 @@ def test_a_calibration_graph_takes_a_step(kind, size):
 
 
 def test_a_prediction_has_the_size_of_a_measured_step(monkeypatch):
+    """In processor time, which other load changes little; by few graphs, each solved once."""
     monkeypatch.setattr(elimination_costs, "pose_graph_rates", pose_graph_time.pose_graph_rates)
+    monkeypatch.setattr(machine_rates, "ATTEMPTS", 1)
+    monkeypatch.setattr(pose_graph_time, "LARGE", 0)
+    monkeypatch.setattr(pose_graph_time, "LEAST_REPEATS", 1)
+    monkeypatch.setattr(pose_graph_time, "ENOUGH_SECONDS", 0.0)
+    few = [case for case in pose_graph_time.CASES if case[1] <= 2500]
+    monkeypatch.setattr(pose_graph_time, "CASES", few)
     graph = pose_graph_time.made_graph("near", 3000, 6, seed=5)
     found = bundle.inspect(graph, num_threads=1)
     for cost in found.costs:
         if cost.is_taken:
             assert sum(cost.time_terms.values()) == cost.time_per_step_in_seconds
             measured = min(pose_graph_time.step_time(graph, cost.ordering, 1) for _ in range(3))
-            # a loaded machine; benchmarks/graph_predictions.py measures how close they are
+            # benchmarks/graph_predictions.py measures how close they are
             assert 0.1 < cost.time_per_step_in_seconds / measured < 10
     by_order = {cost.ordering: cost.time_per_step_in_seconds for cost in found.costs}
     assert by_order["natural"] > by_order["amd"] and np.isnan(by_order["dense"])
