@@ -25,6 +25,7 @@ OUTSIDERS = {  # other people's packages, and the rooms that may know them
     "pycolmap": "model io", "pyproj": "georeference", "yaml": "model",
     "pandas": "interface model solving analysis", "rerun": "io", "cv2": "io inertial",
     "rosbags": "io", "evo": "", "mpi4py": "solving cli", "PIL": "io georeference reports",
+    "torch": "analysis", "jax": "analysis",
 }  # fmt: skip
 
 

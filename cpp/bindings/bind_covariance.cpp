@@ -2,6 +2,7 @@
 #include <pybind11/pybind11.h>
 #include <pybind11/stl.h>
 
+#include <memory>
 #include <optional>
 #include <utility>
 #include <vector>
@@ -9,6 +10,7 @@
 #include "bindings/arrays.h"
 #include "bindings/given_problem.h"
 #include "bindings/immutable_array.h"
+#include "core/covariance/adjoint.h"
 #include "core/covariance/covariance.h"
 #include "core/covariance/influence.h"
 #include "core/covariance/reliability.h"
@@ -107,22 +109,29 @@ py::dict Reliability(const py::object& problem, const py::dict& options,
   return d;
 }
 
-/// The arrays have one row per image, camera and point of the problem, which is checked here.
+/// Derivatives with one row per image, camera and point of a problem, which is checked here.
+bundle::InfluenceOptions Derivatives(const bundle::AdjustmentProblem& view,
+                                     const CastArray<double>& images,
+                                     const CastArray<double>& cameras,
+                                     const CastArray<double>& points) {
+  if (images.size() != 6 * py::ssize_t{view.num_images} ||
+      cameras.size() != py::ssize_t{view.num_cameras} * view.camera_params_stride ||
+      points.size() != 3 * py::ssize_t{view.num_points}) {
+    throw bundle::InputError("gradient: expected a row per image, camera and point");
+  }
+  const auto values = [](const CastArray<double>& array) {
+    return std::vector<double>(array.data(), array.data() + array.size());
+  };
+  return {values(images), values(cameras), values(points)};
+}
+
 py::dict Influence(const py::object& problem, const py::dict& options,
                    const py::object& restrictions, const py::object& factors, double least,
                    const CastArray<double>& images, const CastArray<double>& cameras,
                    const CastArray<double>& points) {
   GivenProblem given(problem, options, restrictions, factors);
   const bundle::AdjustmentProblem& view = given.view();
-  const auto values = [](const CastArray<double>& array) {
-    return std::vector<double>(array.data(), array.data() + array.size());
-  };
-  const bundle::InfluenceOptions gradient{values(images), values(cameras), values(points)};
-  if (images.size() != 6 * py::ssize_t{view.num_images} ||
-      cameras.size() != py::ssize_t{view.num_cameras} * view.camera_params_stride ||
-      points.size() != 3 * py::ssize_t{view.num_points}) {
-    throw bundle::InputError("gradient: expected a row per image, camera and point");
-  }
+  const bundle::InfluenceOptions gradient = Derivatives(view, images, cameras, points);
   bundle::ReliabilityOptions wanted;
   wanted.least = least;
   bundle::InfluenceOutput output = given.Run([&](const auto& p, const auto& o) {
@@ -141,6 +150,127 @@ py::dict Influence(const py::object& problem, const py::dict& options,
   return d;
 }
 
+/// An AdjointSystem with its problem and factors, all of which it keeps alive.
+class PythonAdjoint {
+ public:
+  /// `factors`: those of the gradient; `eliminated`: those of them that the factorisation has.
+  PythonAdjoint(py::object problem, const py::dict& options, py::object restrictions,
+                const py::object& factors, const py::object& eliminated)
+      : problem_(std::move(problem)),
+        restrictions_(std::move(restrictions)),
+        given_(problem_, options, restrictions_, eliminated),
+        factors_(factors),
+        system_(given_.Run([&](const auto& p, const auto& o) {
+          return bundle::AdjointSystem::Make(p, factors_.Check(), o);
+        })) {}
+
+  py::object Held() const { return ToImmutableNumpy(system_->Held(), {num_cameras(), stride()}); }
+
+  py::tuple Directions() const {
+    const py::ssize_t size = system_->size(), degrees = system_->degrees();
+    const auto count = static_cast<size_t>(size * degrees);
+    std::vector<double> n(count), of_sums(count);
+    system_->Directions(n.data(), of_sums.data());
+    return py::make_tuple(ToImmutableNumpy(std::move(n), {degrees, size}),
+                          ToImmutableNumpy(std::move(of_sums), {degrees, size}));
+  }
+
+  py::object Solve(const CastArray<double>& y) {
+    std::vector<double> a(Checked(y).size());
+    Run([&] { system_->Solve(y.data(), a.data()); });
+    return Vector(std::move(a));
+  }
+
+  py::object Gather(const CastArray<double>& images, const CastArray<double>& cameras,
+                    const CastArray<double>& points) const {
+    return Vector(system_->Gather(Derivatives(given_.view(), images, cameras, points)));
+  }
+
+  py::object Gradient(const CastArray<double>& step) {
+    std::vector<double> gradient(Checked(step).size());
+    Run([&] { system_->Gradient(step.data(), gradient.data()); });
+    return Vector(std::move(gradient));
+  }
+
+  py::tuple Product(const CastArray<double>& step, const CastArray<double>& a, double e) {
+    Checked(step);
+    std::vector<double> product(Checked(a).size()), by_params;
+    Run([&] { system_->Product(step.data(), a.data(), e, product.data(), &by_params); });
+    return py::make_tuple(Vector(std::move(product)),
+                          ToImmutableNumpy(std::move(by_params), {num_cameras(), stride()}));
+  }
+
+  py::dict Along(const CastArray<double>& a) {
+    Checked(a);
+    bundle::AdjointRows rows;
+    Run([&] { rows = system_->Along(a.data()); });
+    const py::ssize_t n = given_.view().num_observations;
+    py::dict d;
+    d["along"] = ToImmutableNumpy(std::move(rows.along), {n, 2});
+    d["residuals"] = ToImmutableNumpy(std::move(rows.residuals), {n, 2});
+    d["weights"] = ToImmutableNumpy(std::move(rows.weights), {n});
+    d["bends"] = ToImmutableNumpy(std::move(rows.bends), {n});
+    d["factor_begin"] = rows.factor_begin;
+    d["factor_along"] = Vector(std::move(rows.factor_along));
+    d["factor_residuals"] = Vector(std::move(rows.factor_residuals));
+    d["factor_weights"] = Vector(std::move(rows.factor_weights));
+    d["factor_bends"] = Vector(std::move(rows.factor_bends));
+    return d;
+  }
+
+  /// The arrays of the moved problem, by the names of model/estimates.py.
+  py::dict Moved(const CastArray<double>& step) {
+    Checked(step);
+    bundle::SolveOutput output;
+    Run([&] { output = system_->Moved(step.data()); });
+    const bundle::AdjustmentProblem& view = given_.view();
+    const py::ssize_t images = view.num_images, points = view.num_points;
+    const py::ssize_t frames = view.num_frames, sensors = view.num_sensors;
+    py::dict d;
+    d["cam_from_world"] = ToImmutableNumpy(std::move(output.cam_from_world), {images, 7});
+    d["camera_params"] =
+        ToImmutableNumpy(std::move(output.camera_params), {num_cameras(), stride()});
+    d["points"] = ToImmutableNumpy(std::move(output.points), {points, 3});
+    if (frames > 0) {
+      d["rig_from_world"] = ToImmutableNumpy(std::move(output.rig_from_world), {frames, 7});
+      d["sensor_from_rig"] = ToImmutableNumpy(std::move(output.sensor_from_rig), {sensors, 7});
+    }
+    if (!output.twists.empty()) {
+      d["twist"] = ToImmutableNumpy(std::move(output.twists), {images, 6});
+      d["readout"] = ToImmutableNumpy(std::move(output.readouts), {num_cameras()});
+    }
+    return d;
+  }
+
+ private:
+  py::ssize_t num_cameras() const { return given_.view().num_cameras; }
+  py::ssize_t stride() const { return given_.view().camera_params_stride; }
+
+  const CastArray<double>& Checked(const CastArray<double>& vector) const {
+    if (vector.size() == system_->size()) return vector;
+    throw bundle::InputError("adjoint: expected " + std::to_string(system_->size()) +
+                             " numbers, found " + std::to_string(vector.size()));
+  }
+
+  static py::object Vector(std::vector<double> values) {
+    const auto size = static_cast<py::ssize_t>(values.size());
+    return ToImmutableNumpy(std::move(values), {size});
+  }
+
+  template <typename Compute>
+  static void Run(const Compute& compute) {
+    PythonProgress watch{py::none()};
+    RunWatched(&watch, compute);
+    watch.Rethrow();
+  }
+
+  const py::object problem_;
+  const py::object restrictions_;
+  GivenProblem given_;
+  GivenFactors factors_;
+  const std::unique_ptr<bundle::AdjointSystem> system_;
+};
+
 }  // namespace
 
 void BindCovariance(py::module_& m) {
@@ -154,4 +284,18 @@ void BindCovariance(py::module_& m) {
   m.def("influence", &Influence, py::arg("problem"), py::arg("options"), py::arg("restrictions"),
         py::arg("factors"), py::arg("least"), py::arg("images"), py::arg("cameras"),
         py::arg("points"));
+  py::class_<PythonAdjoint>(m, "Adjoint")
+      .def(
+          py::init<py::object, const py::dict&, py::object, const py::object&, const py::object&>(),
+          py::arg("problem"), py::arg("options"), py::arg("restrictions"), py::arg("factors"),
+          py::arg("eliminated"))
+      .def_property_readonly("held", &PythonAdjoint::Held)
+      .def("directions", &PythonAdjoint::Directions)
+      .def("solve", &PythonAdjoint::Solve, py::arg("y"))
+      .def("gather", &PythonAdjoint::Gather, py::arg("images"), py::arg("cameras"),
+           py::arg("points"))
+      .def("gradient", &PythonAdjoint::Gradient, py::arg("step"))
+      .def("product", &PythonAdjoint::Product, py::arg("step"), py::arg("a"), py::arg("e"))
+      .def("along", &PythonAdjoint::Along, py::arg("a"))
+      .def("moved", &PythonAdjoint::Moved, py::arg("step"));
 }

@@ -12,6 +12,9 @@ _DEFERRED = {
     "analysis.diagnosis.diagnose_problem": "diagnose",
     "analysis.diagnosis.diagnosis_result": "Diagnosis GraphDiagnosis",
     "analysis.statistics.description": "Description describe",
+    "analysis.uncertainty.adjoint": (
+        "Adjoint Derivatives GaugeWarning NotConvergedWarning adjoint"
+    ),
     "analysis.uncertainty.covariance_by_input": "covariance",
     "analysis.uncertainty.covariance_result": "Covariance GraphCovariance",
     "analysis.uncertainty.graph_covariance": "FactorGraphCovariance",
@@ -131,8 +134,10 @@ _MODULES = {
     "figures": "figures",
     "georeference": "georeference",
     "html": "reports.page",
+    "jax": "analysis.uncertainty.with_jax",
     "losses": "model.losses",
     "pictures": "figures.matplotlib",
+    "torch": "analysis.uncertainty.with_torch",
     "two_loops": "inertial.two_loops",
     "warning_kinds": "interface.warning_kinds",
 }

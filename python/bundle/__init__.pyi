@@ -13,6 +13,13 @@ from bundle.analysis.diagnosis.diagnosis_result import Diagnosis as Diagnosis
 from bundle.analysis.diagnosis.diagnosis_result import GraphDiagnosis as GraphDiagnosis
 from bundle.analysis.statistics.description import Description as Description
 from bundle.analysis.statistics.description import describe as describe
+from bundle.analysis.uncertainty import with_jax as jax
+from bundle.analysis.uncertainty import with_torch as torch
+from bundle.analysis.uncertainty.adjoint import Adjoint as Adjoint
+from bundle.analysis.uncertainty.adjoint import Derivatives as Derivatives
+from bundle.analysis.uncertainty.adjoint import GaugeWarning as GaugeWarning
+from bundle.analysis.uncertainty.adjoint import NotConvergedWarning as NotConvergedWarning
+from bundle.analysis.uncertainty.adjoint import adjoint as adjoint
 from bundle.analysis.uncertainty.covariance_by_input import covariance as covariance
 from bundle.analysis.uncertainty.covariance_result import Covariance as Covariance
 from bundle.analysis.uncertainty.covariance_result import GraphCovariance as GraphCovariance
@@ -180,6 +187,7 @@ from bundle.synthetic.synthetic_flight import SyntheticFlight as SyntheticFlight
 from bundle.synthetic.synthetic_flight import synthesize_flight as synthesize_flight
 
 __all__ = [
+    "Adjoint",
     "Alignment",
     "BetweenFactor",
     "BiasWalkFactor",
@@ -193,6 +201,7 @@ __all__ = [
     "Comparison",
     "Constraints",
     "Covariance",
+    "Derivatives",
     "Description",
     "Diagnosis",
     "DigitsLeft",
@@ -209,6 +218,7 @@ __all__ = [
     "FrameTracks",
     "FunctionFactor",
     "GaugeFreedom",
+    "GaugeWarning",
     "GlobalShutterModel",
     "GradientReport",
     "GraphComparison",
@@ -235,6 +245,7 @@ __all__ = [
     "Merge",
     "MethodInspection",
     "MsckfUpdate",
+    "NotConvergedWarning",
     "OdometryResult",
     "OrientationPrior",
     "Plan",
@@ -289,6 +300,7 @@ __all__ = [
     "WindowLoop",
     "WindowOptions",
     "__version__",
+    "adjoint",
     "align",
     "apply_rig_config",
     "bundle_adjustment",
@@ -321,6 +333,7 @@ __all__ = [
     "initialize_vio",
     "inspect",
     "inspect_graph",
+    "jax",
     "load",
     "load_poses",
     "load_sequence",
@@ -349,6 +362,7 @@ __all__ = [
     "synthesize",
     "synthesize_flight",
     "to_global_shutter",
+    "torch",
     "track_images",
     "track_rows",
     "triage",

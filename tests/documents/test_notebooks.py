@@ -58,6 +58,15 @@ def test_a_window(ran):
     assert nullities == [{4}, {3}]
 
 
+def test_learned_sigmas(ran):
+    pytest.importorskip("torch", reason="PyTorch, the extra torch, is not installed")
+    names = ran("learned_sigmas")
+    assert set(np.argsort(names["sigmas"])[-2:]) == {3, 6}
+    assert names["sigmas"][[3, 6]].min() > 2
+    assert names["history"][-1] < 0.7 * names["history"][0]
+    assert names["learned"] < names["equal"]
+
+
 def test_notebooks_are_kept_without_outputs():
     for path in FOLDER.glob("*.ipynb"):
         for cell in json.loads(path.read_text(encoding="utf-8"))["cells"]:

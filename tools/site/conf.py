@@ -8,6 +8,7 @@ theme.
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import sys
 from pathlib import Path
@@ -49,6 +50,9 @@ os.environ["IPYTHONDIR"] = str(PROFILE.parent)
 nb_execution_mode = "force"
 nb_execution_raise_on_error = True
 nb_execution_timeout = 60
+# This notebook needs an extra; without it, its page has the code only.
+if importlib.util.find_spec("torch") is None:
+    nb_execution_excludepatterns = ["tutorials/learned_sigmas.ipynb"]
 nb_merge_streams = True
 
 autodoc_member_order = "bysource"

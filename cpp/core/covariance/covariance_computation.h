@@ -32,6 +32,8 @@ struct ReliabilityOptions;  // reliability.h
 struct ReliabilityOutput;
 
 class CovarianceComputation {
+  friend class AdjointComputation;  // adjoint.cpp
+
  public:
   using Matrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
   using Matrix6 = Eigen::Matrix<double, 6, 6, Eigen::RowMajor>;

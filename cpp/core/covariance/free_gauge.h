@@ -75,6 +75,8 @@ class FreeGauge {
   /// (E N)_p of a point, 3 x d; zero for a point without parallax.
   using PointRows = Eigen::Matrix<double, 3, Eigen::Dynamic, Eigen::ColMajor, 3, kSimilarities>;
   PointRows OfPoint(int point) const;
+  /// N_p of a point, including its undetermined directions: 3 x d.
+  PointRows OfAnyPoint(int point) const;
   /// P x, for each column.
   void Project(FullVectors* x) const;
   /// P^T x, for each column.
@@ -82,8 +84,6 @@ class FreeGauge {
 
  private:
   const NullPoint* FindNullPoint(int point) const;  ///< nullptr: the point has parallax
-  /// N_p of a point, including its undetermined directions: 3 x d.
-  PointRows OfAnyPoint(int point) const;
   /// x - L R^T x. `L` and `R` give the rows of L and R for points; their rows for cameras are N_c.
   template <typename Left, typename Right>
   void Remove(const Left& left, const Right& right, FullVectors* x) const;

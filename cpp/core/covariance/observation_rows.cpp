@@ -124,6 +124,7 @@ ObservationEvaluator::ObservationEvaluator(const AdjustmentProblem& problem,
     : problem_(problem),
       layout_(layout),
       states_(problem, layout),
+      points_(problem.points),
       maps_(problem.num_images),
       loss_(options.loss),
       loss_scale_(options.loss_scale),
@@ -143,13 +144,21 @@ void ObservationEvaluator::SetScores(std::vector<double> scores, double kappa) {
   scores_ = std::move(scores);
 }
 
-bool ObservationEvaluator::Evaluate(int64_t observation, ObservationRows* rows) const {
+void ObservationEvaluator::MoveTo(const double* state, const double* points,
+                                  const std::vector<uint8_t>& held) {
+  states_.Update(state);
+  points_ = points;
+  Hold(held);
+}
+
+bool ObservationEvaluator::Evaluate(int64_t observation, ObservationRows* rows,
+                                    double* by_params) const {
   const int image = problem_.observation_image[observation];
   const int camera = problem_.image_camera[image];
   double local[2 * kMaxLocal];
   if (!EvaluateLocal(*problem_.camera_models[camera], states_.pose(image), states_.shutter(image),
                      states_.params(camera),
-                     problem_.points + 3 * int64_t{problem_.observation_point[observation]},
+                     points_ + 3 * int64_t{problem_.observation_point[observation]},
                      problem_.observation_xy + 2 * observation, cheirality_, rows->residual, local,
                      rows->point)) {
     return false;
@@ -167,6 +176,10 @@ bool ObservationEvaluator::Evaluate(int64_t observation, ObservationRows* rows) 
               rows->score);
   for (double& value : rows->point) value *= weight;
   rows->bend = rho[2] == 0 || rho[1] == 0 ? 0 : 2 * rho[2] / (rho[1] * rho[1]);
+  const int num_params = problem_.camera_models[camera]->num_params;
+  for (int k = 0; by_params != nullptr && k < 2 * num_params; ++k) {
+    by_params[k] = weight * local[kMaxLocal * (k / num_params) + kPoseSize + k % num_params];
+  }
   rows->num_blocks = 0;
   for (const LocalMap& map : maps_[image]) {
     const int b = rows->num_blocks++;

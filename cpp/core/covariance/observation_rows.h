@@ -60,21 +60,25 @@ class ObservationEvaluator {
   ObservationEvaluator(const AdjustmentProblem& problem, const ParameterLayout& layout,
                        const SolveOptions& options);
 
-  /// False if the observation does not count (factors/reprojection.h).
-  bool Evaluate(int64_t observation, ObservationRows* rows) const;
+  /// False if the observation does not count (factors/reprojection.h). `by_params`: also the rows
+  /// by all parameters of the camera's model, 2 x their number.
+  bool Evaluate(int64_t observation, ObservationRows* rows, double* by_params = nullptr) const;
 
   const CameraStates& states() const { return states_; }
   const std::vector<LocalMap>& maps(int image) const { return maps_[image]; }
   /// Multiplies J~^T J~ by kappa from now on, and takes J~^T score from these scores, two numbers
   /// per observation of the problem (leverages.h).
   void SetScores(std::vector<double> scores, double kappa);
+  /// Evaluates from now on at a state of the layout and at these points, which the caller keeps.
+  void MoveTo(const double* state, const double* points, const std::vector<uint8_t>& held);
   /// Holds the marked unknowns constant from now on.
   void Hold(const std::vector<uint8_t>& held);
 
  private:
   const AdjustmentProblem& problem_;
   const ParameterLayout& layout_;
-  const CameraStates states_;
+  CameraStates states_;
+  const double* points_;
   std::vector<std::vector<LocalMap>> maps_;  ///< per image
   std::vector<double> scores_;
   double root_curvature_ = 1;

@@ -1,0 +1,89 @@
+#pragma once
+
+/// Derivatives of a minimum by the data of its problem.
+///
+/// Let f(x, d) be the cost, with data d such as measurements, and F its gradient by the free
+/// unknowns x. At a minimum F(x, d) = 0, so that by the implicit function theorem dx = -H^-1 F_d dd
+/// with the exact Hessian H = F_x. For a function of x with the gradient y, the derivative by the
+/// data is therefore
+///
+///   -F_d^T a,        H a = y.
+///
+/// With the residual r~ and the rows J~ of a measurement (observation_rows.h), beta = 2 rho'' /
+/// rho'^2 and the rows J(x), weighted as at x,
+///
+///   H a = sum J~^T (I + beta r~ r~^T) J~ a + (J(x + e a) - J(x - e a))^T r~ / 2e + O(e^2),
+///
+/// in the chart of the solver about the problem's values. The differences are second derivatives of
+/// all that the solver differentiates: camera models, rigs, shutters, ties and factors of any kind.
+/// The residual stays, because its own difference would lose digits: pixels are rounded to 1e-13,
+/// 1e3 times as much as J in relation to what J moves. Rows of factors are weighted by sqrt(rho'),
+/// without the correction of the solvers.
+///
+/// Callers solve for a by conjugate gradients with the factor of J~^T J~ (reduced_system.h) as
+/// preconditioner.
+///
+/// Factors that couple a point with other unknowns, and functions of Python, are in no reduced
+/// system. They are in the gradient only, and the preconditioner lacks them.
+///
+/// The free similarities N and the projectors P = I - N (E N)^T and P^T are those of free_gauge.h,
+/// without the factors that the preconditioner lacks.
+
+#include <cstdint>
+#include <memory>
+#include <vector>
+
+#include "core/covariance/influence.h"
+#include "core/interface/adjustment_problem.h"
+#include "core/interface/options.h"
+#include "core/interface/summary.h"
+#include "core/scratch/large_vector.h"
+
+namespace bundle {
+
+/// Rows along a vector of unknowns.
+struct AdjointRows {
+  LargeVector<double> along;      ///< num_observations x 2: J~ a; 0 if it does not count
+  LargeVector<double> residuals;  ///< num_observations x 2: r~
+  LargeVector<double> weights;    ///< num_observations: rho'
+  LargeVector<double> bends;      ///< num_observations: beta
+  /// Of each factor, from factor_begin[k] on; 0 without a value.
+  std::vector<int> factor_begin;
+  std::vector<double> factor_along, factor_residuals;
+  std::vector<double> factor_weights, factor_bends;  ///< per factor
+};
+
+/// A full vector is that of the unknowns of the layout, followed by 3 coordinates per point, which
+/// are zero for constant points.
+class AdjointSystem {
+ public:
+  /// Linearises and factorises at the problem's values. `all`: the factors of the gradient;
+  /// nullptr: none. Those of the problem are in the factorisation, too. Keeps references to both.
+  /// Throws as ComputeCovariance.
+  static std::unique_ptr<AdjointSystem> Make(const AdjustmentProblem& problem,
+                                             const ProblemFactors* all,
+                                             const SolveOptions& options);
+  virtual ~AdjointSystem() = default;
+
+  virtual int64_t size() const = 0;
+  virtual int degrees() const = 0;
+  /// 1 for each camera parameter that is constant, also on a bound: num_cameras x stride.
+  virtual std::vector<uint8_t> Held() const = 0;
+  /// N and E N, size x degrees, column-major.
+  virtual void Directions(double* n, double* of_sums) const = 0;
+  /// a = (J~^T J~ + B B^T)^-1 y, with B as in FreeGauge::Hold.
+  virtual void Solve(const double* y, double* a) = 0;
+  /// y of derivatives by poses, cameras and points.
+  virtual std::vector<double> Gather(const InfluenceOptions& derivatives) const = 0;
+  /// F at the problem's values plus `step`.
+  virtual void Gradient(const double* step, double* gradient) = 0;
+  /// H a there, and the same derivative of the gradient of the observations by all parameters of
+  /// all cameras, num_cameras x stride.
+  virtual void Product(const double* step, const double* a, double e, double* product,
+                       std::vector<double>* by_params) = 0;
+  virtual AdjointRows Along(const double* a) = 0;
+  /// The problem's values plus `step`, about the problem's origin.
+  virtual SolveOutput Moved(const double* step) = 0;
+};
+
+}  // namespace bundle
