@@ -82,7 +82,7 @@ def load(
     if options.pixel_origin != ORIGINS[0] and (imported is None or imported.name != "nvm"):
         raise InputError(f"pixel_origin: expected an NVM file, found {shown(path)}")
     if imported is not None:
-        return imported.functions().read(file_at(path, imported), options)  # type: ignore[no-any-return]
+        return imported.reading().read(file_at(path, imported), options)  # type: ignore[no-any-return]
     if path.is_dir():
         check_is_model(path)
         return colmap.load(path)
@@ -95,7 +95,7 @@ def load(
     other = other_format_at(path)
     by_name = format_for_name(path) if other and other == format_of_name(path) else None
     if by_name is not None and by_name.reads:
-        return by_name.functions().read(path, options)  # type: ignore[no-any-return]  # states the fault
+        return by_name.reading().read(path, options)  # type: ignore[no-any-return]  # states the fault
     if other is not None:
         raise InputError(f"{shown(path)}: expected {names_read()}, found {other}")
     return bal.load(path, progress)
@@ -296,7 +296,7 @@ def _is_of_others(name: object) -> bool:
 
 def _check_imported(problem: Problem, path: Path, known: Format) -> None:
     """Raise the error that writing this format would raise."""
-    functions = known.functions()
+    functions = known.writing()
     if not known.writes:
         raise InputError(f"format: expected a format that can be written, found {known.name}")
     if known.is_folder:
@@ -314,12 +314,12 @@ def _check_imported(problem: Problem, path: Path, known: Format) -> None:
 
 def _save_imported(problem: Problem, path: Path, known: Format) -> tuple[str, ...]:
     _check_imported(problem, path, known)
-    write = known.functions().write
+    write = known.writing().write
     if known.is_folder:
         return tuple(write(problem, path))
     with atomic.replace_file(path) as temporary:
         lost = tuple(write(problem, temporary))
-        beside = getattr(known.functions(), "write_beside", None)
+        beside = getattr(known.writing(), "write_beside", None)
         if beside is not None:
             beside(problem, path)
         remove_georeference(path, is_folder=False)
@@ -365,7 +365,7 @@ def has_same_images(path: Path, names: Sequence[str]) -> bool:
     """
     imported = imported_format(path, others=False)
     if imported is not None:
-        problem = imported.functions().read(file_at(path, imported), ReadOptions(image_size=(0, 0)))
+        problem = imported.reading().read(file_at(path, imported), ReadOptions(image_size=(0, 0)))
         return _same(list(problem.image_names), names)
     if path.is_file():
         return _bal_images(path) == len(names)

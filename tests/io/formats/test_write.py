@@ -196,8 +196,9 @@ def test_ply_has_points_and_frusta(tmp_path) -> None:
     assert cloud.num_points3D() == 50
 
 
-def test_a_format_of_another_package(tmp_path, monkeypatch) -> None:
-    """An entry point adds a format: by content and by name, for reading and writing."""
+@pytest.mark.parametrize("is_apart", [False, True])
+def test_a_format_of_another_package(is_apart, tmp_path, monkeypatch) -> None:
+    """An entry point adds a format, with reader and writer in one module or in two."""
     import importlib.metadata
     from types import SimpleNamespace
 
@@ -210,7 +211,8 @@ def test_a_format_of_another_package(tmp_path, monkeypatch) -> None:
     mine = bundle.Format(
         name="mine",
         what="a file of mine",
-        module=SimpleNamespace(read=lambda *_: truth, write=write),
+        module=SimpleNamespace(read=lambda *_: truth, **({} if is_apart else {"write": write})),
+        writer=SimpleNamespace(write=write) if is_apart else None,
         pattern=rb"MY FORMAT",
     )
     entry = SimpleNamespace(name="mine", load=lambda: mine)

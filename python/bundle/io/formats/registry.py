@@ -35,6 +35,7 @@ class Format:
         name: name for ``--format``.
         what: kind of content for messages, such as "a Bundler model".
         module: module (or its dotted name) with ``read`` and ``write``, or one of them.
+        writer: module with ``write`` and ``check``; None: ``module``.
         pattern: regular expression that matches the first 4096 bytes of a file; empty: none. For a
             format without a reader, it serves to name the content.
         members: names of files that make a folder a project of this format.
@@ -47,6 +48,7 @@ class Format:
     name: str
     what: str
     module: Any
+    writer: Any = None
     pattern: bytes = b""
     members: tuple[str, ...] = ()
     suffixes: tuple[str, ...] = ()
@@ -54,9 +56,13 @@ class Format:
     reads: bool = True
     writes: bool = True
 
-    def functions(self) -> Any:
-        """Return the module."""
+    def reading(self) -> Any:
+        """Return the module with ``read``."""
         return _module(self.module)
+
+    def writing(self) -> Any:
+        """Return the module with ``write``."""
+        return _module(self.module if self.writer is None else self.writer)
 
     def matches(self, beginning: bytes) -> bool:
         """Return True if a file with these first bytes has this format."""
