@@ -576,7 +576,7 @@ def test_with_priors_of_every_kind_the_larger_problem_has_the_predicted_sigma():
         "refine": ("poses", "points", "focal", "extra"),
     }  # fmt: skip
     text = "height mark 9"
-    scene, found = planned(problem, text, "tie,gcp", **given)
+    scene, found = planned(problem, text, "tie,gcp", gcp_sigma=(0.02, 0.05), **given)
     before = bundle.influence(problem, text, **given).sigma
     assert scene.joint.variance == pytest.approx(before**2, rel=1e-9)
     assert not any("mark to" in one.what for one in found) and len(scene.joint.free.T) == 0
@@ -586,7 +586,8 @@ def test_with_priors_of_every_kind_the_larger_problem_has_the_predicted_sigma():
         row = next(places[k] for k in one.rows.columns[::-1].tolist() if k in places)
         if one.kind == "gcp":
             point = ("point", int(problem.point_ids[row]))
-            factor = bundle.PriorFactor(point, problem.points[row], np.eye(3) / 0.02**2)
+            information = np.diag(np.array([0.02, 0.02, 0.05]) ** -2)
+            factor = bundle.PriorFactor(point, problem.points[row], information)
             after = bundle.influence(problem, text, factors=[factor], **given).sigma
         elif row < problem.num_points:
             at = set(one.rows.columns.tolist())
@@ -607,3 +608,34 @@ def test_with_priors_of_every_kind_the_larger_problem_has_the_predicted_sigma():
             after**2, rel=1e-7
         )
     assert checked >= 8
+
+
+def test_new_images_lie_where_their_words_say(small):
+    _, found = planned(small, RATIO, "image")
+    sides = {"right of": (0, 1), "left of": (0, -1), "below": (1, 1), "above": (1, -1)}
+    tried = set()
+    for one in found:
+        step, words = one.what.partition(" (")[0].split(" ", 1)
+        side, name = words.rsplit(" ", 1)
+        image = small.image_names.index(name)
+        qw, qx, qy, qz, *t = map(float, one.lines()[0].split()[1:])
+        pose = np.array([[qx, qy, qz, qw, *t]])
+        center = -rotation_matrices(pose[:, :4])[0].T @ t
+        seen = rotation_matrices(small.cam_from_world[image, None, :4])[0] @ center
+        seen += small.cam_from_world[image, 4:]
+        axis, sign = sides[side]
+        expected = np.zeros(3)
+        expected[axis] = sign * float(step)
+        np.testing.assert_allclose(seen, expected, atol=1e-3 * float(step))
+        tried.add(side)
+    assert tried == set(sides)
+
+
+def test_points_without_parallax_are_no_candidates(small):
+    """A point so far away that its rays are parallel."""
+    points = small.points.copy()
+    points[6] = small.projection_centers[0] + 1e9 * (points[6] - small.projection_centers[0])
+    far = small.replace(points=points)
+    scene, found = planned(far, RATIO, "tie,gcp,bar")
+    assert 6 not in scene.joint.points and found
+    assert not any("point 7 " in one.what for one in found)
