@@ -35,7 +35,8 @@ gc.disable()  # it takes a quarter of the time in which pytest collects the test
 os.environ.pop("COLUMNS", None)
 
 
-def pytest_collection_finish() -> None:
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtestloop() -> None:
     """Collect garbage from here on, but not among half a million objects of the tests."""
     gc.freeze()
     gc.enable()
