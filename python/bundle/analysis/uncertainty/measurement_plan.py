@@ -293,7 +293,7 @@ class Scene:
         share = np.zeros(start.num_points)
         np.add.at(share, start.observation_point[used], (out["along"][used] ** 2).sum(axis=1))
         own = np.asarray(quantity.points.any(axis=1))
-        points = _chosen(start, np.flatnonzero((rays >= 2) | own), share + 2 * share.max() * own)
+        points = _chosen(start, np.flatnonzero((rays >= 2) | own), share)
         images = np.unique(start.observation_image[used])
         if len(images) > MOST_IMAGES:
             seeing = start.observation_image[used & np.isin(start.observation_point, points)]
