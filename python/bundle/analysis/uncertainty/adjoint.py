@@ -267,7 +267,7 @@ def adjoint(
     """Prepare the derivatives of a minimum by pixels, sigmas, priors and constant intrinsics.
 
     The problem is polished by Newton steps, and factorised as for :func:`bundle.covariance`. Each
-    :meth:`Adjoint.vjp` then takes a few passes over the observations.
+    :meth:`Adjoint.vjp` then takes about the time of twenty steps of a solve.
 
     Args:
         problem: problem, its path, or a pycolmap.Reconstruction, at a minimum. For a
