@@ -124,5 +124,11 @@ def test_d_vertices_with_d_minus_one_neighbours(edges, size):
 
 @pytest.mark.parametrize("source", [3, None, [("a", "b")]])
 def test_other_objects_are_no_graph(source):
-    with pytest.raises(bundle.InputError, match="graph: expected"):
-        weighted_graph(source, None, {}, "covariance")
+    for function in (
+        bundle.certify,
+        bundle.initial_poses,
+        bundle.pose_graph_chi2,
+        lambda graph: weighted_graph(graph, None, {}, "covariance"),
+    ):
+        with pytest.raises(bundle.InputError, match="graph: expected"):
+            function(source)
