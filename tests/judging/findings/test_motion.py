@@ -1,6 +1,7 @@
 """Motion beside other faults, and whether a rolling shutter pays for its parameters."""
 
 import shlex
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from bundle.judging.findings.images import certain_gain, gain_of_shutter
 from bundle.judging.findings.larger_lens import Step
 from bundle.judging.findings.measured import Measured
 from bundle.judging.findings.next_command import NextCommand
+from bundle.judging.findings.repaired import repaired
 from tests.campaigns.advice import similar
 from tests.campaigns.findings import judge, make
 
@@ -133,3 +135,13 @@ def test_motion_does_not_hide_a_lens():
     assert (lens.kind, found.kind) == ("lens_model", "motion")
     assert lens.command.endswith("--rolling-shutter rows --camera-model OPENCV")
     assert found.command.endswith("OUTPUT --rolling-shutter rows")
+
+
+def test_a_repair_changes_the_start_as_the_model():
+    scene, problem = solved(63_024)
+    measured = Measured(whole=problem, start=scene.start, command=NextCommand())
+    start = repaired(measured, "OPENCV", "rows").start
+    assert start.camera_models == ("OPENCV",) and start.rolling_shutter.direction == ("rows",)
+    np.testing.assert_array_equal(start.cam_from_world, scene.start.cam_from_world)
+    assert repaired(measured).start is scene.start
+    assert repaired(replace(measured, start=None), "OPENCV", "rows").start is None

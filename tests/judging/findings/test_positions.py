@@ -143,8 +143,13 @@ def test_smaller_sigmas_are_advised_until_the_positions_hold_the_scale():
 
 
 @pytest.mark.parametrize("has_start", [True, False])
-@pytest.mark.parametrize("usable", [1.0, 0.01, None])
-def test_sigmas_are_advised_only_if_a_model_can_have_them(monkeypatch, usable, has_start):
+@pytest.mark.parametrize(
+    ("given", "usable", "tries"),
+    [(1e4, 1.0, [1.0]), (1e4, 0.01, [1.0, 0.01]), (1e4, None, [1.0, 0.01]), (0.1, 0.1, [0.1])],
+)
+def test_sigmas_are_advised_only_if_a_model_can_have_them(
+    monkeypatch, given, usable, tries, has_start
+):
     scene = make(20_000, ("scale_drift",))
     result = bundle.solve(scene.start, priors=scene.priors, align=True, num_threads=1)
     gravity = bundle.GravityPrior(int(scene.start.image_ids[0]), [0.0, 1.0, 0.0], 90.0)
@@ -157,12 +162,12 @@ def test_sigmas_are_advised_only_if_a_model_can_have_them(monkeypatch, usable, h
 
     monkeypatch.setattr(positions_module, "solved", solved)
     first = scene.start if has_start else None
-    judged = find(
-        result.problem, options=result.options, priors=[gravity, *scene.priors], start=first
-    )
+    options = result.options.replace(initial_trust_region_radius=given)
+    priors = [gravity, *scene.priors]
+    judged = find(result.problem, options=options, priors=priors, start=first)
     (found,) = [one for one in judged if one.kind == "scale_drift"]
     radii = [options.initial_trust_region_radius for _, options, _ in tried]
-    assert radii == ([1.0] if usable == 1.0 else [1.0, 0.01])  # the first usable one
+    assert radii == tries  # to the first usable one, none longer than that of the run
     factors = set()
     for start, options, priors in tried:
         assert start is (scene.start if has_start else result.problem)
