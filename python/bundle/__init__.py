@@ -115,7 +115,7 @@ _DEFERRED = {
     "solving.refine_tracks": "refine_tracks",
     "solving.rounds.solve_rounds": "solve_rounds",
     "solving.solve": "solve",
-    "solving.executors": "Solver",
+    "solving.solver": "Solver",
     "synthetic.synthetic_flight": "SyntheticFlight synthesize_flight",
     "synthetic.synthesis": "SyntheticScene synthesize",
 }

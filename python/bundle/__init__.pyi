@@ -171,7 +171,6 @@ from bundle.reports.page import report as report
 from bundle.solving import constraints as constraints
 from bundle.solving.colmap_adjustment import bundle_adjustment as bundle_adjustment
 from bundle.solving.constraints.rule_list import Constraints as Constraints
-from bundle.solving.executors import Solver as Solver
 from bundle.solving.gauge_freedom import GaugeFreedom as GaugeFreedom
 from bundle.solving.gauge_freedom import gauge_freedom as gauge_freedom
 from bundle.solving.hold_out import hold_out as hold_out
@@ -181,6 +180,7 @@ from bundle.solving.rounds.plan import Filtered as Filtered
 from bundle.solving.rounds.plan import filter_observations as filter_observations
 from bundle.solving.rounds.solve_rounds import solve_rounds as solve_rounds
 from bundle.solving.solve import solve as solve
+from bundle.solving.solver import Solver as Solver
 from bundle.synthetic.synthesis import SyntheticScene as SyntheticScene
 from bundle.synthetic.synthesis import synthesize as synthesize
 from bundle.synthetic.synthetic_flight import SyntheticFlight as SyntheticFlight
