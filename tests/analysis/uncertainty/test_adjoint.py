@@ -459,3 +459,23 @@ def test_repr_says_which_hessian(small):
     given = gradients(small)
     assert "Gauss-Newton" in repr(plain.vjp(**given)) and exact.vjp(**given).num_products > 2
     assert plain.vjp(**given).num_products == 0
+
+
+@pytest.mark.parametrize(
+    ("given", "ties"),
+    [({}, False), ({"loss": "cauchy", "loss_scale": 1.0}, False), ({"twists": "hard"}, True)],
+)
+def test_rolling_shutters_agree_with_minima_of_changed_data(given, ties):
+    from tests.rolling import filmed
+
+    start = make_problem(num_images=5, num_points=30, seed=4, perturbation=1e-3, shared=True)
+    given = {"refine": ("poses", "points"), **given}
+    near = bundle.solve(filmed(start, ties=ties), **given, **TIGHT, max_num_iterations=300)
+    agree(near.problem, given, rel=1e-5, step=2e-3)
+
+
+def test_measured_rows_of_a_rolling_shutter_are_refused():
+    from tests.rolling import filmed
+
+    with pytest.raises(bundle.InputError, match="row_time fixed-point, found observed"):
+        bundle.adjoint(filmed(make_problem(num_images=4, num_points=20), row_time="observed"))
