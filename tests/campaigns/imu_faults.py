@@ -93,6 +93,16 @@ def shift(column: int, size: float, after: float = 0.0) -> Fault:
     return samples(change)
 
 
+def warming(rate: float, force: float, seconds: float = 10.0) -> Fault:
+    """Return a fault that adds biases which approach their sizes exponentially."""
+
+    def change(values: Array, sequence: Sequence) -> None:
+        time = 1e-9 * (sequence.imu_timestamps_ns - sequence.imu_timestamps_ns[0])
+        values[:, [1, 3]] += np.outer(1 - np.exp(-time / seconds), [rate, force])
+
+    return samples(change)
+
+
 def noise(factor: float) -> Fault:
     def change(values: Array, sequence: Sequence) -> None:
         stated = sequence.calibration.noise
@@ -239,6 +249,10 @@ FAULTS: dict[str, tuple[Fault, str]] = {
     "accel bias 1": (shift(4, 1.0), "bias"),
     "accel bias jumps": (shift(3, 0.5, 15.0), "bias|contradict"),
     "gyro bias jumps": (shift(1, 0.1, 15.0), "gyro.* bias"),
+    **{
+        f"warms up by {rate:g} and {force:g}": (warming(rate, force), "bias|rotations of tracks")
+        for rate, force in ((0.05, 0.3), (0.03, 0.2), (0.03, 0.0), (0.0, 0.8))
+    },
     "noise x 30": (noise(30), "noise"),
     "noise x 100": (noise(100), "noise"),
     "noise stated x 100": (noise_stated(100), "noise"),
