@@ -328,7 +328,7 @@ def targets():
         "covariance": ("1.5", "NaN rows", "word"),
         "lever_arm": ("nan", "NaN rows", "word", "None"),
         "loss": OF_A_WORD,
-        "loss_scale": ("-1", "nan", "word", "None"),
+        "loss_scale": ("-1", "nan", "word"),
     }.items():
         yield f"VelocityPrior.{name}", call(bundle.VelocityPrior, velocity, name), values
 

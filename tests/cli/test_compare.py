@@ -13,6 +13,7 @@ from bundle.interface.environment import Environment
 from tests.cli.conftest import command, environment
 from tests.planning.comparison.conftest import unpredicted  # noqa: F401
 from tests.printed import figures
+from tests.reports.page.reader import Page
 
 pytestmark = pytest.mark.usefixtures("unpredicted", "idle")
 
@@ -77,7 +78,7 @@ def test_html_page(run, model, tmp_path):
     page = tmp_path / "page.html"
     arguments = ("--solvers", "dense-schur", "--backends", "fused", "--html", page)
     assert run("compare", model, *QUICK, *arguments).code == 0
-    text = page.read_text()
+    text = Page(page).text
     assert "fused DENSE_SCHUR" in text
     assert "bundle refine" in text
 

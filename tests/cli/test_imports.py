@@ -16,7 +16,7 @@ HEAVY = {
     *{"bundle.reports.page", "bundle.figures.matplotlib", "bundle.georeference.survey_priors"},
     *{"bundle.synthetic", "bundle.planning.comparison", "bundle.checking"},
 }
-COMMANDS = {f"bundle.cli.{name}" for name in ("models", "costs", "scenes", "check", "sequences")}
+COMMANDS = {f"bundle.cli.{name}" for name in ("models", "costs", "scenes", "sequences")}
 NOT_FOR_HELP = HEAVY | COMMANDS | {"rich", "bundle.planning.inspection"}
 NOT_FOR_REFINE = (
     HEAVY

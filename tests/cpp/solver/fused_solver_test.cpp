@@ -246,7 +246,7 @@ TEST(SolveWithFused, WhateverIsFixed) {
       options.fixed_camera_ids = {scene.camera_ids[2]};
       options.fixed_point_ids = {scene.point_ids[7]};
     }
-    if (!options.refine_points || (bits & 29) == 0) {
+    if ((bits & 29) == 0) {
       EXPECT_THROW(CheckedSolve(scene, options), InputError);
       continue;
     }

@@ -239,7 +239,7 @@ def test_progress_stops_all():
 @pytest.mark.parametrize(
     ("options", "word"),
     [
-        ({"backend": "fused", "refine": "poses"}, "refine"),
+        ({"backend": "fused", "refine": "points"}, "refine"),
         ({"backend": "fused", "linear_solver_type": "dense_qr"}, "linear_solver_type"),
         ({"fixed_point_ids": (999,)}, "999"),
     ],

@@ -43,7 +43,6 @@ def same_as_alone(factors=(), **options):
             "preconditioner_type",
         ),
         ({"gauge": "three_points"}, "gauge"),
-        ({"refine": "poses"}, "refine"),
         ({"refine": "points"}, "refine"),
         ({"factors": [POINTS]}, "factors"),
     ],
@@ -64,6 +63,7 @@ def test_what_is_not_divided(options, word):
         {"linear_solver_type": "iterative_schur", "preconditioner_type": "jacobi"},
         # A direct solver reads no preconditioner.
         {"linear_solver_type": "dense_schur", "preconditioner_type": "cluster_jacobi"},
+        {"refine": "poses"},
         {"refine": "points,focal"},
         {"backend": "fused"},
     ],
@@ -92,7 +92,7 @@ def test_factors_that_are_divided(factor):
 @pytest.mark.parametrize("fused", [False, True])
 def test_reasons_need_no_settled_options(fused):
     """They are asked for before the problem is read."""
-    options = bundle.SolveOptions(backend="fused" if fused else "auto", refine="poses").asdict()
+    options = bundle.SolveOptions(backend="fused" if fused else "auto", refine="points").asdict()
     assert options["gauge"] == options["cheirality"] == "auto"
     assert bool(reason_in_options(options)) is not fused
     assert reason_to_be_alone(options, None) == reason_in_options(options)
