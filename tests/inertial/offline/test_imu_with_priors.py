@@ -21,7 +21,7 @@ from tests.inertial.offline.test_imu_adjustment import adjusted, error_of
 from tests.inertial.offline.test_imu_consistency import true_poses
 
 OPTIONS = bundle.SolveOptions(refine=("poses", "points"), max_num_iterations=100)
-SETTINGS = {"imu_noise_scale": 1.0, "imu_samples": "instant"}
+SETTINGS = {"imu_noise_scale": 1.0, "imu_samples": "interval"}
 
 
 @pytest.fixture(scope="module")

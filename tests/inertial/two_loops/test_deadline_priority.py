@@ -12,6 +12,12 @@ from bundle.inertial.two_loops.loop_thread import deadline_priority
 linux = pytest.mark.skipif(sys.platform != "linux", reason="schedules are Linux's")
 
 
+@pytest.fixture(autouse=True)
+def thawed():
+    """The process of the tests is frozen after their collection (conftest.py)."""
+    gc.unfreeze()
+
+
 def state():
     return sys.getswitchinterval(), gc.get_freeze_count() > 0, os.sched_getscheduler(0)
 
