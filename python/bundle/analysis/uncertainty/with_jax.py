@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bundle.analysis.uncertainty.refine_layer import DATA, Layer, Refined, pulled_back, values_of
+from bundle.base.optional_packages import require_package
 from bundle.errors import InputError
 
 if TYPE_CHECKING:
@@ -47,12 +48,9 @@ def refine(
     Example:
         >>> jax.grad(lambda w: loss(bundle.jax.refine(weights=w, problem=problem).points))(weights)
     """
-    try:
-        import jax
-    except ImportError as error:
-        raise InputError(
-            "bundle.jax: expected JAX, which is not installed: pip install 'bundle-adjust[jax]'"
-        ) from error
+    require_package("jax", "bundle-adjust[jax]", "bundle.jax")
+    import jax
+
     if not jax.config.jax_enable_x64:
         raise InputError("bundle.jax: expected jax_enable_x64, found doubles off")
     layer = Layer(problem, settings)

@@ -9,6 +9,7 @@ from functools import cache
 from typing import TYPE_CHECKING, Any
 
 from bundle.analysis.uncertainty.refine_layer import DATA, Layer, Refined, pulled_back, values_of
+from bundle.base.optional_packages import require_package
 from bundle.errors import InputError
 
 if TYPE_CHECKING:
@@ -72,14 +73,9 @@ def refine(
 @cache
 def _torch() -> tuple[Any, Any]:
     """Return the module and the function of autograd."""
-    try:
-        import torch
-        from torch.autograd.function import once_differentiable
-    except ImportError as error:
-        raise InputError(
-            "bundle.torch: expected PyTorch, which is not installed: pip install "
-            "'bundle-adjust[torch]'"
-        ) from error
+    require_package("torch", "bundle-adjust[torch]", "bundle.torch")
+    import torch
+    from torch.autograd.function import once_differentiable
 
     class Refine(torch.autograd.Function):  # type: ignore[misc]
         @staticmethod
