@@ -292,9 +292,11 @@ NOISE: dict[str, Callable[[Workshop], tuple[Path, Path]]] = {
 """Pairs that differ by noise only."""
 
 
-def judge(workshop: Workshop, pair: Callable[[Workshop], tuple[Path, Path]]) -> Triage:
+def judge(
+    workshop: Workshop, pair: Callable[[Workshop], tuple[Path, Path]], **options: float
+) -> Triage:
     """Solve both, and compare the reports."""
-    return bundle.triage(*pair(workshop))
+    return bundle.triage(*pair(workshop), **options)
 
 
 def campaign(seed: int, folder: Path) -> Iterator[tuple[str, str, Triage]]:

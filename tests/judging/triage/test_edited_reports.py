@@ -135,6 +135,8 @@ def test_time_alone_is_the_machine(reports, kind, time):
     found = bundle.triage(old, edited(old, *busy)).causes
     assert [one.cause for one in found] == ["machine"]
     assert "other processes" in found[0].sentence
+    shared = [("environment.load_before", 8.0), (time, times(1.6))]
+    assert causes(old, edited(old, *shared)) == [], "9 threads on 8 cores explain a factor of 1.125"
     waited = [("environment.waiting", 3.5), (time, times(3))]
     assert causes(old, edited(old, *waited)) == [], "4 s, in which others held the cores for 3.5 s"
     preempted = [("environment.preemptions", 700), (time, times(3))]

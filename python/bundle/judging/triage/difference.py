@@ -330,7 +330,8 @@ class Difference:
         least, most = min(1.0, steps, work), max(1.0, steps, work)
         noise = self.limits.time_noise + SECONDS_NOISE / min(old, new)
         noise *= self._machine_noise()
-        slowed = [_slowed(environment) for environment in self.environments]
+        threads = self.pair("num_threads")
+        slowed = [_slowed(*given) for given in zip(self.environments, threads, strict=True)]
         ratio = quotient(new, old)
         if new - self.new.waiting > old * most * noise * slowed[1]:
             return quotient(ratio, most)
@@ -366,10 +367,10 @@ def quotient(new: float | None, old: float | None) -> float | None:
     return max(-sys.float_info.max, min(new / old, sys.float_info.max))
 
 
-def _slowed(environment: Entry) -> float:
-    """Return the factor by which the load of the machine may have slowed a solve down."""
+def _slowed(environment: Entry, num_threads: float | None) -> float:
+    """Return the factor by which others on the same cores may have slowed a solve."""
     load, cores = environment.get("load_before"), environment.get("num_cores")
-    return max(load / cores, 1.0) if load and cores else 1.0
+    return max((load + (num_threads or 1)) / cores, 1.0) if load and cores else 1.0
 
 
 def is_busy(environment: Entry, num_threads: int | None) -> bool:
