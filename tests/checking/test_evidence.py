@@ -115,6 +115,28 @@ def test_transposed_blocks(width, is_square):
     assert ("in memory" in found.findings[0].sentence) != is_square
 
 
+@pytest.mark.parametrize("part", [1.0, 0.9])
+def test_swapped_blocks(part):
+    """Two groups hold each other's Jacobians, or only a part of them."""
+    rng = np.random.default_rng(0)
+    reference = rng.normal(size=(4, 3, 4))
+    given = evidence(part * reference[..., [2, 3, 0, 1]], reference)
+    given.columns = [Column(f"{name} {j}", name) for name in "ab" for j in range(2)]
+    classify.swapped_blocks(given)
+    assert [one.kind for one in given.findings] == ["swapped_blocks"] * (part == 1.0)
+
+
+@pytest.mark.parametrize("is_one_factor", [True, False])
+def test_factors_that_differ_from_point_to_point(is_one_factor):
+    """One number for each point is a factor; other numbers for its rows are none."""
+    rng = np.random.default_rng(1)
+    reference = rng.normal(size=(4, 3, 2))
+    factor = rng.uniform(2, 3, (4, 1 if is_one_factor else 3, 1))
+    given = evidence(factor * reference, reference)
+    column_signatures.varying_factors(given)
+    assert [one.kind for one in given.findings] == ["factor"] * is_one_factor
+
+
 def test_adjoints_of_twists_are_those_of_matrices():
     """hat(ad(x) y) is the commutator of hat(x) and hat(y)."""
     rng = np.random.default_rng(2)

@@ -154,6 +154,9 @@ def test_threads_explain_their_times(reports):
     half = [("summary.num_threads_used", 4), ("summary.total_time_in_seconds", times(1.9))]
     found = bundle.triage(old, edited(old, *half))
     assert found.causes == () and "Threads differ" in found.notes[0]
+    few = [("summary.num_threads_used", 2), ("summary.total_time_in_seconds", times(2.5))]
+    assert causes(old, edited(old, *few)) == [], "the noise doubles, however many threads differ"
+    assert causes(edited(old, *few, name="two"), old) == []
     one = [("summary.num_threads_used", 1), ("summary.total_time_in_seconds", times(7))]
     assert causes(old, edited(old, *one)) == ["options"]
 
