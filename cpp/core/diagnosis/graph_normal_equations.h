@@ -36,7 +36,7 @@ class GraphNormalEquations {
   int FirstColumn(int variable) const { return first_column_[variable]; }
   /// Tangent coordinate of each free column.
   const std::vector<int>& coordinates() const { return coordinates_; }
-  /// Rows of a factor with all of J that is free.
+  /// Rows of a factor, with the free columns of J.
   Rows RowsOf(int64_t factor) const;
   /// D per column: the inverse root of H's diagonal, 1 where that is 0.
   const Eigen::VectorXd& scale() const { return scale_; }

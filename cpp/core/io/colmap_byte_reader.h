@@ -27,8 +27,8 @@ class FileWindow {
     return bytes_.data() + (position - begin_);
   }
 
-  /// The bytes from `position` on that need no further read, at least one. `position` must be in
-  /// the file.
+  /// The bytes from `position` to the end of the block in memory, at least one. `position` must be
+  /// in the file.
   std::string_view From(uint64_t position) {
     At(position, 1);
     return bytes_.substr(position - begin_);

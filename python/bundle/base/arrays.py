@@ -193,7 +193,7 @@ def refuse_row(wrong: Any, message: Callable[[int], str]) -> None:
 
 @contextmanager
 def at(place: str, errors: type[Exception] = InputError) -> Iterator[None]:
-    """Put a place before the message of errors of the block."""
+    """Put a place before the messages of errors that the block raises."""
     try:
         yield
     except errors as error:

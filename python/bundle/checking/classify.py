@@ -282,8 +282,8 @@ def _hold(deviations: JacobianDeviation, wrong: np.ndarray, source: np.ndarray) 
 def _by_size(evidence: Evidence) -> None:
     """Add findings for the remaining columns by the size of their typical error.
 
-    Rounding and differences spread over the entries of a column. If most entries of a column are
-    exact, errors of the others have another cause.
+    Errors of rounding and of numerical differences affect all entries of a column. If most entries
+    of a column are exact, errors of the others have another cause.
     """
     sizes = {j: float(np.median(_largest(evidence, j))) for j in evidence.wrong}
     fine = [j for j in evidence.wrong if evidence.deviations.error[..., j].max() <= FINE]

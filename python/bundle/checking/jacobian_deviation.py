@@ -4,9 +4,10 @@ An entry A_ij of a Jacobian, with the reference R_ij and the bound U_ij on its e
 
     |A_ij - R_ij| > U_ij + t s_ij,        s_ij = min(c_j, max(u_i d_j, U_ij / t)),
 
-with the tolerance t. c_j is the norm of column j. It alone hides all mistakes in a row of small
-numbers, such as pixels beside radians, or a residual of small weight. So each row has a unit
-u_i <= 1, and d_j is the norm of column j after division of each row by its unit:
+with the tolerance t. c_j is the norm of column j. A comparison with c_j alone would hide all
+mistakes in a row of small numbers, such as radians beside pixels, or a residual of small weight. So
+each row has a unit u_i <= 1, and d_j is the norm of column j after division of each row by its
+unit:
 
 - Sizes of rows and columns are those that fit the entries best, log |R_ij| ~ a_i + b_j in least
   squares over the known entries other than zero (A. R. Curtis, J. K. Reid: On the automatic scaling

@@ -432,7 +432,7 @@ class ModelCheck:
 
     @staticmethod
     def make(name: str, tolerance: float, *, rolls: bool = False) -> ModelCheck:
-        """Return an empty check with the columns of a camera model, and of twists if it rolls."""
+        """Return an empty check with columns of a camera model, and of twists if shutters roll."""
         params = camera_models()[name]
         columns = [Column(text, text.partition(" ")[0]) for text in POSE]
         columns += [

@@ -182,7 +182,7 @@ def make_details(
 def choose_entries(
     deviations: JacobianDeviation, groups: Sequence[str], tolerance: float
 ) -> list[tuple[int, int, int]]:
-    """Return point, row and column of the worst entry of wrong columns, and of right groups."""
+    """Return (point, row, column) of the worst entry of each wrong column and right group."""
     error = deviations.error
     worst = error.max(axis=(0, 1))
     wrong = [int(j) for j in np.argsort(-worst, kind="stable") if worst[j] > tolerance]

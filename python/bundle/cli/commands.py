@@ -403,7 +403,7 @@ COMMANDS: dict[str, Command] = {
         },
     ),
     "influence": Command(
-        help="what a length, height, angle, volume or camera parameter hangs on, and its value "
+        help="what a length, height, angle, volume or camera parameter depends on, and its value "
         "without each observation, point or image",
         also="derivative jackknife sensitivity",
         usage="INPUT --on QUANTITY [options]",

@@ -230,7 +230,7 @@ FORMAT = argument(
 def output(
     *names: str, replaces: tuple[str, ...] = ("input",), **settings: Any
 ) -> tuple[Declaration, ...]:
-    """Declare OUTPUT, and --format and --overwrite; it may have the path of ``replaces``."""
+    """Declare --format, --overwrite and OUTPUT, which may equal the path arguments ``replaces``."""
     target = argument(
         *names,
         metavar="OUTPUT",

@@ -79,7 +79,7 @@ def georeference_given(
 
 
 def prior_flags(given: GeoreferenceOptions) -> dict[str, str]:
-    """Return the flags of measurements by the names of arguments; "priors" is about all of them."""
+    """Return the flags of measurements by the names of arguments; "priors" stands for all."""
     flags, kinds = flags_of(type(given)), kinds_given(given)
     main = next((row for row in reversed(kinds) if row.places), kinds[0] if kinds else ROWS[0])
     return {**flags, "gcps": flags["gcp"], "priors": flags[main.source]}
@@ -89,7 +89,7 @@ def priors_of(given: GeoreferenceOptions, problem: Problem, *, kept: str = "") -
     """Return the priors that options give for a problem.
 
     Args:
-        kept: reason for which the world must not turn, such as "with --only-images"; "": it may.
+        kept: reason why the model must not move, such as "with --only-images"; "": it may.
 
     Raises:
         InputError: a file or a flag is wrong; the message names the flag.

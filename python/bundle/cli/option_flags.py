@@ -118,7 +118,7 @@ def options_given(
     names_follow: bool = False,
     beside: Collection[str] = (),
 ) -> AnyOptions:
-    """Return the options from the command line, checked, in errors that name the flags.
+    """Return the checked options of the command line; errors name the flags.
 
     Args:
         names: fields to read, if flags of others belong to another class; None: all.

@@ -100,7 +100,7 @@ class Request(Protocol):
 
 
 def publish(report: Report, asked: argparse.Namespace | Request) -> None:
-    """Write the page of a report; print it; write its JSON, always complete, or print that ("-").
+    """Write the page of a report, if asked; print the report, or its JSON ("-"); write its JSON.
 
     Reports without a title have no page of their own.
     """

@@ -333,8 +333,8 @@ def _about_control_points(
 def _shifted_input(opened: Opened, solved: Result, command: NextCommand) -> tuple[Finding, ...]:
     """Return the finding about pixels of the input that all have the same shift, or None.
 
-    A refined principal point absorbs a shift without a bend. The RMSE, which is at least as long as
-    the shift, clears most models at no cost.
+    A refined principal point absorbs a shift without a bend. The RMSE is at least as large as the
+    shift: a small RMSE excludes a shift at no cost.
     """
     problem, options = opened.problem, opened.options
     is_far = solved.reprojection_error_before.rmse >= SMALLEST_SHIFT

@@ -234,7 +234,7 @@ class Run:
 
     @contextmanager
     def naming(self) -> Iterator[None]:
-        """Name flags in the place of keywords in errors."""
+        """Replace keywords by flags in errors."""
         flags = {name: name.upper() for name in self._way.reads.split()}
         if self.options is not None:
             flags |= flags_of(type(self.options))
@@ -269,7 +269,7 @@ class Run:
         return save(path)
 
     def end(self, code: int, complaint: str = "") -> None:
-        """Set the exit code, and what standard error says where standard output has only JSON."""
+        """Set the exit code, and the line on standard error if standard output has only JSON."""
         self.code, self.complaint = code, complaint
 
     @property

@@ -124,10 +124,10 @@ def join(
 def _with_keypoints(
     a: ModelRecords, b: ModelRecords, images: AddedImages, shared: SharedKeypoints
 ) -> tuple[ModelRecords, _Indices]:
-    """Return A with B's images and keypoints, and the row there of each keypoint of B.
+    """Return A with B's images and keypoints, and the new row of each keypoint of B.
 
-    Keypoints that a shared image has in B only follow those of A. A keypoint that is not moved to A
-    has the row -1.
+    In a shared image, keypoints that only B has follow those of A. A keypoint that is not moved to
+    A has the row -1.
     """
     missing = np.flatnonzero(shared.row_a < 0)
     image = images.shared[shared.image[missing], 0]  # ascending within an image

@@ -127,7 +127,7 @@ def sigma_figure(
 ) -> Figure:
     """Return the figure of the uncertainty over the image at a distance, with contours.
 
-    ``words`` describe the distance [length unit] in the note.
+    ``words``: text of the note that describes the distance [length unit].
     """
     sigma = known.sigma(distance)
     seen = sigma[np.isfinite(sigma)]

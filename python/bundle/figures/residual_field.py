@@ -111,7 +111,7 @@ class ResidualField:
 
     @property
     def num_significant(self) -> tuple[int, int]:
-        """Number of cells with a significant mean, and of all cells with a significance."""
+        """Number of cells with a significant mean, and number of cells that were tested."""
         known = self.significance[np.isfinite(self.significance)]
         return int((known > SIGNIFICANT).sum()), len(known)
 

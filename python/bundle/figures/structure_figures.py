@@ -323,6 +323,6 @@ def error_figure(chi2: Floats, sizes: NDArray[np.int64], kinds: Sequence[str]) -
         x=logarithmic([low, float(known.max()), 0.1, 5.0], "chi2 per residual, log scale"),
         y=Axis(0.0, 100.0, (0.0, 25.0, 50.0, 75.0, 100.0), label="edges [%]"),
         marks=tuple(marks),
-        note=f"Expected: chi2 with {plural(degrees, 'degree')} of freedom. A curve to the left has "
-        "information that is too cautious, a curve to the right too optimistic.",
+        note=f"Expected: chi2 with {plural(degrees, 'degree')} of freedom. A curve to the left: "
+        "the information is too cautious (sigmas too large); to the right: too optimistic.",
     )

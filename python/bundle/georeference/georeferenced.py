@@ -108,7 +108,7 @@ class Georeference(MeasurementErrors, Displayed):
         return [*errors, *self._offset_sentences()]
 
     def _offset_sentences(self) -> list[str]:
-        """Return the estimated offset of the positions in a sentence; a finding names others."""
+        """Return the estimated offset of the positions in a sentence; findings report others."""
         offset = self.offset
         if offset is None or not offset.is_estimated:
             return []

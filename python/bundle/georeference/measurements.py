@@ -100,10 +100,10 @@ class KnownPriors:
     priors: tuple[Any, ...]
 
     def check_kept(self, problem: Problem, reason: str) -> None:
-        """Refuse a model that the priors contradict although it must stay, for a reason."""
+        """Refuse a model that contradicts the priors; ``reason`` says why it must not move."""
 
     def errors_of(self, result: Solved) -> MeasurementErrors | None:
-        """Return the errors of a result of these priors; None if it leaves them undetermined."""
+        """Return the errors of a result at these priors; None if they are undetermined."""
         raise NotImplementedError
 
 
@@ -128,11 +128,11 @@ class FoundPriors:
         raise NotImplementedError
 
     def beside(self, problem: Problem, groups: Sequence[FoundPriors]) -> FoundPriors:  # noqa: ARG002
-        """Return the priors with what they need of the others of the solve."""
+        """Return the priors, completed by what they need from the other priors of the solve."""
         return self
 
     def check(self, problem: Problem, groups: Sequence[FoundPriors]) -> None:
-        """Refuse priors without a meaning at the start, beside the other priors of the solve."""
+        """Refuse priors without a meaning at the start or beside the other priors of the solve."""
 
     def added_to(self, problem: Problem, moved: Similarity | None) -> Problem:  # noqa: ARG002
         """Return the moved problem with the images or points of the priors as its last ones."""

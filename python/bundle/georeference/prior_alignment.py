@@ -75,7 +75,7 @@ class ProblemPriors(FoundPriors):
         return factors
 
     def last_factors(self) -> list[Factor]:
-        """Return the factors that hold what the offset leaves open."""
+        """Return the priors on the coordinates of the offset's pose that have no influence."""
         return [] if self.offset is None else self.offset.factors()
 
     def added_to(self, problem: Problem, moved: Similarity | None) -> Problem:  # noqa: ARG002

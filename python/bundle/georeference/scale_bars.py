@@ -66,7 +66,7 @@ class ScaleBars(KnownPriors):
     priors: tuple[ScaleBar, ...]
 
     def errors_of(self, result: Solved) -> ScaleBarErrors | None:
-        """Return the errors in a result; None before a minimum, where nothing is tested."""
+        """Return the errors in a result; None if it is not at a minimum."""
         checks = result.survey_checks
         return ScaleBarErrors(checks.bars) if checks is not None and checks.bars else None
 

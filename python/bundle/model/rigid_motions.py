@@ -175,7 +175,7 @@ def rotation_matrices(quaternions: Array) -> Array:
 def cross_rows(a: Array, b: Array) -> Array:
     """Return (n, 3) products a x b of (n, 3) or (3,) vectors, bit by bit those of np.cross.
 
-    A seventh of its time for some dozen rows.
+    For some dozen rows, it takes a seventh of the time of np.cross.
     """
     (x, y, z), (u, v, w) = a.T, b.T
     return np.ascontiguousarray(np.array([y * w - z * v, z * u - x * w, x * v - y * u]).T)

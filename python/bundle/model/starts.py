@@ -84,7 +84,7 @@ def choose_lower(
     order: _core.PoseOrder,
     error: str,
 ) -> Start:
-    """Return the chordal start if its cost is lower than that of the file's poses, or these.
+    """Return the chordal start or the file's poses, whichever has the lower cost.
 
     Args:
         held: (n,) mask of constant poses.

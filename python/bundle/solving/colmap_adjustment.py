@@ -61,8 +61,8 @@ def bundle_adjustment(
     Four differences remain. The gauge of two cameras fixes only the degrees of freedom that are
     free: with a metric rig, constant points or constant images, the cost is lower than pycolmap's,
     which fixes 7 in any case. The gauge of three points takes other points than pycolmap, and
-    therefore reaches another cost. A solve ends when the relative change of the cost is 1e-13,
-    which is rounding, where COLMAP's tolerance is 0. A solution that is invalid is discarded; the
+    therefore reaches another cost. If COLMAP's tolerance is 0, a solve ends at a relative change of
+    the cost of 1e-13, which is rounding. A solution that is invalid is discarded; the
     reconstruction then keeps its values, and ``termination_type`` is FAILURE.
 
     Args:
@@ -202,8 +202,8 @@ class AdjustedPart:
         """Return the numbers of blocks, residuals and parameters that COLMAP hands to Ceres.
 
         They include constant points and cameras. A pose on a rig consists of the blocks
-        sensor_from_rig and rig_from_world. A constant sensor_from_rig is not a block, and without
-        it a constant rig_from_world is none either.
+        sensor_from_rig and rig_from_world. A constant sensor_from_rig is not a block; a constant
+        rig_from_world is then not a block, either.
         """
         problem, options = self.problem, self.options
         moves = ~self.constant_images & ("poses" in options.refine)

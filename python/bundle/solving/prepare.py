@@ -304,7 +304,7 @@ ADVICE = "Leave --ordering (linear_solver_ordering) at points-first."
 def with_model_alarm(
     summary: Mapping[str, Any], problem: Problem, options: SolveOptions
 ) -> dict[str, Any]:
-    """Return the fields of a summary, with a warning if points first is far cheaper."""
+    """Return the fields of a summary, with a warning if eliminating points first is far cheaper."""
     is_asked = options.linear_solver_ordering == "cameras_first" and "points" in options.refine
     direct = ("DENSE_SCHUR", "SPARSE_SCHUR", "SPARSE_NORMAL_CHOLESKY")
     is_direct = summary["linear_solver_type_used"] in direct

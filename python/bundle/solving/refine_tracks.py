@@ -208,7 +208,7 @@ def run(
 
 
 def _check(request: SolveRequest, plan: RunPlan) -> None:
-    """Refuse what a run that changes tracks cannot serve.
+    """Refuse options that a run with changing tracks does not support.
 
     Raises:
         InputError: the message names the option.

@@ -39,7 +39,7 @@ class Solver(Displayed):
     unknowns, elimination order, symbolic analysis of the linear solver, and buffers. Each solve
     starts at the values of a problem: poses, camera parameters, points, observed pixels. It takes
     the same steps as :func:`bundle.solve`, bit for bit, and spends nearly all its time in them.
-    There are two exceptions. Ceres on several threads sums in any order. Relative priors of
+    There are two exceptions. Ceres on several threads sums in varying order. Relative priors of
     ``constraints`` stay relative to the problem of the constructor.
 
     Each solve runs in this process alone: a division among processes would repeat the set-up.

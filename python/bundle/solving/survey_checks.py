@@ -1,7 +1,8 @@
 """Tests of control points, and of an offset of positions from them, after a solve.
 
 Control points. ``georeference/point_check.py`` has the test. With n tested points, a suspect has
-p < 0.01 / n. The largest is accused first; its prior is removed, the rest is adjusted again, and
+p < 0.01 / n. The one with the largest T is named first; its prior is removed, the rest is adjusted
+again, and
 tested again: otherwise a gross error hides smaller ones and makes its neighbours look bad.
 
 Offset of positions (``georeference/point_check.py``). At the minimum without an offset, let
@@ -14,8 +15,8 @@ for the height alone, with the other coordinates constant, T = g_up^2 / (C^-1)_u
 do not show an offset that a focal length absorbs; the gradient g shows it. If T is large (p <
 1e-3), the model is adjusted with the offset, along all axes only if these explain more: o, its
 sigma and the focal length come from there. If residuals of pixels and positions are larger than
-their sigmas by a factor s, the test uses F = T / (k s^2). The adjusted model decides, because an
-offset bends the other model and enlarges its residuals.
+their sigmas by a factor s, the test uses F = T / (k s^2). The residuals are those of the model with
+the offset, because a missing offset bends the other model and enlarges its residuals.
 
 A gross error and an offset explain the same residuals; the one with the larger T is named, and the
 other tested after it.

@@ -182,7 +182,7 @@ def test_one_order_is_compared_to_others(page_of):
 def test_a_graph_too_large_to_draw_says_so(page_of):
     count = MOST_VARIABLES + 1
     page = Page(page_of(inspect_graph(loops(count), count)))
-    assert "drawn step by step up to 120 variables" in page.text
+    assert "up to 120 variables are drawn step by step" in page.text
     assert page.scripts == []
 
 

@@ -304,7 +304,7 @@ def fault(kind: str, sentence: str) -> Finding:
 
 
 def note(kind: str, sentence: str) -> Finding:
-    """Return a finding that does not."""
+    """Return a finding that leaves a diagnosis ok."""
     return Finding(kind=kind, is_problem=False, sentence=sentence)
 
 

@@ -30,7 +30,7 @@ rounding is as small. G leaves out factors that couple points, such as scale bar
 iteration.
 
 Gauge. H has the free motions N of the world as null space, y must not change along them. The part
-of y that does is taken out, y - E N N^T y (``core/covariance/free_gauge.h``), with a warning. The
+of y that does is removed, y - E N N^T y (``core/covariance/free_gauge.h``), with a warning. The
 products are projected, too: off its minimum H has no null space.
 
 Polish. A solve stops some thousandths of a sigma off the minimum, which is an error of 1e-4 of the
@@ -283,8 +283,8 @@ def adjoint(
         **changes: options by name, which replace those in ``options``.
 
     Raises:
-        InputError: rows of a rolling shutter are those of the measured pixels; Gauss-Newton with
-            factors that it lacks; or as :func:`bundle.covariance`.
+        InputError: rows of a rolling shutter are those of the measured pixels; ``exact`` is False,
+            but a factor is not in the Gauss-Newton matrix; or as :func:`bundle.covariance`.
         OSError: the path cannot be read.
 
     Example:
@@ -322,7 +322,7 @@ class Adjoint(Displayed):
             priors and rules. Derivatives by prior means and sigmas are in this order.
         exact: True for the exact Hessian.
         next_step: length of the next step, in sigmas of the unknowns.
-        is_converged: True if that step has no meaning; without, all derivatives are NaN.
+        is_converged: True if that step is negligible; otherwise, all derivatives are NaN.
     """
 
     def __init__(self, prepared: Prepared, exact: bool) -> None:
@@ -385,7 +385,7 @@ class Adjoint(Displayed):
 
         Warns:
             GaugeWarning: the function changes with motions of the world that nothing determines.
-                The share of its derivatives along them was taken out.
+                The share of its derivatives along them was removed.
             NotConvergedWarning: all derivatives are NaN.
         """
         problem, system = self.problem, self._system

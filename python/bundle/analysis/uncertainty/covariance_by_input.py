@@ -58,7 +58,8 @@ def intrinsics_covariance(
 ) -> Covariance:
     """Return the covariance of the intrinsics, scaled by sigma0, as :func:`covariance` does.
 
-    Sums are doubles also for small models: ten times faster, with fewer digits.
+    Sums are in doubles, also for small models: ten times faster than long doubles, with fewer
+    digits.
     """
     gauge = "two_cameras"  # intrinsics do not depend on it
     request = SolveRequest(
@@ -212,7 +213,7 @@ FAR = 100.0
 def at_control_points(prepared: Prepared) -> Prepared:
     """Return a prepared request with its control points at a minimum for the present cameras.
 
-    They are prepared at the intersection of their rays, where their residuals are no minimum's.
+    Preparation places them at the intersection of their rays, which is not the minimum.
     """
     targets, start = prepared.placed.targets, prepared.start
     if targets is None or not targets.used:

@@ -286,7 +286,7 @@ def _is_id(value: object) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class Certainty:
-    """Covariance of a problem by index, of the blocks that it has.
+    """Covariance blocks of a problem, by index.
 
     Attributes:
         problem: the problem.

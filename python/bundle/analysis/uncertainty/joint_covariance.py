@@ -70,7 +70,7 @@ class Joint:
     """Covariance of the unknowns of interest, and the gradient of a quantity by them."""
 
     matrix: _Floats  # (n, n)
-    free: _Floats  # (n, d) their movements by the free similarities, orthonormal
+    free: _Floats  # (n, d) orthonormal basis of their motions by the free similarities
     gradient: _Floats  # (n,)
     images: Mapping[int, int]  # first place of (w, t) of an image, by its row
     cameras: Mapping[int, int]  # likewise of the parameters of a camera
@@ -210,7 +210,7 @@ def _free_motions(
     points: Mapping[int, int],
     count: int,
 ) -> _Floats:
-    """Return the movements (count, d) of the unknowns by the free similarities, orthonormal.
+    """Return an orthonormal basis (count, d) of the unknowns' motions by the free similarities.
 
     A similarity X' = X + a + b x (X - c) + s (X - c) moves an image by w = -R b, R^T dt = s (R^T t
     + c) - a + b x c. The core gives R^T w and R^T dt of the poses of images and frames.

@@ -9,8 +9,9 @@ data: it says where it would look, not what it would see.
 - tie: an observation of a point that its image should see and does not have.
 - control point: X / sigma of a point; scale bar: u^T (dX_a - dX_b) / sigma along the bar.
 
-Points of the quantity, and points with priors, are no control points and no ends of bars: the first
-would answer "measure it". The candidates are chosen one by one, each given those before it.
+Points with priors, and points of the quantity itself, are not proposed as control points or ends of
+bars: otherwise the answer would be to measure the quantity. The candidates are chosen one by one,
+each given those before it.
 
 The joint covariance takes a solve for each of its unknowns with the factor of the reduced camera
 system. It has at most 150 points: those of the quantity, those with the largest shares of its
@@ -248,7 +249,7 @@ def plan(
 
 
 def _best(joint: Joint, candidates: Sequence[Candidate]) -> Candidate | None:
-    """Return the candidate of the largest gain, bounds first; None if none helps."""
+    """Return the candidate with the largest gain, by upper bounds first; None if none helps."""
     most = np.array([joint.most(one.rows) for one in candidates])
     best, gain = None, HELPS * joint.variance
     for place in np.argsort(-most, kind="stable").tolist():
@@ -426,7 +427,7 @@ class Scene:
         return (*marks, f"{self._label(a)} {self._label(b)} {length}")
 
     def _marks(self, point: int, position: str, more: str) -> tuple[str, ...]:
-        """Return lines of gcp_list.txt, whose pixels begin half a pixel later."""
+        """Return lines of gcp_list.txt, where the centre of the first pixel is (0, 0)."""
         start = self.start
         rows = np.flatnonzero(start.observation_point == point)[:MOST_LINES]
         end = f"{self._label(point)}{more}"

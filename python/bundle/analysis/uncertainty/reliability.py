@@ -86,7 +86,7 @@ def reliability(
 
     All numbers are those of the linearisation at the problem's values, which should be a minimum of
     a solve with the same options. They do not depend on a gauge. Under a loss, they hold for its
-    weights: an error that is far off already has a small weight, and hides.
+    weights: a large error already has a small weight, so that no test finds it.
 
     Args:
         problem: problem, its path, or a pycolmap.Reconstruction. For a :class:`Result`, its refined

@@ -183,7 +183,7 @@ class Reliability(SavedBlocks, Tabular):
 
     @property
     def entries(self) -> dict[str, Any]:
-        """The fields that are no arrays, for programs."""
+        """Fields other than arrays, for JSON."""
         names = [field.name for field in dataclasses.fields(self)]
         values = {name: getattr(self, name) for name in names}
         return {name: one for name, one in values.items() if not isinstance(one, np.ndarray)}

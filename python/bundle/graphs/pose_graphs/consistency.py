@@ -219,8 +219,8 @@ def _warnings(found: ClosureConsistency) -> dict[str, str]:
     if 2 * len(found.left_out) >= found.num_closures > 1:
         said[MOST_LEFT_OUT] = (
             f"{plural(len(found.left_out), 'closure')} of {found.num_closures} contradict "
-            "the largest consistent set and are left out: no majority shows which are "
-            "correct."
+            "the largest consistent set and are left out. This is half of them or more: the set "
+            "may be the wrong one."
         )
     return said
 

@@ -63,7 +63,7 @@ def check_edges_exist(graph: PoseGraph) -> None:
 
 
 def check_free_pose(graph: PoseGraph) -> None:
-    """Refuse a graph whose poses a solve holds constant, all of them."""
+    """Refuse a graph all of whose poses are constant in a solve."""
     check_edges_exist(graph)
     held, _, _ = _core.hold_poses(graph)
     if held.all():

@@ -122,7 +122,7 @@ class TruncatedSearch:
         return best
 
     def improve(self, state: Settled) -> Settled:
-        """Put edges in or out one by one while the cost decreases."""
+        """Add or remove single edges while the cost decreases."""
         for _ in range(MOST_FLIPS):
             better = self._flipped(state)
             if better is None:

@@ -110,7 +110,7 @@ class ImageIntervals:
 
 
 def likely_kinds(instant: ClockOffset, interval: ClockOffset) -> tuple[str, ...]:
-    """Return the kinds of samples that the clock offsets found with each kind allow."""
+    """Return the likely kinds of samples, from the clock offset that each kind implies."""
     if instant.is_clear and interval.is_clear:
         return ("instant",)  # the offset takes the difference
     if not (math.isfinite(instant.sigma) and math.isfinite(interval.sigma)):

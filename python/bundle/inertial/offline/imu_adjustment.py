@@ -331,7 +331,7 @@ def _images_alone(
 
 
 def _rotation_map(case: _Case, video: ImageIntervals, clock: ClockOffset) -> RotationMap:
-    """Return the map; of rates of a hundredth if they turn too far for a rotation vector."""
+    """Return the map; rates are divided by 100 if their rotations exceed a rotation vector."""
     intervals = video.at(clock.seconds if clock.is_clear else 0.0)
     rotations = case.rotations
     between = np.swapaxes(rotations[:-1], 1, 2) @ rotations[1:]

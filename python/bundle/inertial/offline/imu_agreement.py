@@ -140,7 +140,7 @@ class ClockErrors(NamedTuple):
 def noise_ratios(
     stamps: NDArray[np.int64], gyro: Array, accel: Array, noise: ImuNoise
 ) -> tuple[float, float]:
-    """Return calibrated over shown noise of gyro and accelerometer; 0 for samples without noise."""
+    """Return calibrated noise / noise of the samples, by sensor; 0 for samples without noise."""
     period = 1e-9 * float(np.median(np.diff(stamps)))
     found = []
     for values, density in zip((gyro, accel), noise.astuple()[:2], strict=True):

@@ -100,7 +100,7 @@ def linear_rotation(x: Array, y: Array) -> tuple[Array, Array]:
 
 
 def turns_of_tracks(images: SequenceImages, most: int, apart: float = APART) -> list[Turn]:
-    """Return rotations between at most so many pairs of images, which are some seconds apart."""
+    """Return rotations between at most ``most`` pairs of images, ``apart`` seconds apart."""
     stamps, covered = images.stamps, np.flatnonzero(images.covered)
     sigma = images.sequence.calibration.pixel_sigma / images.sequence.calibration.focal
     earlier = covered

@@ -78,9 +78,9 @@ def _motion_findings(images: SequenceImages, recording: Recording) -> tuple[Find
 def explanations(
     sequence: Sequence, path: str, known: Iterable[Finding | SequenceFinding] = ()
 ) -> tuple[Finding, ...]:
-    """Return causes, not ``known``, of a failed odometry or its alarms; takes a second or two.
+    """Return further causes of a failed odometry or its alarms, in a second or two.
 
-    Beside more noise than stated, or wrong stamps, errors of tracks decide nothing.
+    If noise exceeds the stated one, or stamps are wrong, the errors of tracks prove nothing.
     """
     if not _measures(sequence):
         return ()
@@ -186,7 +186,7 @@ class _Start(NamedTuple):
 
 
 def right_signs(images: SequenceImages, is_gross: bool = False) -> Signs | None:
-    """Return better signs of the accelerometer's axes; ``is_gross``: for points behind only."""
+    """Return better signs of the accelerometer's axes; ``is_gross``: only if points are behind."""
     changed: dict[Signs, SequenceImages] = {}
     for each in product((1, -1), repeat=3):
         accel = images.sequence.accel * np.array(each, np.float64)

@@ -392,7 +392,7 @@ class PosePublisher(Displayed):
             self._samples.popleft()
 
     def _follow_target(self) -> tuple[float, float]:
-        """Compose new corrections into the target and move one share; return metres and radians."""
+        """Add new corrections to the target, move one share; return shift [m], turn [rad]."""
         for motion in self._moves.take_all():
             self._target = motion @ self._target
             self._shares_left = self._num_shares

@@ -185,7 +185,7 @@ class WindowDriver:
                 self._graph.put_closure(moved)
 
     def _between_keyframes(self, closure: Closure) -> Closure | None:
-        """Return the closure between its nearest keyframes; None if these are one, or too late."""
+        """Return the closure between its nearest keyframes; None if these are equal or gone."""
         ends = np.array(self._ends(closure), np.int64)
         if ends.min() < self.run.stamps[0]:
             return None

@@ -81,7 +81,7 @@ def read(path: Path, options: ReadOptions) -> Problem:
 
 
 def _head(path: Path) -> tuple[NDArray[np.float64], int, Head]:
-    """Return the numbers of the cameras (n, 15), the number of points, and the position after."""
+    """Return the cameras' numbers (n, 15), the number of points, and the position after them."""
     head = Head(path)
     try:
         first = head.next_line("# Bundle file v0.3")
@@ -210,7 +210,7 @@ def _registered(
 
 
 def check(problem: Problem, path: Path) -> None:
-    """Raise the error that :func:`write` would raise, or that list.txt would replace another's.
+    """Raise the error that :func:`write` would raise, also for the list.txt of another model.
 
     Raises:
         InputError: a camera, a name or the folder cannot be written.

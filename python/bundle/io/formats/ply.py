@@ -64,8 +64,8 @@ def write(problem: Problem, path: Path) -> tuple[str, ...]:
         file.write(("\n".join(lines) + "\nend_header\n").encode())
         file.write(vertices.tobytes() + edges.tobytes())
     return (
-        f"Observations ({problem.num_observations}), lenses and names are left out: a PLY file is "
-        "for viewers, with coordinates of 7 digits.",
+        f"Observations ({problem.num_observations}), lenses and names are left out, and "
+        "coordinates have 7 digits: a PLY file is only for viewers.",
     )
 
 

@@ -71,8 +71,8 @@ def write(problem: Problem, path: Path) -> tuple[str, ...]:
     bent = sorted({problem.camera_models[camera] for camera in problem.image_camera} - _STRAIGHT)
     lenses = f" Distortion ({', '.join(bent)}) is left out." if bent else ""
     return (
-        "Tracks and ids are left out: a recording of rerun is for its viewer, with coordinates of "
-        f"7 digits.{lenses}",
+        "Tracks and ids are left out, and coordinates have 7 digits: a recording of rerun is only "
+        f"for its viewer.{lenses}",
     )
 
 

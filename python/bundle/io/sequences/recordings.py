@@ -23,7 +23,7 @@ from bundle.model.sequence.sequence import Recording
 
 @dataclass(frozen=True)
 class RecordingSource:
-    """Where parts of a recording are that its path does not determine."""
+    """Parts of a recording that its path does not determine."""
 
     # files of calibrations: this package's, or Kalibr's of camera and IMU
     calibration: tuple[str | os.PathLike[str], ...] = ()

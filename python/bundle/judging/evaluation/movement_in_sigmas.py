@@ -16,10 +16,10 @@ scale is a movement like any other. Then
 is 1 for a movement by one sigma, and m_i is the median of m_ir over the anchors: one anchor that
 moved itself has no influence. C is that of the weights of the loss, scaled by sigma0^2: without a
 loss, the residuals of A per degree of freedom; under a loss, the median ratio of the variances of
-poses in the sandwich covariance (``cpp/core/covariance/sandwich.h``) to those of the weights. The
-residuals alone do not tell this scale: a loss bends, and few rays per point make residuals small.
-If B is the truth, the mean of m_i^2 is about 1 if the covariance is right. Points, and images that
-B lacks, have no influence.
+poses in the sandwich covariance (``cpp/core/covariance/sandwich.h``) to those of the weights.
+Residuals alone do not determine this scale: the loss downweights large ones, and few rays per point
+make residuals small. If B is the truth, the mean of m_i^2 is about 1 if the covariance is right.
+Points, and images that B lacks, have no influence.
 
 The covariance depends on what the solve of A refined, which no file records: principal points and
 the sensors of rigs are held by default, and A is much less certain if they were refined. A itself

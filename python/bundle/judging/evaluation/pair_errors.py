@@ -272,7 +272,7 @@ class _Views:
         return np.flatnonzero(self._keypoint >= 0)
 
     def keypoint_keys(self, rows: Indices) -> Indices:
-        """Return a number for image and keypoint of some observations."""
+        """Return one key per observation that identifies its image and keypoint."""
         keys: Indices = (self._image[rows] << 32) | self._keypoint[rows]
         return keys
 

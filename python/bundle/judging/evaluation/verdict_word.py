@@ -19,7 +19,7 @@ Causes are tried one by one. A cause is a finding if it removes at least 80 % of
     axes            if positions are close: one rotation Q of the camera, R_B^T R_A = Q for all
                     images, as between a camera and an IMU, or between the axes of OpenCV and
                     OpenGL. Q is the eigenvector of sum q q^T of the quaternions of the errors
-                    (Markley et al. 2007). A path that is mirrored in a plane has the same effect,
+                    (Markley et al. 2007). A mirrored path that lies in a plane has the same effect,
                     with 180 degrees.
 
 If no cause is found, centres near a line are a finding: noise determines the rotation about it.

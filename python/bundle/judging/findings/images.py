@@ -35,9 +35,9 @@ independent of e and has the covariance D (Hausman 1978). So velocities change t
 
 This estimate of L has an error of zero mean and of the variance E 4 (d^T C1 d + tr D^2), for any b.
 A shutter is advised if L is negative by 1.28 of these deviations, the normal quantile of 90 %: few
-directions make most of tr D, so that |d|^2 is often much larger by chance. Advice harms if L > 0
-beside that: in simulations of 1 to 41 directions, at most 4.8 % for any b. It does not share lenses
-that differ: ``shared_lens`` decides on that afterwards.
+directions make most of tr D, so that |d|^2 is often much larger by chance. The advice harms if L >
+0 all the same: in simulations of 1 to 41 directions in at most 4.8 % of the cases, for any b. It
+does not share lenses that differ: ``shared_lens`` decides on that afterwards.
 
 Single images. Without motion in general, an image has systematic residuals if b_i^T V_i^-1 b_i >
 3 + 6 sqrt(6) + 20 + 2 log m and its field has an rms of half a scale. It is weak if its scale is

@@ -10,9 +10,9 @@ in the present model by lambda_0^2, which is zero at a minimum. With the noise s
     T = (lambda^2 - lambda_0^2) / s^2,      s^2 = (r^T W r - lambda^2) / dof,
 
 is chi^2 with as many degrees of freedom as terms were added if the present model is right: it is
-the score test (C. R. Rao, 1948). By the difference, T does not need a start at the minimum: it may
-be one with measured positions, whose sigmas and those of pixels need not agree, so that the test
-leaves them out. W are the weights of the loss.
+the score test (C. R. Rao, 1948). Because T is a difference, the start need not be the minimum of
+the pixels: it may be the minimum with measured positions, which the test leaves out, as their
+sigmas may not agree with those of pixels. W are the weights of the loss.
 
 Relevance. A field of 1 % of the residuals may move the cameras by many of their standard
 deviations. The difference of the two steps moves the centre of image i by d_i, without the

@@ -83,8 +83,8 @@ def measured_positions(
 ) -> Finding | None:
     """Return the finding about positions that contradict the model, or None.
 
-    If the solve without them failed (open), a drift would look like wrong positions; if motion
-    bends the model, right positions would look like wrong sigmas.
+    If the solve without them failed (``is_open``), a drift would look like wrong positions; if
+    motion bends the model, right positions would look like wrong sigmas.
     """
     rows, priors = _used(measured)
     if len(rows) < FEWEST:
@@ -141,8 +141,9 @@ def measured_positions(
 def positions_of_start(measured: Measured) -> Finding | None:
     """Return the finding about positions that a start contradicts, or None.
 
-    Their sigmas are so small that they pull the cameras away before the images can follow. With
-    those of the start, the solve begins with the images. But a scale below 1 is against a drift.
+    Their sigmas are so small that they pull the cameras away before the images can follow. The
+    command gives the sigmas that the start shows, so that the images decide. A scale below 1 was
+    advised against a drift and stays.
     """
     rows, priors = _used(measured)
     if len(rows) < FEWEST:

@@ -1,8 +1,8 @@
 r"""Measured gravity, orientations and headings that contradict most others of their kind.
 
 The model is first turned to the measurements, robustly, and the robust mean of each kind is
-removed: a few wrong measurements, which pull the model, do not hide behind the others, and a model
-that was not turned yet is not accused. The length a_i of the remaining turn in its sigmas has a chi
+removed: a few wrong measurements, which pull the model, are found nevertheless, and a model that
+was not turned yet gives no finding. The length a_i of the remaining turn in its sigmas has a chi
 distribution with k = 1, 2 or 3 degrees of freedom.
 
 Single images. a_i is above max(1, ratio) times the quantile that the largest of n good ones exceeds

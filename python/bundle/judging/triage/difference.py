@@ -74,8 +74,8 @@ def solve_facts(
 ) -> SolveFacts:
     """Return the facts of a solve from the parts of its report.
 
-    `options` are all options and those of the method, `seconds` the time in the solver if that of
-    the summary is another.
+    `options` are all options and those of the method, `seconds` the time in the solver if it
+    differs from that of the summary.
     """
     rejected = max(
         sum(not step["step_is_successful"] for step in iterations[1:]),

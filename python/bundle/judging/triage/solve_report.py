@@ -73,7 +73,7 @@ def _finite(text: str) -> float:
 
 
 def _whole(text: str) -> float:
-    """Return a whole number; as a float if it is larger than any count."""
+    """Return a whole number: as an int, or as a float if it has too many digits for a count."""
     return int(text) if len(text) < MOST_DIGITS else _finite(text)
 
 

@@ -357,7 +357,7 @@ MORE_OF_PRIOR = 1.5
 def find_ordering(two: Difference) -> TriageCause | None:
     """Compare flops at equal nnz(Lambda), or with the best order that was tried.
 
-    Ceres does not count some factors, for which the alarm of the solve has a bound.
+    For some factors, Ceres has no count; the warning of the solve then states a bound.
     """
     is_asked = any(name in two.options for name in ORDERING_OPTIONS)
     evidence = pairs(

@@ -3,10 +3,11 @@
 Candidates form chains of one sharing, one loss and one set of refined variables, from the smallest
 model to the largest. A fit starts at the nearest of these problems, each with the candidate's
 cameras: the input, the fit of the model before, and, where images have lenses of their own, the
-fits of the same model with shared lenses; nearest is the lower RMSE, clipped. Without the last,
-focal lengths of their own may end in a minimum above that of the shared lens, which they contain.
-Each fold starts at the candidate's fit to all observations. A minimum does not depend on its start,
-so that the fit without a fold no longer depends on the fold; unconverged fits are marked.
+fits of the same model with shared lenses; nearest means the lowest clipped RMSE. Without the last
+start, a fit with individual focal lengths could end at a higher cost than the shared lens, which is
+a special case of it. Each fold starts at the candidate's fit to all observations. A minimum does
+not depend on its start, so that the fit without a fold no longer depends on the fold; unconverged
+fits are marked.
 
 Solves of one thread each run side by side: for problems of usual size this uses the cores better
 than one solve on all of them, and its sums have a fixed order.

@@ -116,7 +116,7 @@ def certainty(prepared: Prepared, full: Result) -> Certainty:
 
 
 def _camera_sigma(prepared: Prepared, full: Result) -> float:
-    """Return the standard deviation of the cameras among each other; NaN with rules, which tie."""
+    """Return the standard deviation of the cameras relative to each other; NaN with rules."""
     if prepared.applied is not None:
         return float("nan")
     try:

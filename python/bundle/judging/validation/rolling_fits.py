@@ -100,8 +100,8 @@ def motion_test(
 ) -> MotionTest:  # fmt: skip
     """Return the test of shared lenses with a rolling shutter.
 
-    Normalised errors are (num_candidates, n) without a shutter, and (m, n) with one of some shared
-    lenses, which are the (m) candidates given.
+    ``plain``: (num_candidates, n) normalised errors without a shutter; ``rolling``: (m, n) those
+    with a shutter, for the m candidates ``shared``.
     """
     count = len(rolling)
     among_all = _decision(np.concatenate([rolling, plain]), image, rule)

@@ -34,12 +34,13 @@ absorb part of the noise, so Q tends to be smaller. The variance that motion add
 The test fires if the shear is significant (Q beyond the quantile 1 - 1e-4) and not explained by a
 lens model that is too small (Q / d > 3; without motion, real models reach 2.6), and if the pattern
 is relevant: without noise, anisotropy and shear displace an observation by tau^2 (x^2 + y^2) each
-in the mean of squares. Relevant is what raises the RMS by 1 %, the decision's threshold. The
+in the mean of squares. A variance is relevant if it raises the RMS by 1 %, the threshold of the
+decision. The
 anisotropy alone proves no motion: cameras may differ in fx / fy. Last, the shear must also remain
 where each image may have its own lens: in the exact test (:mod:`.shear_score`), significant at 5 %
 or twice as large as its noise. With few images the first may be out of reach.
 
-Motion along the columns leaves anisotropy only, and few images leave neither clear. Where the sum
+Motion along the columns leaves anisotropy only, and with few images neither is clear. Where the sum
 of both Q is beyond the quantile 1 - 1e-4 of 2 d degrees of freedom, motion is suspected: a rolling
 shutter is tried (:mod:`.rolling_fits`).
 

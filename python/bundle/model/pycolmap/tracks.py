@@ -59,7 +59,7 @@ class TrackBuilder:
         keypoints: for each image, (n, 2) pixels.
         pairs: for each matched pair, two rows of images and (m, 2) indices of their keypoints.
         max_error: largest error of the filter in pixels, which the triangulator keeps, too.
-        min_angle: smallest angle of the filter in degrees; 0: the triangulator has its own.
+        min_angle: smallest angle of the filter in degrees; 0: that of the triangulator.
     """
 
     def __init__(

@@ -138,7 +138,7 @@ def calibrate(num_threads: int) -> Rates:
 
 
 def _with_efficiency(rates: Rates) -> Rates:
-    """Measure how much of the time saved by ideal threads those of the machine save."""
+    """Measure the share of the time saved by ideal threads that the machine's threads save."""
     found = []
     for kind, poses, ordering in (("near", 5000, "amd"), ("loops", 3000, "metis")):
         graph = made_graph(kind, poses * rates.num_threads, 6, seed=99)
@@ -247,9 +247,9 @@ def step_work(graph: PoseGraph, work: Mapping[str, float]) -> Work:
 def step_time(graph: PoseGraph, ordering: str, num_threads: int) -> float:
     """Return the shortest step of several solves; NaN if none is whole.
 
-    A step that is taken ends with the linearisation at its end. One that is rejected leaves the
-    next step to linearise again, with more damping. A step is whole if it linearises once: if it is
-    taken after a taken one, or rejected after a rejected one.
+    An accepted step includes the linearisation at its end. After a rejected step, the next step
+    linearises again, with more damping. A step is whole if it linearises once: if it is accepted
+    after an accepted one, or rejected after a rejected one.
 
     Other load only adds time. A long step on one thread is measured in processor time, which other
     load changes little; for a short step, reading this time takes too long.

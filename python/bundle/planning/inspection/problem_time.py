@@ -2,8 +2,8 @@
 
 The work of a step is what ``find_pattern`` and ``FactorCounter`` count, by the features below; the
 numbers hold for blocks of 9 camera parameters, and larger blocks count more. Rates of the features
-are fitted to solves of small scenes in about a second (``machine_rates``). Of each solve the time
-of the linear solver counts apart from the rest of the step.
+are fitted to solves of small scenes in about a second (``machine_rates``). The time of the linear
+solver is fitted separately from the rest of the step.
 """
 
 from __future__ import annotations

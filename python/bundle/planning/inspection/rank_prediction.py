@@ -236,7 +236,7 @@ def find_rank_limit(predictions: Sequence[RankPrediction]) -> RankLimit | None:
             reason="",
             share=0.0,
             message=(
-                f"No number is too large: {most} processes have {last.efficiency:.0%} "
+                f"All these numbers are efficient: {most} processes have {last.efficiency:.0%} "
                 f"efficiency; a step takes {duration(last.time_per_step_in_seconds)}."
             ),
         )

@@ -2,7 +2,7 @@
 
 The expected chi2 of an edge is its redundancy, the part of its errors that other edges check
 (``analysis/diagnosis``): a fit of edges with right information has chi2 about equal to it. Edges
-without a known redundancy count with no expectation.
+without a known redundancy have no expected chi2.
 """
 
 from __future__ import annotations

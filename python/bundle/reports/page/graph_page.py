@@ -48,7 +48,7 @@ def write_graph(graphs: Sequence[GraphInspection], path: str | os.PathLike[str])
         for graph in graphs
         if graph.num_variables <= MOST_VARIABLES and len(graph.steps) == graph.num_variables
     ]
-    stepped = f"Graphs are drawn step by step up to {MOST_VARIABLES} variables."
+    stepped = f"Only graphs with up to {MOST_VARIABLES} variables are drawn step by step."
     figures = [bar_figure("flops", "Flops, on a log scale", flops, amount), column_figure(profiles)]
     sections: list[Section | str] = [
         Section(text=[size], tables=[_orders(graphs, best)]),

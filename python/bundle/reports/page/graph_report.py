@@ -163,8 +163,8 @@ def _errors(facts: GraphFacts) -> list[Section]:
         rows.append([row["kind"], f"{row['count']:,}", *of_kind])
     legend = (
         f"Expected: the redundancy of these {facts.noun}s, the part of their errors that others "
-        "check. A ratio far below 1: the information is too cautious; far above 1: too optimistic, "
-        f"or some {facts.noun}s are wrong."
+        "check. A ratio far below 1: the information is too cautious (sigmas too large); far above "
+        f"1: too optimistic, or some {facts.noun}s are wrong."
     )
     test = None if facts.diagnosis is None else facts.diagnosis.edge_test
     worst = [

@@ -327,7 +327,7 @@ def _unnoticed(given: Any, found: Reliability) -> list[Section]:
 def influenced(
     path: str, given: Problem, found: Influence, options: Mapping[str, Any], wall_time: float
 ) -> Report:
-    """Return the report on what a quantity of a reconstruction hangs on."""
+    """Return the report on what a quantity of a reconstruction depends on."""
     columns = (
         Column("without", "what"),
         Column("share of variance", "share", "{:.1%}".format),

@@ -17,10 +17,10 @@ to second order. This one also relinearizes the observations of the points by th
 A robust loss of the rest enters with its weights rho' at the present values.
 
 If nothing fixes the gauge, rest and part can rotate, move and scale together. These similarities N
-are found as motions that change no residual of the part and not the prior. The gauge is fixed by
+are the motions that change neither a residual of the part nor the prior. The gauge is fixed by
 keeping the neighbours in place on average: the displacement d of the neighbours, in units of
-Lambda's diagonal D^(1/2), must have no component along N. As a term of Lambda this is Q Q^T with
-Q = D^(1/2) times an orthonormal basis of D^(1/2) N. No residual changes along N. Therefore the cost
+Lambda's diagonal D^(1/2), must have no component along N. As a term of Lambda this is Q Q^T with Q
+= D^(1/2) times an orthonormal basis of D^(1/2) N. No residual changes along N. Therefore the cost
 at the minimum and all gauge-independent results stay the same.
 """
 

@@ -114,7 +114,7 @@ def _counted(found: PixelErrors, block: slice) -> NDArray[np.bool_]:
 def _compressed(
     one: PixelErrors, other: PixelErrors, which: int | None, size: int
 ) -> NDArray[np.float64]:
-    """Return the errors that count in both, of ``which`` (0 or 1); None: of ``one``, in place."""
+    """Return errors that count in both, from ``one`` or ``other``; None: of ``one``, in place."""
     source = (one, other)[which or 0].errors
     target = source if which is None else _core.large_array(size, np.dtype(np.float64))
     count = 0
