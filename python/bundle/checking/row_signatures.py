@@ -231,8 +231,8 @@ def _is_number(matrix: Array) -> bool:
 def _is_one_matrix(given: Array, right: Array) -> bool:
     """Return True if an M that is fitted without a column also gives A = M J in that column.
 
-    Columns without which M is undetermined are no evidence, such as those of a row that depends on
-    one parameter. At least two others, and half of all, must be predicted.
+    If M is undetermined without a column, this column is no evidence: for example that of a row
+    that depends on one parameter. At least two others, and half of all, must be predicted.
     """
     num_residuals, num_columns = given.shape[1:]
 

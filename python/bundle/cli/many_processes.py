@@ -100,7 +100,7 @@ def _complain_for_all(line: str) -> None:
 
 
 def _world() -> Any:
-    """Return mpi4py's communicator of all processes; None without mpirun's."""
+    """Return mpi4py's communicator of all processes; None if mpirun did not start this one."""
     try:
         from mpi4py import MPI
     except (ImportError, RuntimeError):  # mpi4py or its MPI library is missing

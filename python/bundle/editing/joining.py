@@ -355,7 +355,7 @@ class SharedKeypoints:
 
 
 def shared_keypoints(a: ModelRecords, b: ModelRecords, images: _Indices) -> SharedKeypoints:
-    """Return the keypoints of A that are those that B observes in shared images.
+    """Return A's keypoints that correspond to those that B observes in shared images.
 
     Args:
         b: records of the second model.

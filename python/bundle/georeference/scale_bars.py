@@ -271,7 +271,7 @@ class FoundBars(FoundPriors):
         """Test all bars at a minimum.
 
         Args:
-            covariance: (n, n) of the lengths by all else; None: unknown.
+            covariance: (n, n) of the lengths by all other measurements; None: unknown.
             is_free: True if nothing else fixes the scale.
         """
         lengths = self.lengths(problem)

@@ -1,4 +1,4 @@
-"""COLMAP models on disk: text or binary, with rigs and frames or in the older format without.
+"""COLMAP models on disk: text or binary, with rigs and frames or in the older format without them.
 
 This package does not use COLMAP's reader and writer. COLMAP's reader accepts some broken files
 silently and allocates memory by counts that may be corrupt. It does not report the line or byte of

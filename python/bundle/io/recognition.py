@@ -316,7 +316,7 @@ def sequence_format(path: object) -> str:
 
 
 def mav_root(path: Path) -> Path | None:
-    """Return the folder with ``cam0`` or ``imu0``: the path, or ``mav0`` in it; None without."""
+    """Return the folder with ``cam0`` or ``imu0``: the path, or ``mav0`` in it; None if neither."""
     for folder in (path, path / "mav0"):
         if any((folder / name / "data.csv").is_file() for name in ("cam0", "imu0")):
             return folder

@@ -1,4 +1,4 @@
-"""Digests of an input: who observes whom, the measurements, and the start.
+"""Digests of an input: which image observes which point, the measurements, and the start.
 
 Two reports compare them. Equal digests prove that a difference of two solves has another cause;
 separate digests distinguish changed data from a changed start.

@@ -2,8 +2,8 @@
 
 Everything that carries the state of a solve reads this table: results, checkpoints, held-out fits,
 selections and local adjustments, processes and slices, digests, similarities, keys of factors. A
-new variable is a row of it. A similarity x' = s R x + t of the world moves an array in one of these
-ways:
+new variable is a new row of it. A similarity x' = s R x + t of the world moves an array in one of
+these ways:
 
     pose     R_c' = R_c R^T,  t_c' = s t_c - R_c' t: a pose of the world in another frame
     point    x' = s R x + t

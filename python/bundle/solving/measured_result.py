@@ -71,7 +71,7 @@ class MeasuredResult(RoundRecords, SolveRecord):  # the first table: iterations
     def survey_checks(self) -> SurveyChecks | None:
         """Tests of control points and of an offset of positions, computed at the first access.
 
-        None without control points, and of a solve that did not converge.
+        None without control points, or if the solve did not converge.
         """
         return None if self._survey is None else self._survey()
 
@@ -79,7 +79,7 @@ class MeasuredResult(RoundRecords, SolveRecord):  # the first table: iterations
     def without_attitudes(self) -> Problem | None:
         """The model of a solve without measured attitudes, computed at the first access.
 
-        None without attitudes, and of a solve that did not converge.
+        None without attitudes, or if the solve did not converge.
         """
         return None if self._free is None else self._free()
 

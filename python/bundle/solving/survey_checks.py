@@ -117,8 +117,8 @@ def solve_without_attitudes(
 ) -> Problem | None:
     """Return the model of a solve without measured attitudes; None without attitudes or a solution.
 
-    Sigmas of attitudes that are too small bend a model to them: their residuals are then small,
-    and hide their errors.
+    If sigmas of attitudes are too small, the model bends to fit the attitudes, and small residuals
+    hide large errors.
     """
     if prepared.part is not None or prepared.start.num_images > MOST_IMAGES:
         return None

@@ -234,7 +234,7 @@ def _about_conditioning(condition: float) -> list[Finding]:
 
 
 def _about_minimum(decrease: float, cost: float) -> list[Finding]:
-    """Return the note on values that are no minimum."""
+    """Return the note on values that are not at a minimum."""
     return [
         note(
             NO_MINIMUM,

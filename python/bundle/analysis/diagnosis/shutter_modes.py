@@ -27,7 +27,7 @@ D of pi(x) become
     D + a D_y / (1 - a_y),    a = d pi / dx (w x x + v) / height.
 
 The derivatives at the observed row lack the second term, and hide the null directions: at the
-truth, points on a plane that are read parallel to the flight have next to no information in them.
+truth, points on a plane that are read parallel to the flight give almost no information along them.
 
 The points are eliminated. Seven directions of poses and twists belong to the gauge (translations t,
 rotations e, and the scale of the world):

@@ -338,7 +338,7 @@ def viewing(problem: Problem, images: NDArray[np.int64]) -> Viewing | None:
 
 
 def plane(points: Vector) -> tuple[float, Vector]:
-    """Return relief and normal of the plane through points, without the farthest tenth of them."""
+    """Return relief and normal of the plane through points, without the farthest tenth."""
     middle = np.median(points, axis=0)
     far = np.linalg.norm(points - middle, axis=1)
     inner = points[far <= np.quantile(far, 0.9)] - middle

@@ -114,7 +114,7 @@ class Derivatives(FrozenArrays, Displayed):
             kinds whose residual is not mean minus value: poses, directions, functions.
         prior_sigmas: likewise by the standard deviations, (k,); None also if the information is not
             diagonal.
-        gauge_share: share of the cotangent along free motions of the world, which was taken out.
+        gauge_share: share of the cotangent along free motions of the world, which was removed.
         num_products: products with the exact Hessian; 0 for Gauss-Newton.
         exact: False: with the matrix of Gauss-Newton instead of the Hessian.
         is_converged: False: no numbers.
@@ -412,7 +412,7 @@ class Adjoint(Displayed):
         if share > GAUGE_SHARE:
             warnings.warn(
                 f"{100 * share:.2g} % of the derivatives is along free motions of the world, and "
-                "was taken out: the function depends on position, rotation or scale. Take ratios "
+                "was removed: the function depends on position, rotation or scale. Take ratios "
                 "of distances, or fix the world by control points.",
                 GaugeWarning,
                 stacklevel=2,

@@ -235,8 +235,8 @@ def note_on_inner_constraints(problem: Problem, out: dict[str, Any]) -> str:
     """Return a sentence if few points dominate the inner constraints; else "".
 
     Distant points do by their weight, the square of their distance d from the cameras. So do points
-    whose sigma exceeds d, if they make a third of the sigma of most poses: an error of one of n
-    points moves the world by an n-th of it, and turns it by d / sum d^2 of it.
+    whose sigma exceeds d, if they cause a third of the sigma of most poses: an error e of one of n
+    points moves the world by e / n, and turns it by e d / sum d^2.
     """
     takes_part = np.bincount(problem.observation_point, minlength=problem.num_points) > 0
     takes_part[out["null_points"]] = False

@@ -14,7 +14,7 @@ delta0 sigma / sqrt(l), and it moves any function of the unknowns by at most del
 l) of its sigmas. ``delta0`` is that of a test of one number, along u, as in Baarda's B-method.
 
 Below a redundancy of :data:`NOT_CHECKABLE`, an error is so large before it is seen that the linear
-theory no longer holds: planted errors of 98 px shifted w by 0.8 in the place of 4.13. Such
+theory no longer holds: planted errors of 98 px shifted w by 0.8 instead of 4.13. Such
 measurements therefore have no numbers. A point with two rays has four residuals and three
 coordinates: along the epipolar line it follows any error, and l = 0 for both observations, although
 their components may have redundancies of 0.5.
@@ -199,7 +199,7 @@ def reliability_of(prepared: Prepared, delta0: float = DELTA0, scale: str = "uni
 
 
 def notes_of(prepared: Prepared, out: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return the warnings of the core, and whether the problem is no minimum."""
+    """Return the warnings of the core, and whether the problem is not at a minimum."""
     cost, decrease = 0.5 * out["weighted_squares"], out["predicted_decrease"]
     if not decrease > AT_MINIMUM * cost > 0:
         return tuple(out["warnings"])

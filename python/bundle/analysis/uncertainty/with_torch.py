@@ -30,7 +30,7 @@ def refine(
 
     The derivatives are exact (:func:`bundle.adjoint`), of first order, and on the CPU in float64.
     The values are in the gauge of the problem's start, so that only functions that do not depend
-    on it have a derivative; the part of others along free motions of the world is taken out.
+    on it have a derivative; for others, the part along free motions of the world is removed.
 
     Args:
         pixels: (num_observations, 2) measured pixels; None: those of the problem.

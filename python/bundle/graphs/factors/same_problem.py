@@ -3,8 +3,8 @@
 A graph of poses on se2 (or on se3) with a :class:`bundle.BetweenFactor` per edge has the residuals
 of a :class:`bundle.PoseGraph` with the error "log". A graph of
 :class:`bundle.ReprojectionFactor` has those of a :class:`bundle.Problem` with the cheirality
-"algebraic". Both conversions keep every residual, so that solvers and analyses of the other
-inputs serve these graphs. A graph with any other factor, with bounds, or with coordinates that the
+"algebraic". Both conversions keep every residual, so that solvers and analyses of the other inputs
+apply to these graphs. A graph with any other factor, with bounds, or with coordinates that the
 other input cannot hold constant, has no such form.
 
 Ids of the other input: a key that is a whole number is its own id; ("image", 7) and the like of

@@ -7,7 +7,7 @@ with the logarithm, or with anisotropic information) is not a critical point, bu
 The verdict is about the given poses as long as the critical point belongs to them. It does if
 Newton's method lowers F by at most a tenth. Otherwise two solves decide:
 
-- One from the given poses. If it lowers chi2 by more than a hundredth, they are no minimum at all.
+- One from the given poses. If it lowers chi2 by more than a hundredth, they are not at a minimum.
 - One from the critical point. If it ends at the chi2 of the first one, both are the same minimum.
   Otherwise F has another minimum, and its certificate does not apply to the given poses.
 """

@@ -112,7 +112,7 @@ def _reversed(recording: Recording, signs: Signs, is_problem: bool) -> Finding:
 
 
 def _measures(sequence: Sequence) -> bool:
-    """Return False if a sensor stops for longer than can be bridged, which explains all else."""
+    """Return False if a sensor stops for longer than can be bridged: this explains everything."""
     stretches = bad_stretches(sequence.gyro, sequence.accel)
     return all(is_bridged(each, sequence.imu_timestamps_ns) for each in stretches)
 

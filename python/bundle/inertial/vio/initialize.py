@@ -202,7 +202,7 @@ def find_span(images: SequenceImages, first: int, end: int) -> Span | None:
 
 
 def objection_to(found: LinearStart, span: Span, calibration: Calibration) -> str:
-    """Return the name of the test that a solution fails; "" if it passes all."""
+    """Return the name of the test that a solution fails; "" if it passes all tests."""
     seen = span.seen
     turn = rotation_matrices(np.array(calibration.camera_from_imu)[None, :4])[0]
     rays = np.column_stack([seen.xy, np.ones(len(seen.xy))]) @ turn

@@ -193,7 +193,7 @@ def kind_of_yaml(content: Table) -> str:
 
 
 def rostopic(content: Table, camera: str, sensor: str) -> str:
-    """Return the topic that a calibration names for "image" or "imu"; "" without."""
+    """Return the topic that a calibration names for "image" or "imu"; "" if it names none."""
     kind = kind_of_yaml(content)
     if sensor == "image":
         content = content[camera] if isinstance(content.get(camera), dict) else {}

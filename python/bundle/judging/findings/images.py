@@ -178,7 +178,7 @@ def image_residuals(
     measured: Measured, found: SystematicResiduals, fits: ImageFits, *, is_general: bool,
     is_jointed: bool,
 ) -> Finding | None:  # fmt: skip
-    """Return the finding about single images, which motion in general hides, or None."""
+    """Return the finding about single images, or None; general motion would hide it."""
     problem, images = measured.problem, found.images
     limit = 3.0 + 6.0 * np.sqrt(6.0) + 20.0 + 2.0 * np.log(max(len(images), 1))
     systematic = np.flatnonzero((fits.chi2 > limit) & (fits.sizes > FIELD) & (not is_general))

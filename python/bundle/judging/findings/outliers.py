@@ -1,7 +1,7 @@
 """Outliers: observations that do not belong to their points.
 
 Test. Errors are divided by the local noise, the scale of their surroundings (measured.py). Gaussian
-noise exceeds 6 scales once in 65 million observations. Real keypoints have heavier tails, which
+noise exceeds 6 scales once in 65 million observations. Real keypoints have heavier tails. These
 alone do no harm: an outlier matters by its share of the cost, which least squares minimises. With a
 share q of the cost beyond 6 scales, the RMSE is larger by 1 / sqrt(1 - q).
 

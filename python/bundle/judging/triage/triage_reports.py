@@ -65,8 +65,7 @@ def triage(
         **changes: options by name, which replace those in ``options``.
 
     Raises:
-        InputError: a file is no such report, is of another version, or both are of different
-            inputs.
+        InputError: a file is not such a report or is of another version, or the inputs differ.
         OSError: a file cannot be read.
 
     Example:

@@ -168,8 +168,9 @@ def photograph(
 ) -> Photograph | None:
     """Return the photograph of an image, up to ``widest`` pixels; None if none is readable.
 
-    Without a file of this relative name, that of the same base name directly in the folder is used;
-    paths that leave the folder are refused. Pixels keep their stored orientation, and the EXIF
+    If no file has this relative name, the file with the same base name directly in the folder is
+    used; paths that leave the folder are refused. Pixels keep their stored orientation, and the
+    EXIF
     orientation is ignored: reconstructions use the coordinates of the stored pixels.
     """
     from PIL import Image
