@@ -37,15 +37,21 @@ def model(flight):
     return alone.problem, stamps
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_rounds_remove_planted_outliers_and_end_at_the_clean_minimum(flight, model, seed):
-    problem, stamps = model
+def with_outliers(problem, seed):
+    """Return the problem with 3 % of its observations 20 to 60 pixels off, and their mask."""
     rng = np.random.default_rng(seed)
     planted = rng.random(problem.num_observations) < 0.03
     shift = rng.uniform(20, 60, (problem.num_observations, 2)) * rng.choice(
         [-1, 1], (problem.num_observations, 2)
     )
-    wrong = problem.replace(observation_xy=problem.observation_xy + planted[:, None] * shift)
+    moved_xy = problem.observation_xy + planted[:, None] * shift
+    return problem.replace(observation_xy=moved_xy), planted
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_rounds_remove_planted_outliers_and_end_at_the_clean_minimum(flight, model, seed):
+    problem, stamps = model
+    wrong, planted = with_outliers(problem, seed)
     plan = RunPlan(rounds=RoundOptions(num_rounds=5, max_error=8.0))
     options = OPTIONS.replace(loss="cauchy", loss_scale=2.0, function_tolerance=1e-10)
     found = adjusted(flight.sequence, wrong, stamps, options, plan=plan, **SETTINGS)
@@ -66,6 +72,21 @@ def test_rounds_remove_planted_outliers_and_end_at_the_clean_minimum(flight, mod
     )  # fmt: skip
     assert len(found.velocities) == len(stamps)
     assert found.gauge_freedom == 4
+
+
+@pytest.mark.parametrize("seed", (1, 2))
+def test_rounds_find_the_offset_of_the_clocks_beside_outliers(flight, seed):
+    problem, stamps = model_of(flight.sequence, flight.ground_truth, 4)
+    alone = bundle.solve_rounds(problem, OPTIONS, num_rounds=3, max_error=6.0)
+    inner = stamps < stamps[-1]  # 20 ms later it has no samples
+    problem, stamps = alone.problem.select(images=inner).problem, stamps[inner]
+    wrong, _ = with_outliers(problem, seed)
+    plan = RunPlan(rounds=RoundOptions(num_rounds=5, max_error=8.0))
+    found = adjusted(flight.sequence, wrong, stamps + 20_000_000, OPTIONS, plan=plan, **SETTINGS)
+    assert found.clock.seconds == pytest.approx(-0.02, abs=3e-3)
+    assert found.clock.sigma < 3e-3
+    assert found.result.summary.is_solution_usable
+    assert [one.kind for one in found.findings] == ["imu_clocks"]
 
 
 def test_rounds_without_anything_to_remove_change_nothing(flight, model):

@@ -6,10 +6,10 @@ factors of the solve (``motion_solve``). The model is first brought into metres 
 (``upright_start``), where gravity is known. Position and heading stay free, or follow priors in a
 world with z up. A clear offset of the clocks (``clock_offset``) is added to the times of images.
 
-The images alone are adjusted first: their rotations determine axes, units and clocks of the IMU,
-and their cost is the reference for the adjustment with the IMU (``imu_agreement``,
-``imu_findings``). Gross errors of axes and units are refused. A result that the IMU contradicts is
-not usable.
+The images alone are adjusted first, and filtered, too: their rotations determine axes, units and
+clocks of the IMU, and their cost is the reference for the adjustment with the IMU
+(``imu_agreement``, ``imu_findings``). Gross errors of axes and units are refused. A result that the
+IMU contradicts is not usable.
 
 Preintegrated motions are of first order in the biases. A second solve starts with motions that are
 integrated again at the biases of the first one, if these moved far. Rounds of filtering follow,
@@ -133,7 +133,8 @@ def adjust_with_imu(
     bodies = ImuBodies.of(problem, image_times_ns, camera_from_imu)
     given = options or SolveOptions()
     options = _checked(bodies, options)
-    images = _images_alone(problem, given, tuple(priors), progress)
+    plan = plan or RunPlan()
+    images = _images_alone(problem, given, tuple(priors), plan, progress)
     imu_samples = choice("imu_samples", imu_samples, ("auto", *RULES))
     scale = _noise_scale(bodies.stamps, imu_noise_scale)
     case = _Case(
@@ -149,11 +150,12 @@ def adjust_with_imu(
         (_adjusted(case, video, clock) for video, clock in _videos(case, samples, imu_samples)),
         key=lambda found: found.cost + CLEAR * found.clock.lowers_cost,
     )
-    if plan is not None and plan.filters:
+    if plan.filters:
         best = _filtered(case, best, plan)
     kept = best.state.problem
     if kept.num_observations < problem.num_observations:
-        case = case._replace(images=_images_alone(kept, given, tuple(priors), progress))
+        alone = _images_alone(kept, given, tuple(priors), RunPlan(), progress)
+        case = case._replace(images=alone)
     known = _evidence(case, best, samples, scale, place)
     findings = imu_findings(known)
     back, state, last = np.argsort(bodies.rows), best.state, best.results[-1]
@@ -319,12 +321,16 @@ def _adjusted(case: _Case, video: ImageIntervals, clock: ClockOffset) -> _Adjust
 
 
 def _images_alone(
-    problem: Problem, options: SolveOptions, priors: tuple[Prior, ...], progress: Progress | None
+    problem: Problem,
+    options: SolveOptions,
+    priors: tuple[Prior, ...],
+    plan: RunPlan,
+    progress: Progress | None,
 ) -> Result:
     """Return the adjustment without the IMU, at its minimum, with which costs are compared."""
     options = options.replace(max_num_iterations=max(options.max_num_iterations, MOST_STEPS))
     request = SolveRequest(problem=problem, options=options, priors=priors)
-    found = run(request, RunPlan(), progress)
+    found = run(request, plan, progress)
     if found.summary.interrupted:
         raise KeyboardInterrupt
     return found
