@@ -48,7 +48,7 @@ _OF_ALL = {
 
 
 def prepare(arguments: argparse.Namespace) -> Callable[[], int]:
-    """Import what a command line needs; return the function that runs it for its exit code."""
+    """Import what a command line needs; return a function that runs it to its exit code."""
     command = COMMANDS[arguments.command]
     if command.is_for_each:
         kinds = [(path, str(recognize(path))) for path in arguments.inputs]

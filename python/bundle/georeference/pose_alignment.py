@@ -96,7 +96,7 @@ def _check_spread(name: str, points: Array) -> None:
 
 
 def moved_poses(poses: Array, similarity: Similarity) -> Array:
-    """Return poses world_from_camera (n, 7) in the other world of a similarity."""
+    """Return poses world_from_camera (n, 7) after a similarity of the world."""
     turn = quaternion_from_matrix(similarity.rotation[None])
     turned = quaternion_multiply(np.broadcast_to(turn, (len(poses), 4)), poses[:, :4])
     return np.hstack([turned, similarity.apply(poses[:, 4:])])

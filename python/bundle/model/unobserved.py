@@ -1,8 +1,8 @@
 """Problems that cannot be refined, in the same words for every format and command.
 
-They have no observations, or only points that one image sees each. Exports of learned models, such
-as those of VGGT without bundle adjustment, are of the latter kind: a point is a pixel with its
-depth, its residual is zero wherever the camera is, and nothing relates the images.
+They have no observations, or each of their points is seen by one image only. Exports of learned
+models, such as those of VGGT without bundle adjustment, are of the latter kind: a point is a pixel
+with its depth, its residual is zero wherever the camera is, and nothing relates the images.
 """
 
 from __future__ import annotations

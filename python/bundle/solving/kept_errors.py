@@ -7,7 +7,7 @@ observations that are in the output and have a projection before and after the s
 A robust loss downweights outliers, so that the RMSE of all observations may rise although the solve
 did its work. An outlier is an observation whose error exceeds ``OUTLIER`` times the scale of the
 loss. The errors that remain are compared on the observations below this limit both before and
-after: a choice by one of the two errors alone would favour it.
+after: a choice by only one of the two errors would favour that error.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ class KeptErrors:
 class Deleted:
     """Numbers of observations, points and images of the input that the output lacks.
 
-    An image whose observations were all deleted counts, although the output keeps its pose.
+    An image whose observations were all deleted is counted, although the output keeps its pose.
     """
 
     num_observations: int = 0
@@ -99,7 +99,7 @@ class Deleted:
     def of_mask(before: Problem, kept: NDArray[np.bool_] | None) -> Deleted:
         """Return the numbers from the problem before and the mask of its kept observations.
 
-        A point whose observations were all deleted counts.
+        A point whose observations were all deleted is counted.
         """
         if kept is None:
             return Deleted()

@@ -96,7 +96,7 @@ def solve(
 
     Poses of images are cam_from_world. Use a :class:`bundle.RelativePoseFactor` for a relative pose
     of two images. Variables of factors are refined even if they have no observation. Constant
-    variables stay constant, and the cost of their factors counts.
+    variables stay constant; the cost includes their factors.
 
     Both backends support factors of images, rigs, cameras, or a single point. Only Ceres supports
     Python functions, and factors that couple a point with another refined variable. With factors of

@@ -42,8 +42,8 @@ def refine(
             :func:`bundle.solve`.
 
     Raises:
-        InputError: JAX is not installed, has no doubles, or an array has another shape. jax raises
-            an error of its own with that of :func:`bundle.solve` in it.
+        InputError: JAX is not installed, has no doubles, or an array has another shape. An error of
+            :func:`bundle.solve` is wrapped in an error of jax.
 
     Example:
         >>> jax.grad(lambda w: loss(bundle.jax.refine(weights=w, problem=problem).points))(weights)

@@ -186,7 +186,7 @@ def _complement(columns: Floats) -> Floats:
 
 
 def _gauge_of(variables: list[Variable], basis: Floats) -> Floats:
-    """Return the coefficients of the gauge in an orthonormal basis, orthonormal, a column each."""
+    """Return the coefficients of an orthonormal gauge in an orthonormal basis, as columns."""
     best = np.zeros((basis.shape[1], 0))
     for rows, motions in _motions(variables):
         left, values, right = np.linalg.svd(basis[rows], full_matrices=False)

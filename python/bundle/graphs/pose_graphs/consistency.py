@@ -14,8 +14,8 @@ w_t as below, Log(D) is the sum of
     Ad(O_l) e_b - Ad(O_j) e_a                               of the closures,
     (([t <= k] - [t <= i]) P + ([t <= j] - [t <= l])) w_t,  P = Ad(B^-1), of odometry step t.
 
-where A may replace B in P, because they are equal at D = I. This gives two covariances. The one
-with the larger chi2 counts, so that the long lever of a wrong closure far away does not inflate its
+where A may replace B in P, because they are equal at D = I. This gives two covariances. The larger
+chi2 of both is used, so that the long lever of a wrong closure far away does not inflate its
 covariance. The first bracket is s on the steps between i and k, the second is r on the steps
 between l and j, with signs s, r = +1, -1 by direction. If these stretches overlap, a step counts in
 both, and the sum is s P + r I, which is nearly zero if B is near I. With W as below

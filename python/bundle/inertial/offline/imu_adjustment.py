@@ -258,7 +258,7 @@ class _Adjusted(NamedTuple):
         return preintegrated(intervals, case.noise, self.state.biases[:-1], self.video.rule)
 
     def settled(self, case: _Case) -> _Adjusted:
-        """Return the adjustment after solves until the motions fit its biases."""
+        """Solve until the motions fit the biases; return the last adjustment."""
         found = self
         for _ in range(MOST_SOLVES):
             motions = found.motions(case)

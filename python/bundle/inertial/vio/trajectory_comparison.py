@@ -57,7 +57,7 @@ class TrajectoryError(Displayed):
         return Display(
             title=f"Errors of {self.num_poses} poses along {self.path_length:.4g} m",
             facts=(
-                ("ATE", f"{self.ate:.4g} m; yaw and position aligned alone {self.ate_yaw:.4g} m"),
+                ("ATE", f"{self.ate:.4g} m; aligned in yaw and position only {self.ate_yaw:.4g} m"),
                 ("scale", f"{self.scale:.6g}"),
                 ("rotation", f"{self.rotation_rms:.4g} degrees rms"),
             ),

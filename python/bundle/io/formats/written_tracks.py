@@ -67,7 +67,7 @@ def check_names(problem: Problem, what: str, forbidden: str = "\n\r\t") -> None:
 
 
 def camera_error(problem: Problem, camera: int, what: str, expected: str) -> InputError:
-    """Return the error that a format cannot hold a camera."""
+    """Return the error of a format that cannot hold a camera."""
     return InputError(
         f"camera {problem.camera_ids[camera]}: {what} cannot hold it: expected {expected}, found "
         f"{problem.camera_models[camera]}"
@@ -160,7 +160,7 @@ def write_tracks(
 
 
 def write_rows(file: TextIO, template: str, columns: Array) -> None:
-    """Write the rows of a table by a ``%`` format each."""
+    """Write each row of a table by a ``%`` format."""
     for begin in range(0, len(columns), _BLOCK):
         part = columns[begin : begin + _BLOCK]
         file.write(template * len(part) % tuple(part.ravel().tolist()))

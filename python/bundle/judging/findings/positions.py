@@ -7,7 +7,7 @@ one).
 
 Wrong sigmas. The ratio of a group is the root of median d^2 over its expected median. It exceeds 2,
 and 1 by 3 of its standard errors, over at least 6 images. The command gives the sigmas that the
-residuals show, per group. Where the file has sigmas of its own, it gives factors on these.
+residuals show, per group. If the file has sigmas, the command gives factors on them.
 
 Single wrong positions. In at most a third of the images, the residual over all axes exceeds 5
 sigmas, after division by the ratio of each group (at least 1). If outliers or a small lens bend the
@@ -234,7 +234,7 @@ def is_tense(measured: Measured) -> bool:
 
 
 def scale_drift(measured: Measured, free: Problem) -> Finding | None:
-    """Return the finding about a scale that changes along the images of a model by images alone."""
+    """Return the finding about a scale that changes along a model without measured positions."""
     rows, priors = _used(measured)
     if len(rows) < 2 * FEWEST:
         return None

@@ -62,7 +62,7 @@ class DeferredSource:
         self._lock = threading.Lock()
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Any:
-        """Return an independent source: callers may edit the reconstruction of each."""
+        """Return an independent copy of the source, because callers may edit its reconstruction."""
         with self._lock:
             if self._model is None:
                 return copy.deepcopy(self._reconstruction, memo)

@@ -372,7 +372,7 @@ class SchurCounts:
 
 
 def count_schur(num_cameras: int, num_points: int, track_length: int) -> SchurCounts:
-    """Count flops for points that are seen by the same number of cameras each."""
+    """Count flops for points that are all seen by the same number of cameras."""
     num_reduced = CAMERA_SIZE * num_cameras
     num_unknowns = num_reduced + POINT_SIZE * num_points
     num_products = track_length**2 * num_points

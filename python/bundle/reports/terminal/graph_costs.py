@@ -144,7 +144,7 @@ def compared_runs(found: GraphComparison, name: str, orders_only: bool = False) 
 
 
 def run_table(found: GraphComparison, orders_only: bool = False) -> Table:
-    """Return a row for each run; of methods that differ in the order alone, with its cost."""
+    """Return a row for each run, with the cost of the order if the methods differ in it only."""
 
     def measured(write: Any) -> Any:
         return lambda run: "" if run.failure else write(run)

@@ -359,7 +359,7 @@ def described_sequence(
     findings: Many[SequenceFinding | Finding],
     tracking: Tracking | None = None,
 ) -> Report:
-    """Return the report on a sequence; without tracking, it has tracks."""
+    """Return the report on a sequence; ``tracking``: None if the input has tracks."""
     camera = sequence.calibration.camera_model or "normalised image coordinates"
     rest = statistics.static_start
     start = f"at rest for {rest:.2f} s" if rest else "moving"
@@ -431,7 +431,7 @@ def converted_sequence(
     findings: Many[SequenceFinding | Finding] = (),
     tracking: Tracking | None = None,
 ) -> Report:
-    """Return the report on a visual-inertial sequence; without tracking, the input has tracks."""
+    """Return the report on a converted sequence; ``tracking``: None if the input has tracks."""
     wrote = f"Wrote {shown(output)} (visual-inertial sequence)"
     lost = [] if tracking is None else ["images"]
     rest = "Nothing is lost." if tracking is None else tracking_headline(tracking)

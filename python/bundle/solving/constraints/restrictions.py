@@ -165,7 +165,7 @@ class CameraBounds:
         )
 
     def tightened(self, more: Mapping[tuple[int, int], tuple[float, float]]) -> CameraBounds:
-        """Return the bounds after adding others, by camera index and column; the tighter counts."""
+        """Return the bounds combined with others, by camera index and column: the tighter ones."""
         lower, upper = self.lower.copy(), self.upper.copy()
         for place, (least, most) in more.items():
             lower[place], upper[place] = max(lower[place], least), min(upper[place], most)
