@@ -19,7 +19,7 @@ namespace bundle {
 /// Id of this process, which a fork does not share.
 int64_t ProcessId();
 
-/// Moves a thread that was started or woken off this thread's processor. In a virtual machine,
+/// Moves a thread, just started or woken, off this thread's processor. In a virtual machine,
 /// Linux often puts it there although another one is idle, and balances its processors only after
 /// milliseconds: a small solve would end before its threads run.
 void MoveElsewhere(std::thread* thread);

@@ -243,7 +243,7 @@ def movement(before: Problem, after: Problem, similarity: Similarity | None = No
     """Return the changes between two problems with the same images in the same order.
 
     Args:
-        before: the input; its cameras may be other ones.
+        before: the input, which may have other cameras.
         similarity: motion of the input to its priors, or None.
     """
     centers, turns = before.projection_centers, rotation_matrices(before.cam_from_world[:, :4])

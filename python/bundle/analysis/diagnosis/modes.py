@@ -359,7 +359,7 @@ def dominant_parts(parts: list[CameraPart]) -> list[CameraPart]:
 
 
 def part_names(unknowns: Unknowns, parts: list[CameraPart], *, spoken: bool) -> str:
-    """Return the parameter names without repeats; if spoken, in words like "focal length"."""
+    """Return the parameter names without repeats; ``spoken``: in words like "focal length"."""
     names = []
     for part in parts:
         name = unknowns.parameter_name(part)

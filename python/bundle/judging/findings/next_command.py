@@ -1,7 +1,7 @@
 """Command line to run next: the command of this run with other options.
 
-A flag of the run is replaced by the same flag of the advice. One that may be given several times
-(`--set`, a list of rules) is kept beside it, because each occurrence adds knowledge.
+A flag of the run is replaced by the same flag of the advice. A flag that may be given several times
+(`--set`, a list of rules) is added instead, because each occurrence adds information.
 """
 
 from __future__ import annotations
