@@ -132,16 +132,20 @@ def adjust_with_imu(
         raise InputError("plan: expected neither checkpoints nor held-out observations")
     bodies = ImuBodies.of(problem, image_times_ns, camera_from_imu)
     given = options or SolveOptions()
-    options = _checked(bodies, options)
-    plan = plan or RunPlan()
-    images = _images_alone(problem, given, tuple(priors), plan, progress)
+    options, plan = _checked(bodies, given), plan or RunPlan()
+    alone = SolveRequest(
+        problem=problem,
+        options=given.replace(max_num_iterations=max(given.max_num_iterations, MOST_STEPS)),
+        priors=priors,
+    )
+    images = _images_alone(alone, plan, progress)
     imu_samples = choice("imu_samples", imu_samples, ("auto", *RULES))
     scale = _noise_scale(bodies.stamps, imu_noise_scale)
     case = _Case(
         problem=problem,
         bodies=bodies,
         noise=noise.scaled(scale, walks=False),
-        priors=tuple(priors),
+        priors=alone.priors,
         options=options,
         progress=progress,
         images=images,
@@ -154,8 +158,7 @@ def adjust_with_imu(
         best = _filtered(case, best, plan)
     kept = best.state.problem
     if kept.num_observations < problem.num_observations:
-        alone = _images_alone(kept, given, tuple(priors), RunPlan(), progress)
-        case = case._replace(images=alone)
+        case = case._replace(images=_images_alone(alone.at(kept), RunPlan(), progress))
     known = _evidence(case, best, samples, scale, place)
     findings = imu_findings(known)
     back, state, last = np.argsort(bodies.rows), best.state, best.results[-1]
@@ -320,16 +323,8 @@ def _adjusted(case: _Case, video: ImageIntervals, clock: ClockOffset) -> _Adjust
     return _Adjusted(video, clock, start, similarity, state, []).settled(case)
 
 
-def _images_alone(
-    problem: Problem,
-    options: SolveOptions,
-    priors: tuple[Prior, ...],
-    plan: RunPlan,
-    progress: Progress | None,
-) -> Result:
+def _images_alone(request: SolveRequest, plan: RunPlan, progress: Progress | None) -> Result:
     """Return the adjustment without the IMU, at its minimum, with which costs are compared."""
-    options = options.replace(max_num_iterations=max(options.max_num_iterations, MOST_STEPS))
-    request = SolveRequest(problem=problem, options=options, priors=priors)
     found = run(request, plan, progress)
     if found.summary.interrupted:
         raise KeyboardInterrupt
@@ -463,8 +458,7 @@ def _gauge_freedom(case: _Case, problem: Problem) -> int:
     return gauge_freedom(problem, case.options, factors=factors, priors=case.priors).degrees
 
 
-def _checked(bodies: ImuBodies, options: SolveOptions | None) -> SolveOptions:
-    options = SolveOptions() if options is None else options
+def _checked(bodies: ImuBodies, options: SolveOptions) -> SolveOptions:
     if len(bodies) < LEAST_IMAGES:
         raise InputError(
             f"imu: expected at least {LEAST_IMAGES} {bodies.kind}s, found {len(bodies)}"
