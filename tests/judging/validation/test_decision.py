@@ -142,12 +142,14 @@ def test_an_expensive_candidate_must_predict_better_by_the_price():
     plain = chosen_by(None, DecisionRule())
     share = plain.differences[0] / plain.scores[1]
 
-    def recommended(certainty, factor=1.01, distance=0.0):
+    def recommended(certainty, factor=1.01, distance=0.0, unit=1.0):
         rule = DecisionRule(threshold=share * factor / 3.0, num_standard_errors=0.0)
-        return chosen_by(cameras(distance, 1.0, [1.0, certainty]), rule).recommended
+        return chosen_by(cameras(distance, 1.0, [unit, unit * certainty]), rule).recommended
 
     assert recommended(3.001) == 0
     assert recommended(2.999) == 1
+    assert recommended(3.001, unit=1e-3) == 0  # positions in km
+    assert recommended(2.999, unit=1e3) == 1
     assert recommended(3.001, factor=0.99) == 1
     assert recommended(3.001, distance=99.0) == 0
     assert recommended(np.nan) == 1
