@@ -163,6 +163,16 @@ def test_the_share_of_far_observations_is_that_of_the_newest_image(
     assert 0.05 < first < 0.5
 
 
+@pytest.mark.parametrize("jump", [0.0, 0.5])
+def test_new_landmarks_without_parallax_do_not_hide_those_that_are_far(jump: float) -> None:
+    given = synthesize_flight(motion="hover", duration=18.0, num_tracks=60, seed=5).sequence
+    late = given.imu_timestamps_ns >= given.imu_timestamps_ns[0] + 14 * SECOND
+    accel = given.accel + late[:, None] * [jump, 0, 0]
+    found = run_odometry(replace(given, accel=accel), time_budget=100.0)
+    assert ("far from" in found.message) == (jump > 0)
+    assert found.is_usable == (jump == 0)
+
+
 @pytest.mark.usefixtures("few")
 @pytest.mark.parametrize("where", ["start", "add_frame"])
 def test_a_window_without_a_solution_ends_as_lost_with_report_and_trajectory(

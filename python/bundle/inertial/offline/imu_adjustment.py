@@ -6,10 +6,9 @@ factors of the solve (``motion_solve``). The model is first brought into metres 
 (``upright_start``), where gravity is known. Position and heading stay free, or follow priors in a
 world with z up. A clear offset of the clocks (``clock_offset``) is added to the times of images.
 
-The images alone are adjusted first, and filtered, too: their rotations determine axes, units and
-clocks of the IMU, and their cost is the reference for the adjustment with the IMU
-(``imu_agreement``, ``imu_findings``). Gross errors of axes and units are refused. A result that the
-IMU contradicts is not usable.
+The images alone are adjusted and filtered first: their rotations determine axes, units and clocks
+of the IMU, and their cost is the reference (``imu_agreement``, ``imu_findings``). Gross errors of
+axes and units are refused. A result that the IMU contradicts is not usable.
 
 Preintegrated motions are of first order in the biases. A second solve starts with motions that are
 integrated again at the biases of the first one, if these moved far. Rounds of filtering follow,
@@ -391,15 +390,14 @@ def _evidence(
     place: Callable[[int], str] | None,
 ) -> Evidence:
     last, alone = found.results[-1], case.images
-    count = len(case.bodies) - 1
     problem = alone.problem
     unknowns = 6 * problem.num_images + 3 * problem.num_points
     freedom = max(2 * problem.num_observations - unknowns, 1)
     cost = alone.summary.final_cost
-    is_minimum = alone.summary.termination_type == "CONVERGENCE"
+    least = cost if alone.summary.termination_type == "CONVERGENCE" else math.nan
     agreement = Agreement.of(
-        np.asarray(last.factor_costs_after), count, last.summary.final_cost,
-        (cost if is_minimum else math.nan, 2 * cost / freedom), noise_scale,
+        np.asarray(last.factor_costs_after), len(case.bodies) - 1, last.summary.final_cost,
+        (least, 2 * cost / freedom), noise_scale,
     )  # fmt: skip
     video, clock = found.video, found.clock
     density = case.noise.scaled(1 / noise_scale, walks=False)

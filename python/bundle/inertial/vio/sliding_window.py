@@ -55,7 +55,7 @@ class SlidingWindow:
         options: a :class:`bundle.WindowOptions`, or some of its fields by name.
 
     Attributes:
-        far_share: share of the newest image's observations that are outliers after the last solve.
+        far_share: share of outliers after the last solve, in the newest image, with parallax.
 
     Raises:
         InputError: an argument has a wrong shape or value.
@@ -284,7 +284,8 @@ class SlidingWindow:
 
     def _reject(self, table: LandmarkTable, norms: Array) -> None:
         """Discard tracks far from their prediction in most of their images, or behind one."""
-        now = norms[table.observers == len(self.frames) - 1]
+        moved = self.focal * table.parallax() >= self.options.marginal_parallax
+        now = norms[(table.observers == len(self.frames) - 1) & moved[table.landmarks]]
         self.far_share = float(np.mean(~(now <= OUTLIER))) if len(now) >= FEWEST else 0.0
         count = np.maximum(np.bincount(table.landmarks, minlength=len(table.ids)), 1)
         far = np.bincount(table.landmarks, norms > OUTLIER, len(table.ids))

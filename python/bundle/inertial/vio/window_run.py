@@ -10,7 +10,8 @@ flight, the sum of m is a drift if it exceeds two metres plus a tenth of the pat
 Tracks must agree with the window. If landmarks or samples are wrong, a robust loss gives up the
 tracks, and the window follows its own prediction. Tracking is lost if most observations are far
 from their landmarks in six of ten images in a row; in flights with a tenth of wrong tracks they are
-in two of 260 images, with wrong samples in a third or more.
+in two of 260 images, with wrong samples in a third or more. Landmarks without parallax fit any
+motion and do not count: where a platform hovers, all new ones would.
 """
 
 from __future__ import annotations
