@@ -170,8 +170,7 @@ def photograph(
 
     If no file has this relative name, the file with the same base name directly in the folder is
     used; paths that leave the folder are refused. Pixels keep their stored orientation, and the
-    EXIF
-    orientation is ignored: reconstructions use the coordinates of the stored pixels.
+    EXIF orientation is ignored: reconstructions use the coordinates of the stored pixels.
     """
     from PIL import Image
 
