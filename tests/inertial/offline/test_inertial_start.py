@@ -256,12 +256,12 @@ def test_at_least_five_images():
     for count, is_right in ((4, False), (5, True)):
         bodies = np.zeros(count).view(type("Bodies", (np.ndarray,), {"kind": "image"}))
         if is_right:
-            options = adjustment._checked(bodies, None)
+            options = adjustment._checked(bodies, bundle.SolveOptions())
             assert (options.backend, options.gauge) == ("ceres", "none")
             assert options.linear_solver_type == "sparse_schur"
         else:
             with pytest.raises(InputError, match="at least 5 images"):
-                adjustment._checked(bodies, None)
+                adjustment._checked(bodies, bundle.SolveOptions())
 
 
 class Solved(adjustment._Adjusted):
