@@ -48,6 +48,7 @@ from bundle.interface.options import SolveOptions
 from bundle.io.files import Source, as_problem
 from bundle.model.problem import Problem
 from bundle.model.rigid_motions import cross_matrices, rotation_matrices
+from bundle.solving.constraints.ends import HELD_POSITION
 from bundle.solving.request import place_at_priors
 
 if TYPE_CHECKING:
@@ -56,6 +57,7 @@ if TYPE_CHECKING:
     from bundle.georeference.measurements import Prior
     from bundle.graphs.factors.factors import Factor
     from bundle.interface.option_keywords import SolveKeywords
+    from bundle.solving.constraints.ends import Applied, KnownPrior
 
 RANK_TOLERANCE = 1e-9
 """Threshold for zero singular values of columns that had norm 1 before the projection."""
@@ -138,6 +140,33 @@ def gauge_freedom(
     if given:
         count.add_factors(given)
     return count.result()
+
+
+def can_shrink(
+    problem: Problem, options: SolveOptions, factors: Iterable[Factor], applied: Applied
+) -> bool:
+    """Return True if nothing holds the scale of a world with points on planes and lines.
+
+    A smaller world lies nearer to these, so that the other factors alone have to hold its scale.
+
+    Args:
+        factors: all factors of the solve, with those of the resolved rules.
+    """
+    feet = {id(factor): one for one, factor in zip(applied.priors, applied.factors, strict=True)}
+    feet = {key: one for key, one in feet.items() if one.normals}
+    from bundle.graphs.factors.factors import PositionFactor
+
+    others = [factor for factor in factors if id(factor) not in feet]
+    for image, parts in applied.held_poses.items():
+        if parts & HELD_POSITION:
+            center = problem.projection_centers[problem.image_ids == image][0]
+            others.append(PositionFactor(("image", image), center, np.eye(3)))
+    count = _Count(problem, options)
+    count.add_frames()
+    count.add_held_points()
+    count.add_factors(others)
+    count.add_feet(feet.values())
+    return count.can_scale()
 
 
 class _Count:
@@ -255,6 +284,26 @@ class _Count:
             largest = np.abs(np.sqrt(values[seen])).max(initial=1.0)
             self._norms += ((rows / largest) ** 2).sum(axis=0)
             self._add(rows / largest)
+
+    def add_feet(self, feet: Iterable[KnownPrior]) -> None:
+        """Add the equations of points at their feet on planes and lines, which must stay there."""
+        index = {key: row for row, key in enumerate(self._problem.point_ids.tolist())}
+        for foot in feet:
+            normals = np.array(foot.normals)
+            piece = self._piece_of_point[index[foot.subject[1]]]
+            rows = np.zeros((len(normals), self._width))
+            if piece >= 0:
+                moved = self._point_motion((np.array(foot.value) - self._middle) / self._size)
+                rows[:, 7 * piece : 7 * piece + 7] = normals @ moved
+            self._norms += (rows**2).sum(axis=0)
+            self._add(rows)
+
+    def can_scale(self) -> bool:
+        """Return True if the null space has a motion that scales a piece."""
+        self._flush()
+        scales = np.arange(6, 7 * self._num_pieces, 7)
+        held = np.delete(self._triangle, scales, axis=1), np.delete(self._norms, scales)
+        return _nullity(self._triangle, self._norms) > _nullity(*held)
 
     def result(self) -> GaugeFreedom:
         """Return the count."""

@@ -54,7 +54,16 @@ def lay_out(
         raise InputError(
             "constraints: expected free rotations and positions with hard twists, which follow them"
         )
-    return Layout(resolve_defaults(problem, options), known, limits)
+    options = resolve_defaults(problem, options)
+    if options.gauge == "none" and known and applied and any(one.normals for one in applied.priors):
+        from bundle.solving.gauge_freedom import can_shrink  # for planes and lines only
+
+        if can_shrink(problem, options, known.factors, applied):
+            raise InputError(
+                "constraints: expected positions, scale bars, two fixed images or gauge "
+                "two-cameras beside points on planes and lines, which fit a smaller world better"
+            )
+    return Layout(options, known, limits)
 
 
 def _restrictions(

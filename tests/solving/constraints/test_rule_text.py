@@ -7,7 +7,7 @@ import pytest
 
 import bundle
 from bundle.solving.constraints.rule_list import Constraints
-from bundle.solving.constraints.rules import Bounds, Fixed, Prior, Ratio, Share, Target
+from bundle.solving.constraints.rules import Bounds, Fixed, On, Prior, Ratio, Share, Target
 
 RULES = {
     "camera 3: cx,cy fixed": Fixed("camera 3", "cx,cy"),
@@ -34,6 +34,10 @@ RULES = {
         "images 3000000000-3000000001", "rotation", sigma=0.5
     ),
     "point 12: position prior sigma 0.1": Prior("point 12", "position", sigma=0.1),
+    "points 4-9,12: on plane 0 0 1 -2.5 sigma 5e-3": On(
+        "points 4-9,12", "plane", (0, 0, 1, -2.5), 0.005
+    ),
+    "point 3: on line 1 2 3  0 0 1 sigma 1": On("point 3", "line", [1, 2, 3, 0, 0, 1], 1),
 }
 
 
@@ -100,6 +104,28 @@ BAD = (
     "image 3: position prior 2 %",
     "image 3: position,rotation prior sigma 1",
     "point 3: rotation fixed",
+    "point 3: on",
+    "point 3: on cube 0 0 1 1 sigma 1",
+    "point 3: on plane",
+    "point 3: on plane 0 0 1 1",
+    "point 3: on plane 0 0 1 1 sigma",
+    "point 3: on plane 0 0 1 1 sigma nan",
+    "point 3: on plane 0 0 1 1 sigma 0",
+    "point 3: on plane 0 0 1 1 sigma -1",
+    "point 3: on plane 0 0 1 1 sigma 1 2",
+    "point 3: on plane 0 0 1 1 sigma 1/2",
+    "point 3: on plane 0 0 1 nan sigma 1",
+    "point 3: on plane 0 0 inf 1 sigma 1",
+    "point 3: on plane 0 0 0 1 sigma 1",
+    "point 3: on plane 0 0 1e-101 1 sigma 1",
+    "point 3: on plane 1e308 1e308 0 1 sigma 1",
+    "point 3: on plane 0 0 1 sigma 1",
+    "point 3: on plane 0 0 1 1 1 sigma 1",
+    "point 3: on line 0 0 1 1 sigma 1",
+    "point 3: on line 1 2 3 0 0 0 sigma 1",
+    "point 3: on plane,line 0 0 1 1 sigma 1",
+    "image 3: on plane 0 0 1 1 sigma 1",
+    "camera 3: on plane 0 0 1 1 sigma 1",
 )
 
 
@@ -131,6 +157,10 @@ def test_objects_refuse_what_texts_do():
         lambda: Prior("camera 1", "f", sigma=True),
         lambda: Bounds("camera 1", "f", 2, 1),
         lambda: Ratio("camera 1", "fx"),
+        lambda: On("point 1", "plane", 3, 1),
+        lambda: On("point 1", "plane", (0, 0, 1, 1), (1, 2)),
+        lambda: On("point 1", "plane", "0 0 1 1", 1),
+        lambda: On("point 1", "plane,line", (0, 0, 1, 1), 1),
     ):
         with pytest.raises(bundle.InputError):
             wrong()

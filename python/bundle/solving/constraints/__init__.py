@@ -1,4 +1,4 @@
-"""Rules about cameras, images and points: fixed, prior, bounds, share, ratio.
+"""Rules about cameras, images and points: fixed, prior, on, bounds, share, ratio.
 
 Names are imported on first use: an adjustment with resolved rules needs none of them.
 """
@@ -9,6 +9,6 @@ from bundle.base.public_modules import deferred
 
 _DEFERRED = {
     "rule_list": "Constraints rules_of",
-    "rules": "Bounds Fixed Prior Ratio Rule Share Target",
+    "rules": "Bounds Fixed On Prior Ratio Rule Share Target",
 }
 __all__, __getattr__, __dir__ = deferred(__name__, _DEFERRED)

@@ -1,4 +1,4 @@
-"""Rules about cameras, images and points: fixed, prior, bounds, share, ratio.
+"""Rules about cameras, images and points: fixed, prior, on, bounds, share, ratio.
 
 Names are imported on first use: an adjustment with resolved rules needs none of them.
 
@@ -9,6 +9,7 @@ from bundle.solving.constraints.rule_list import Constraints as Constraints
 from bundle.solving.constraints.rule_list import rules_of as rules_of
 from bundle.solving.constraints.rules import Bounds as Bounds
 from bundle.solving.constraints.rules import Fixed as Fixed
+from bundle.solving.constraints.rules import On as On
 from bundle.solving.constraints.rules import Prior as Prior
 from bundle.solving.constraints.rules import Ratio as Ratio
 from bundle.solving.constraints.rules import Rule as Rule
@@ -19,6 +20,7 @@ __all__ = [
     "Bounds",
     "Constraints",
     "Fixed",
+    "On",
     "Prior",
     "Ratio",
     "Rule",

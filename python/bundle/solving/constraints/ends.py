@@ -44,6 +44,8 @@ class KnownPrior:
     sigma: tuple[float, ...]
     relative: bool = False  # True if the prior is on the logarithm
     column: int = -1  # column of a camera's parameter
+    # unit normals of a plane or line on which a point lies; `value` is its foot at the start
+    normals: tuple[tuple[float, ...], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -188,6 +190,9 @@ class _Values:
         value: Any
         if prior.parameter == "rotation":
             value = self._problem.cam_from_world[row, :4]
+        elif prior.normals:
+            errors = np.array(prior.normals) @ (self._problem.points[row] - prior.value)
+            value = errors if len(errors) == 1 else np.hypot(*errors)[None]
         elif kind == "point":
             value = self._problem.points[row]
         else:
@@ -207,7 +212,7 @@ def _prior_end(prior: KnownPrior, first: _Values, last: _Values) -> PriorEnd | N
         subject=kind,
         id=key,
         parameter=prior.parameter,
-        known=prior.value[:4] if is_rotation else prior.value,
+        known=(0.0,) if prior.normals else prior.value[:4] if is_rotation else prior.value,
         sigma=prior.sigma,
         relative=prior.relative,
         before=before,
@@ -224,6 +229,8 @@ def _pull(prior: KnownPrior, after: tuple[float, ...]) -> float:
         x, y, z, w = quaternion_multiply(quaternion_inverse(known), end)[0].tolist()
         angle = 2 * math.atan2(math.hypot(x, y, z), abs(w))
         return math.degrees(angle) / prior.sigma[0]
+    if prior.normals:
+        return after[0] / prior.sigma[0]
     errors = [
         (end - known) / sigma
         for end, known, sigma in zip(after, prior.value, prior.sigma, strict=True)
@@ -247,8 +254,9 @@ class PriorEnd:
 
     subject: str  # "camera", "image" or "point"
     id: int  # id of the camera, image or point
-    parameter: str  # name of the parameter, such as "fx", "position" or "rotation"
-    # prior value: a number; x, y, z of a position; or qx, qy, qz, qw of a rotation
+    parameter: str  # name of the parameter, such as "fx", "position", "rotation" or "plane"
+    # prior value: a number (0, a distance from a plane or line); x, y, z of a position; or qx, qy,
+    # qz, qw of a rotation
     known: tuple[float, ...]
     # standard deviation in the parameter's unit; degrees for a rotation; per axis for a position; a
     # fraction of the value if `relative`
@@ -289,9 +297,9 @@ class RuleEnd:
 
     rule: str  # text of the rule
     place: str  # place of the rule in a file or list
-    kind: str  # "fixed", "prior", "bounds", "share" or "ratio"
+    kind: str  # "fixed", "prior", "on", "bounds", "share" or "ratio"
     num_parameters: int  # number of parameters, positions and rotations that the rule names
-    priors: tuple[PriorEnd, ...] = ()  # outcome of each prior, for a rule of kind "prior"
+    priors: tuple[PriorEnd, ...] = ()  # outcome of each prior, for rules of kind "prior" and "on"
     # bounds that parameters reach at the end, for a rule of kind "bounds"
     active_bounds: tuple[BoundEnd, ...] = ()
     # groups of parameters that moved together, for a share or ratio; a group includes parameters

@@ -25,7 +25,7 @@ from bundle.solving.constraints.constant_parts import (
 )
 from bundle.solving.constraints.ends import HELD_POSITION, HELD_ROTATION, Applied, KnownPrior, Tie
 from bundle.solving.constraints.rule_list import rules_of
-from bundle.solving.constraints.rules import Bounds, Fixed, Prior, Ratio, Rule, Share
+from bundle.solving.constraints.rules import SHAPES, Bounds, Fixed, On, Prior, Ratio, Rule, Share
 
 if TYPE_CHECKING:
     from bundle.graphs.factors.factors import Factor
@@ -90,6 +90,8 @@ class _Resolver(ConstantParts):
         for number, rule in enumerate(self._rules):
             if isinstance(rule, Prior):
                 self._know(number, rule, held)
+            elif isinstance(rule, On):
+                self._lay_on(number, rule)
         problem = self._problem
         camera_ids = problem.camera_ids.tolist()
         held_params: dict[int, set[int]] = {}
@@ -256,12 +258,7 @@ class _Resolver(ConstantParts):
             if self._is_outside(kind, key):
                 continue
             self._expect_first(number, (kind, index, name), f"the {name} of {kind} {key}")
-            why = self._why_pose_held(kind, index, name)
-            if why:
-                raise InputError(
-                    f"{rule.place}: expected a prior on a refined parameter, found the {name} of "
-                    f"{kind} {key}, which {why}"
-                )
+            self._expect_free(rule, kind, index, name)
             self._counts[number] += 1
             sigma = _tuple(rule.sigma)
             if name == "rotation":
@@ -270,6 +267,43 @@ class _Resolver(ConstantParts):
                 value = tuple(places[index].tolist()) if rule.value is None else _tuple(rule.value)
                 sigma = sigma if len(sigma) == 3 else (sigma[0], sigma[0], sigma[-1])
             self._priors.append(KnownPrior(number, (kind, key), name, value, sigma))
+
+    def _lay_on(self, number: int, rule: On) -> None:
+        (shape,) = rule.parameters
+        numbers = np.array(rule.numbers)
+        along = numbers[SHAPES[shape][1]]
+        unit = along / np.linalg.norm(along)
+        if shape == "plane":
+            normals, place = unit[None], -unit * numbers[3] / np.linalg.norm(along)
+        else:
+            normals = np.linalg.svd(unit[None])[2][1:]
+            place = normals.T @ (normals @ numbers[:3])
+        sign = np.sign(unit[np.abs(unit).argmax()])
+        same = tuple(np.round([*(sign * unit), *place], 9).tolist())
+        for index in self._chooser.indices(rule):
+            key = int(self._problem.point_ids[index])
+            if self._is_outside("point", key):
+                continue
+            self._expect_first(number, ("on", index, shape, same), f"the {shape} of point {key}")
+            self._expect_free(rule, "point", index, "position")
+            self._counts[number] += 1
+            point = self._problem.points[index]
+            foot = point - normals.T @ (normals @ (point - place))
+            self._priors.append(
+                KnownPrior(
+                    *(number, ("point", key), shape, tuple(foot.tolist()), (rule.sigma,)),
+                    normals=tuple(map(tuple, normals.tolist())),
+                )
+            )
+
+    def _expect_free(self, rule: Rule, kind: str, index: int, name: str) -> None:
+        why = self._why_pose_held(kind, index, name)
+        if why:
+            key = int(getattr(self._problem, f"{kind}_ids")[index])
+            raise InputError(
+                f"{rule.place}: expected a prior on a refined parameter, found the {name} of "
+                f"{kind} {key}, which {why}"
+            )
 
     def _know_parameters(self, number: int, rule: Prior, held: set[Member]) -> None:
         root_of = self._groups.of()
@@ -428,9 +462,12 @@ def factor_of(prior: KnownPrior) -> Factor:
     :class:`bundle.LinearPrior` on the pose, with zero information on the position.
     """
     from bundle.graphs.factors.factors import PositionFactor, PriorFactor, ScalarPriorFactor
-    from bundle.graphs.factors.linear_prior import LinearPrior
+    from bundle.graphs.factors.linear_prior import LinearPrior, SquareRootPrior
 
     key = prior.subject
+    if prior.normals:
+        root = np.array(prior.normals) / prior.sigma[0]
+        return SquareRootPrior(root, np.zeros(len(root)), {key: prior.value}, (key,))
     if key[0] == "camera":
         (value,), (sigma,) = prior.value, prior.sigma
         return ScalarPriorFactor(key, prior.column, value, sigma, relative=prior.relative)

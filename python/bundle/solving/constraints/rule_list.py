@@ -13,7 +13,7 @@ from bundle.base.display import Display, Displayed
 from bundle.base.paths import numbered_lines
 from bundle.base.records import dataclass
 from bundle.errors import InputError, brief, shown
-from bundle.solving.constraints.rules import Bounds, Fixed, Prior, Ratio, Rule, Share, Target
+from bundle.solving.constraints.rules import Bounds, Fixed, On, Prior, Ratio, Rule, Share, Target
 
 
 @dataclass(frozen=True, init=False, repr=False)
@@ -113,6 +113,7 @@ def rules_of(given: Any) -> tuple[Rule, ...]:
 #             | NAMES "in" "[" number "," number "]"
 #             | "share" NAMES
 #             | NAME "/" NAME "fixed"
+#             | "on" ("plane" | "line") {number} "sigma" number
 #     NAMES   = NAME {"," NAME}
 #     VALUE   = number | "[" number "," number "," number "]"
 #     SIGMA   = number | number "/" number | "[" number "," number "," number "]"
@@ -179,6 +180,14 @@ class _Reader:
         if self._word() == "share":
             self._take()
             return Share(self._target, self._names(), place=self._place)
+        if self._word() == "on":
+            self._take()
+            shape = (self._name(),)
+            given: list[float] = []
+            while self._tokens and self._word() != "sigma":
+                given.append(self._number())
+            self._expect("sigma")
+            return On(self._target, shape, tuple(given), self._number(), place=self._place)
         names = self._names()
         if self._word() == "/":
             self._take()

@@ -18,6 +18,8 @@ from bundle.model.problem_keys import MOST_IDS, id_range
 
 TARGETS = ("camera", "image", "point")
 """Kinds of variables that rules can name."""
+SHAPES = {"plane": (4, slice(3)), "line": (6, slice(3, 6))}
+"""Number of the numbers of a shape on which points lie, and its normal or direction in them."""
 POSES = ("position", "rotation")
 """Parameters of rules on images; the parameter of rules on points is the position."""
 
@@ -121,7 +123,7 @@ class Rule:
     place: str = field(default="", kw_only=True, compare=False)
 
     kind: ClassVar[str] = ""
-    """Kind of the rule in reports: "fixed", "prior", "bounds", "share" or "ratio"."""
+    """Kind of the rule in reports: "fixed", "prior", "on", "bounds", "share" or "ratio"."""
 
     def __post_init__(self) -> None:
         try:
@@ -235,6 +237,47 @@ class Prior(Rule):
             return f"{self._head()} prior{value} {self.percent!r} %"
         assert self.sigma is not None
         return f"{self._head()} prior{value} sigma {_numbers(self.sigma)}"
+
+
+@dataclass(frozen=True)
+class On(Rule):
+    """Rule that points lie on a known plane or line; each costs 1/2 (distance / sigma)^2.
+
+    Attributes:
+        parameters: "plane" or "line".
+        numbers: a, b, c, d of the plane a x + b y + c z + d = 0, where (a, b, c) has any length; or
+            x, y, z of a place on the line, then its direction.
+        sigma: standard deviation of the distance, in the length unit of the reconstruction; of a
+            line along each of two perpendicular axes.
+    """
+
+    numbers: tuple[float, ...]
+    sigma: float
+
+    kind = "on"
+
+    def _check(self) -> None:
+        if self.target.kind != "point" or self.parameters[1:] or self.parameters[0] not in SHAPES:
+            raise InputError(f"expected points on plane or on line, found {self._head()}")
+        count, axis = SHAPES[self.parameters[0]]
+        self._set("numbers", _finite("numbers", self.numbers))
+        self._set("sigma", _positive("sigma", self.sigma))
+        found = len(self.numbers) if isinstance(self.numbers, tuple) else 1
+        if found != count or isinstance(self.sigma, tuple):
+            raise InputError(
+                f"expected {count} numbers of a {self.parameters[0]} and one sigma, found {found}"
+            )
+        size = math.hypot(*self.numbers[axis])
+        if not 1e-100 <= size <= 1e100:
+            raise InputError(
+                f"expected a normal or direction of a length above 0 (1e-100 to 1e100), found "
+                f"{size:g}"
+            )
+
+    def __str__(self) -> str:
+        """Return the text of this object, which the parser reads."""
+        numbers = " ".join(map(repr, self.numbers))
+        return f"{self.target}: on {self.parameters[0]} {numbers} sigma {self.sigma!r}"
 
 
 @dataclass(frozen=True)
