@@ -16,7 +16,11 @@ a field A theta of rms 0.13 scales per coordinate, which makes the RMSE 1 % too 
 0.005 to 0.06 where the lens is right, 0.10 for a pinhole that is nearly enough, 0.25 to 0.44 where
 it is too small.
 
-Model. The smallest larger model whose terms beyond the present ones explain 85 % of the field.
+Model. The smallest larger model whose terms beyond the present ones explain half of the field; the
+next run tests what is left. Poses and points turn a part of each field into others, so that the
+missing term alone explains 78 to 100 % of it in seeded scenes, and other terms at most 3 %. Terms
+that are not needed cost accuracy: where r4 was missing and explained 78 to 85 %, RADIAL left 0.11
+to 0.93 of the position errors, OPENCV 0.14 to 1.4.
 """
 
 from __future__ import annotations
@@ -36,7 +40,7 @@ from bundle.judging.findings.systematic import LEFT, LENS_TERMS, SystematicResid
 SIZE = 0.13
 FEWEST_ROWS = 100
 FEWEST_IMAGES_FOR_CLUSTERS = 10
-EXPLAINED = 0.85
+EXPLAINED = 0.5
 
 RADIAL, TANGENTIAL, ASPECT = ("r2", "r4", "r6"), ("t1", "t2"), ("a",)
 _RADIAL_1, _RADIAL_2 = ("r2",), ("r2", "r4")
