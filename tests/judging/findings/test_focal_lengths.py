@@ -11,6 +11,7 @@ from bundle.judging.findings.focal_lengths import (
     FocalLengths,
     focal_drift,
     focal_lengths,
+    is_near,
     undetermined_intrinsics,
 )
 from bundle.judging.findings.next_command import NextCommand
@@ -26,7 +27,7 @@ def group(focal, sigma=1.0, distortion=0.0, factor=1.0):
         focal=focal,
         sigma=np.full(len(focal), sigma),
         distortion=distortion,
-        inlier_factor=factor,
+        relative_sigma=factor * np.full(len(focal), sigma) / focal,
         order=np.linspace(-1.0, 1.0, len(focal)),
         is_covered=True,
     )
@@ -84,6 +85,22 @@ def test_the_largest_undetermined_group_is_named_with_its_command():
     assert undetermined_intrinsics(MEASURED, [group([FOCAL], 100.0, factor=0.4)]) is None
 
 
+@pytest.mark.parametrize(("sigma", "reach"), [(1.0, 0.0400499), (50.0, 0.1077033)])
+def test_a_start_is_near_within_two_standard_deviations_of_both(sigma, reach):
+    start, both = group([FOCAL] * 3, sigma), ("PINHOLE",) * 3
+    given = np.full((3, 4), FOCAL)
+    for share, expected in ((0.999, True), (1.001, False)):
+        for column, sign in ((0, 1), (1, -1)):  # a single focal length decides
+            moved = given.copy()
+            moved[2, column] *= 1 + sign * share * reach
+            models = [
+                SimpleNamespace(camera_models=both, camera_params=one) for one in (moved, given)
+            ]
+            assert is_near(start, *models) == expected
+    moved = given * [1.0, 1.0, 2.0, 2.0]  # the principal point does not matter
+    assert is_near(start, SimpleNamespace(camera_models=both, camera_params=moved), models[1])
+
+
 def test_rules_of_the_solve_determine_a_focal_length():
     """Advice that was followed is not given again."""
     problem = make(20_000, ("undetermined_intrinsics",)).start
@@ -123,8 +140,10 @@ def test_cameras_of_one_model_and_size_are_in_the_order_of_their_images():
     mean = (weight * k).sum() / weight.sum()
     assert first.distortion == pytest.approx((weight * (k - mean) ** 2).sum() / 2)
     assert pinhole.distortion == 0 and pinhole.order.tolist() == [0]
-    assert {one.inlier_factor for one in (first, pinhole, turned)} == {0.5}
-    assert groups_of([0], scale=2.0)[2][0].inlier_factor == 1
+    # Half of the noise is that of outliers; of fx and fy, the less certain one counts.
+    np.testing.assert_allclose(first.relative_sigma, 0.5 * (known / params)[[2, 3, 0], 0])
+    assert pinhole.relative_sigma == pytest.approx(0.5 * max(known[1, :2] / params[1, :2]))
+    assert groups_of([0], scale=2.0)[2][0].relative_sigma == known[0, 0] / params[0, 0]
 
 
 @pytest.mark.parametrize(("seen", "is_covered"), [((0, 2), [True]), ((0, 1), [False, False])])

@@ -92,12 +92,41 @@ def test_advice_harms_less_than_one_model_in_twenty_of_any_motion(spectrum, pres
 
 
 def test_lenses_that_differ_are_not_shared():
-    scene = make(50_003)
-    (joint, undetermined, found, places) = judge(scene)
-    kinds = [one.kind for one in (joint, undetermined, found, places)]
-    assert kinds == ["weak_joint", "undetermined_intrinsics", "motion", "positions"]
-    assert "--share-cameras" not in undetermined.command + found.command + places.command
-    assert "camera 27: f prior 2 %" in shlex.split(undetermined.command)
+    joint, found, places = judge(make(50_003))
+    assert [one.kind for one in (joint, found, places)] == ["weak_joint", "motion", "positions"]
+    assert "--share-cameras" not in found.command + places.command
+    assert "f prior" not in found.command  # focal lengths of the start are wrong by up to 19 %
+
+
+def test_a_shutter_has_the_prior_of_a_lens_that_only_a_global_one_determines():
+    scene, problem = solved(45_003, None)
+    known = {"start": scene.start, "is_minimum": True}
+    kinds = {one.kind: one for one in find(problem, **known)}
+    assert "undetermined_intrinsics" not in kinds
+    found = kinds["motion"]
+    rule = "camera 1: f prior 2 %"
+    assert shlex.split(found.command)[5:] == ["--rolling-shutter", "rows", "--set", rule]
+    free, prior = (
+        bundle.solve(rolled(scene.start), constraints=rules, num_threads=1, max_num_iterations=400)
+        for rules in ((), (rule,))
+    )
+    # Twists imitate a focal length of 1630 px where 1024 px are right.
+    assert abs(free.problem.camera_params[0, 0] - 1024) > 300 and len(free.iterations["cost"]) > 101
+    assert abs(prior.problem.camera_params[0, 0] - 1024) < 60 and len(prior.iterations["cost"]) < 40
+    errors = [position_error(one.problem, scene.truth) for one in (free, prior)]
+    assert errors[1] < 0.5 * errors[0]
+    for result, rules, is_open in ((free, (), True), (prior, (rule,), False)):
+        kinds = [one.kind for one in find(result.problem, constraints=rules, is_minimum=True)]
+        assert ("undetermined_intrinsics" in kinds) == is_open
+    # No prior at bent focal lengths, if the bent model is the input.
+    (bent,) = [one for one in find(problem, is_minimum=True) if one.kind == "motion"]
+    assert bent.command.endswith("--rolling-shutter rows")
+
+
+def test_a_lens_that_only_the_shutter_leaves_open_is_no_finding():
+    scene, problem = solved(68_058, None)
+    (found,) = find(problem, start=scene.start, is_minimum=True)
+    assert found.kind == "motion" and found.command.endswith("'camera 1: f prior 2 %'")
 
 
 def test_wrong_sigmas_beside_motion_are_no_drift():

@@ -48,7 +48,7 @@ def group_of(problem, cameras=None, **more):
         "focal": problem.camera_params[cameras, 0],
         "sigma": np.full(len(cameras), 2.0),
         "distortion": 1.5,
-        "inlier_factor": 1.0,
+        "relative_sigma": np.full(len(cameras), 0.002),
         "order": np.zeros(len(cameras)),
         "is_covered": len(cameras) == problem.num_cameras,
     }
@@ -121,9 +121,8 @@ def test_what_is_advised_on_both_sides_of_each_threshold(monkeypatch):
 
 def test_groups_that_are_not_compared(monkeypatch):
     problem = solved()
-    focal = problem.camera_params[:, 0]
-    loose = group_of(problem, sigma=np.r_[2.0 * np.ones(7), 0.0501 * focal[7]])
-    tight = group_of(problem, sigma=np.r_[2.0 * np.ones(7), 0.0499 * focal[7]])
+    loose = group_of(problem, relative_sigma=np.r_[0.002 * np.ones(7), 0.0501])
+    tight = group_of(problem, relative_sigma=np.r_[0.002 * np.ones(7), 0.0499])
     assert advised(monkeypatch, problem, 1.0, loose) is None
     assert advised(monkeypatch, problem, 1.0, tight) is not None
     assert advised(monkeypatch, problem, 1.0, group_of(problem, [3])) is None

@@ -13,8 +13,10 @@ from bundle.interface.finding import Finding
 from bundle.interface.options import SolveOptions
 from bundle.judging.findings.duplicates import duplicate_points
 from bundle.judging.findings.focal_lengths import (
+    PRIOR,
     focal_drift,
     focal_lengths,
+    is_near,
     shared_lens,
     undetermined_intrinsics,
 )
@@ -98,6 +100,19 @@ def _repairs(measured: Measured) -> tuple[tuple[str, str], bool]:
     return ("" if lens is None else str(lens.evidence["larger_model"]), ""), False
 
 
+def _with_determined_lens(
+    moves: Finding, measured: Measured, rolling: Measured
+) -> tuple[Finding, Measured]:
+    """Return motion and the model with a shutter; both commands determine its focal lengths."""
+    start = measured.start or measured.whole
+    near = [group for group in focal_lengths(rolling) if is_near(group, rolling.whole, start)]
+    loose = undetermined_intrinsics(rolling, near, PRIOR)
+    if loose is None:
+        return moves, rolling
+    command = rolling.command.with_flags_of(loose.command)
+    return dataclasses.replace(moves, command=loose.command), rolling.of_command(command)
+
+
 def _num_outliers(model: Measured, given: Measured) -> int:
     """Return the number of outliers of a model under the loss of another."""
     found = outliers(dataclasses.replace(model, options=given.options))
@@ -168,12 +183,13 @@ def _findings(measured: Measured) -> Iterator[Finding | None]:
         measured = free.of_command(command)
     elif any(one is not None for one in (far, turned, drift, places)):
         return
+    given = measured
     found, fits, fields, moves = _fields(measured)
     shutter = "" if moves is None else moves.evidence["shutter"]
     rolling = repaired(measured, shutter=shutter) if shutter and can_repair else None
-    if rolling is not None:  # motion hides the field of a lens
+    if moves is not None and rolling is not None:  # motion hides the field of a lens
+        moves, measured = _with_determined_lens(moves, measured, rolling)
         yield moves
-        measured = rolling
         found, fits, fields, _ = _fields(measured)
     lens = None if moves is not None and rolling is None else _lens(measured, fits, fields)
     yield lens
@@ -188,8 +204,10 @@ def _findings(measured: Measured) -> Iterator[Finding | None]:
         yield moves
     near = {"is_jointed": joint is not None}
     yield image_residuals(measured, found, fits, is_general=moves is not None, **near)
+    # What only a shutter leaves open, the command against motion determines.
+    still = measured if rolling is None else given.of_command(measured.command)
+    yield undetermined_intrinsics(still, list(focal_lengths(still)))
     groups = list(focal_lengths(measured))
-    yield undetermined_intrinsics(measured, groups)
     yield focal_drift(measured, groups, **near)
     shared = shared_lens(measured, groups, **near)
     if shared is not None and drift is not None:

@@ -3,10 +3,16 @@ r"""Focal lengths of many cameras: equal, drifting, or not determined.
 Given the covariance of the intrinsics with the scale sigma0, camera i has the mean focal length
 f_i and its standard deviation s_i. Cameras of one model and size belong to a group.
 
-Not determined. A focal length with s_i > 0.05 f_i, for the noise of the inliers, changes the shape
-of a scene without changing the residuals much. The command shares the lens of a group of several
-cameras, as the views together determine it; of a single one, or where the lenses are known to
-differ (T below), it adds a prior of 2 %.
+Not determined. A focal length with s_i > 0.05 f_i (the worse of fx and fy), for the noise of the
+inliers, changes the shape of a scene without changing the residuals much. The command shares the
+lens of a group of several cameras, as the views together determine it; of a single one, or where
+the lenses are known to differ (T below), it adds a prior of 2 %.
+
+Free twists. The rotation (a, 0, 0) per image height moves the row y by f a y, as a focal length fy
+(1 + a) does, so that a rolling shutter determines lenses by higher terms only, in a long, curved
+valley. The command that adds a shutter also adds the prior where images then say less than it
+does, s_i > 0.02 f_i, and where all focal lengths of a group are within two standard deviations of
+those at the start, that of the prior included: it must not hold a start that is wrong.
 
 Shared. All focal lengths and distortion parameters theta of a group of m cameras are tested
 together. With the covariance C of all of them, the contrasts D theta to the first camera have
@@ -44,7 +50,7 @@ from bundle.judging.findings.measured import Measured, newton_step
 from bundle.model.cameras import camera_models, param_kinds
 from bundle.model.problem import Problem
 
-UNDETERMINED = 0.05
+UNDETERMINED, PRIOR = 0.05, 0.02
 EQUAL, PAYS = 2.0, 4.0
 MOST_FUNCTIONS = 600
 """Parameters of a group whose joint covariance takes at most as long as a few steps."""
@@ -64,14 +70,14 @@ class FocalLengths:
     focal: Floats  # (m,) focal lengths [px], means over x and y
     sigma: Floats  # (m,) their standard deviations
     distortion: float  # largest Q / d over the distortion parameters; 0 without any
-    inlier_factor: float  # scale of the errors over sigma0 without outliers, at most 1
+    relative_sigma: Floats  # (m,) those of f, fx or fy, over it: the largest, for inliers' noise
     order: Floats  # (m,) order of the images of the cameras, from -1 to 1
     is_covered: bool  # True if the group has all observed cameras of the model
 
     @property
-    def is_determined(self) -> NDArray[np.bool_]:
-        """(m,) True for cameras whose focal length is determined."""
-        return np.asarray(self.sigma * self.inlier_factor <= UNDETERMINED * self.focal)
+    def is_determined(self) -> bool:
+        """True if the focal lengths of all cameras are determined."""
+        return bool((self.relative_sigma <= UNDETERMINED).all())
 
     @property
     def statistic(self) -> float:
@@ -82,15 +88,16 @@ class FocalLengths:
 Groups = Sequence[FocalLengths]
 
 
-def undetermined_intrinsics(measured: Measured, groups: Groups) -> Finding | None:
+def undetermined_intrinsics(
+    measured: Measured, groups: Groups, limit: float = UNDETERMINED
+) -> Finding | None:
     """Return the finding about focal lengths that are not determined, or None."""
-    loose = [group for group in groups if not group.is_determined.all()]
-    if not loose:
+    worst = max(groups, key=lambda one: int((one.relative_sigma > limit).sum()), default=None)
+    if worst is None or not (worst.relative_sigma > limit).any():
         return None
-    worst = max(loose, key=lambda group: int((~group.is_determined).sum()))
-    rows = np.flatnonzero(~worst.is_determined)
+    rows = np.flatnonzero(worst.relative_sigma > limit)
     cameras = measured.whole.camera_ids[worst.cameras[rows]]
-    relative = worst.sigma[rows] * worst.inlier_factor / worst.focal[rows]
+    relative = worst.relative_sigma[rows]
     joint = joint_statistic(measured, worst) if len(worst.cameras) > 1 else None
     shares = len(worst.cameras) > 1 and (joint is None or joint[0] < PAYS * joint[1])
     ids = ",".join(map(str, measured.whole.camera_ids[worst.cameras].tolist()))
@@ -98,7 +105,7 @@ def undetermined_intrinsics(measured: Measured, groups: Groups) -> Finding | Non
         flags = ("--share-cameras", "all" if worst.is_covered else ids)
     else:
         chosen = noun(len(rows), "camera", "cameras") + " " + ",".join(map(str, cameras.tolist()))
-        flags = ("--set", f"{chosen}: f prior 2 %")
+        flags = ("--set", f"{chosen}: f prior {100 * PRIOR:g} %")
     return Finding(
         kind="undetermined_intrinsics",
         sentence=f"The focal length is not determined in {plural(len(rows), 'camera')} "
@@ -114,13 +121,21 @@ def undetermined_intrinsics(measured: Measured, groups: Groups) -> Finding | Non
     )
 
 
+def is_near(group: FocalLengths, problem: Problem, start: Problem) -> bool:
+    """Return True if priors at the start agree with the focal lengths of a group in a model."""
+    columns = _columns(problem.camera_models[int(group.cameras[0])], ("focal",))
+    given, found = (one.camera_params[group.cameras][:, columns] for one in (start, problem))
+    moved = np.abs(found / given - 1.0).max(axis=1)
+    return bool((moved <= 2.0 * np.hypot(PRIOR, group.relative_sigma)).all())
+
+
 def shared_lens(measured: Measured, groups: Groups, *, is_jointed: bool = False) -> Finding | None:
     """Return the finding about cameras that have one lens, or None."""
     factor = JOINTED if is_jointed else 1.0
     for group in sorted(groups, key=lambda one: -len(one.cameras)):
         if not (
             len(group.cameras) >= FEWEST_CAMERAS
-            and group.is_determined.all()
+            and group.is_determined
             and not _drifts(group, DRIFT_STATISTIC / 2 * factor)
         ):
             continue
@@ -228,7 +243,7 @@ def joint_statistic(measured: Measured, group: FocalLengths) -> tuple[float, int
 def focal_drift(measured: Measured, groups: Groups, *, is_jointed: bool = False) -> Finding | None:
     """Return the finding about focal lengths that change with the order of the images, or None."""
     for group in groups:
-        if not group.is_determined.all():
+        if not group.is_determined:
             continue
         if _drifts(group, DRIFT_STATISTIC * (JOINTED if is_jointed else 1.0)):
             change, gain = _trend(group)
@@ -291,12 +306,13 @@ def focal_lengths(measured: Measured) -> Iterator[FocalLengths]:
             for k, kind in enumerate(kinds)
             if kind == "extra" and (sigmas[:, k] > 0).all()
         ]
+        inliers = min(measured.scale / sigma0, 1.0) if sigma0 > 0 else 1.0
         yield FocalLengths(
             cameras=rows,
             focal=values[:, focal].mean(axis=1),
             sigma=sigmas[:, focal].mean(axis=1),
             distortion=max(extra, default=0.0),
-            inlier_factor=min(measured.scale / sigma0, 1.0) if sigma0 > 0 else 1.0,
+            relative_sigma=inliers * np.abs(sigmas[:, focal] / values[:, focal]).max(axis=1),
             order=np.linspace(-1.0, 1.0, len(rows)) if len(rows) > 1 else np.zeros(1),
             is_covered=len(groups) == 1,
         )

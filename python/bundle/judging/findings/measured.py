@@ -158,7 +158,8 @@ class Measured:
             return self.lens_sigmas
         if "focal" not in self.options.refine or (
             len(set(whole.image_camera.tolist())) < 2
-            and (self._predicted_focal_sigma() < SURE_FOCAL_SIGMA)
+            and whole.rolling_shutter is None  # twists imitate focal lengths
+            and self._predicted_focal_sigma() < SURE_FOCAL_SIGMA
         ):
             return None
         from bundle.analysis.uncertainty.covariance_by_input import intrinsics_covariance
