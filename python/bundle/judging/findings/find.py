@@ -76,6 +76,11 @@ def find(
         **known,
     )
     found = {one.kind: one for one in _findings(measured) if one is not None}
+    drift, loose = found.get("scale_drift"), found.get("undetermined_intrinsics")
+    if drift is not None and loose is not None and drift.command:
+        # Positions that move the cameras far would move them along what is not determined.
+        command = measured.command.with_flags_of(loose.command).with_flags_of(drift.command)
+        found["scale_drift"] = dataclasses.replace(drift, command=command.refine())
     repairs = [one.command for one in found.values() if one.kind in BENDING]
     repairs = [command for command in repairs if command.startswith("bundle refine")]
     if "outliers" in found and repairs:  # the last stage has the repairs of all before it
