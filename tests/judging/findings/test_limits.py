@@ -6,7 +6,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-import bundle
 from bundle.judging.findings import images, larger_lens, lens_terms, minimum, systematic
 from bundle.judging.findings.images import between_images, image_residuals, motion
 from bundle.judging.findings.lens_terms import LENS_TERMS, fields_of_lenses, lens_model
@@ -325,27 +324,3 @@ def test_the_decrease_is_compared_with_what_noise_alone_allows():
     found = list(minimum._left(Measured(whole=problem, command=NextCommand())))
     for (left, what, decrease), share in zip(found, (180 / 480, 24 / 480), strict=True):
         assert left == pytest.approx((1 - decrease) / (1 - share)), what
-
-
-def test_a_focal_length_has_about_the_sigma_of_its_parallax():
-    """Points at distances r from the centre of the image, at depths d of the mean 2."""
-    offsets, depths = np.array([[30.0, 40], [-60, 80], [0, 10]]), np.array([1.0, 2, 3])
-    center = np.array([50.0, 40])
-    xy = offsets + center + np.eye(2)[0]  # residuals of 1 px
-    problem = bundle.Problem(
-        cam_from_world=[[0.0, 0, 0, 1, 0, 0, 0]],
-        camera_models=("SIMPLE_PINHOLE",),
-        camera_params=[[100.0, *center]],
-        camera_sizes=[[100, 80]],
-        image_camera=[0],
-        points=np.column_stack([offsets / 100 * depths[:, None], depths]),
-        observation_image=[0, 0, 0],
-        observation_point=[0, 1, 2],
-        observation_xy=xy,
-    )
-    measured = Measured(whole=problem, command=NextCommand())
-    # Ratios d / 2 - 1 of -1/2, 0 and 1/2, at r of 51.0, 100 and 10.0 px.
-    lengths = np.linalg.norm(xy - center, axis=1)
-    expected = measured.scale / np.hypot(lengths[0] / 2, lengths[2] / 2)
-    assert measured.scale == pytest.approx(1 / 1.17741, rel=1e-5)
-    assert measured._predicted_focal_sigma() == pytest.approx(expected, rel=1e-12)

@@ -25,7 +25,6 @@ from bundle.interface.options import SolveOptions
 from bundle.judging.findings.next_command import NextCommand
 from bundle.model.problem import Problem
 from bundle.model.reprojection import RAYLEIGH_MEDIAN, Residuals, residuals
-from bundle.model.rigid_motions import quaternion_rotate
 
 if TYPE_CHECKING:
     from bundle.georeference.point_check import SurveyChecks
@@ -35,8 +34,6 @@ MOST_OBSERVATIONS = 200_000
 CHEAP_COVARIANCE = 100_000
 """Observations plus 20 times the square of the images, up to which a covariance takes tens of
 milliseconds."""
-SURE_FOCAL_SIGMA = 0.002
-"""Predicted relative standard deviation of a focal length below which it is determined."""
 CLIP = 5.0
 """Errors in units of s beyond which an observation is not used for lenses and images."""
 CELLS = 8
@@ -156,11 +153,7 @@ class Measured:
         work = whole.num_observations + 20 * whole.num_images**2
         if self.lens_sigmas is not None or work > CHEAP_COVARIANCE:
             return self.lens_sigmas
-        if "focal" not in self.options.refine or (
-            len(set(whole.image_camera.tolist())) < 2
-            and whole.rolling_shutter is None  # twists imitate focal lengths
-            and self._predicted_focal_sigma() < SURE_FOCAL_SIGMA
-        ):
+        if "focal" not in self.options.refine:
             return None
         from bundle.analysis.uncertainty.covariance_by_input import intrinsics_covariance
         from bundle.errors import InputError
@@ -170,28 +163,6 @@ class Measured:
             return intrinsics_covariance(whole, options, self.constraints).lens_sigmas
         except InputError:
             return None
-
-    def _predicted_focal_sigma(self) -> float:
-        """Return about the relative standard deviation of a focal length that all images share.
-
-        A longer focal length enlarges an image as a nearer camera does, but by the same factor at
-        all depths. Their difference displaces an observation at the distance rho from the principal
-        point by about rho (d - mean d) / mean d, with the depths d.
-        """
-        problem = self.problem
-        rows = np.flatnonzero(self.counted)
-        image = problem.observation_image[rows]
-        pose = problem.cam_from_world[image]
-        rotated = quaternion_rotate(pose[:, :4], problem.points[problem.observation_point[rows]])
-        depth = rotated[:, 2] + pose[:, 6]
-        count = np.maximum(np.bincount(image, minlength=problem.num_images), 1)
-        mean = (np.bincount(image, depth, problem.num_images) / count)[image]
-        size = problem.camera_sizes[problem.image_camera[image]]
-        radius = np.linalg.norm(problem.observation_xy[rows] - size / 2, axis=1)
-        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            moved = radius * np.abs(depth / mean - 1.0)
-        total = float(np.sqrt(np.nansum(moved**2)))
-        return self.scale / total if total > 0 else np.inf
 
     def _scales(self, group: NDArray[Any], count: int) -> Floats:
         known = self.counted
