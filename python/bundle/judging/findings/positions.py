@@ -120,7 +120,7 @@ def measured_positions(
         if factors is None:
             factors = (ratio, ratio)
         wanted = [1.0 if one is None else one for one in factors]
-        given = [_sigma(priors, axis) for axis in (0, 2)]
+        given = _sigmas(priors)
         better = [one * factor for one, factor in zip(given, wanted, strict=True)]
         changes = any(abs(np.log(factor)) > SMALLEST_CHANGE for factor in wanted)
         return Finding(
@@ -152,7 +152,7 @@ def positions_of_start(measured: Measured) -> Finding | None:
     scale = measured.command.value("--gps-sigma-scale", "1").split("/")
     if not ratio > limit or min(map(float, scale)) < 1.0:
         return None
-    given = [_sigma(priors, axis) for axis in (0, 2)]
+    given = _sigmas(priors)
     return Finding(
         kind="positions",
         sentence="The solve found no usable model. The input, moved to its measured positions, "
@@ -261,9 +261,8 @@ def scale_drift(measured: Measured, free: Problem) -> Finding | None:
             )
         else:
             advice = "Give the positions smaller sigmas and begin with short steps, or close loops."
-            sigmas = [_sigma(priors, axis) for axis in (0, 2)]
             shorter = measured.command.after(RADIUS_FLAG, f"{radius:g}")
-            command = _sigma_command(measured.of_command(shorter), sigmas, factors)
+            command = _sigma_command(measured.of_command(shorter), _sigmas(priors), factors)
     return Finding(
         kind="scale_drift",
         sentence="The scale drifts: from the first to the second half of the images, the scale of "
@@ -308,13 +307,11 @@ def _drift(
     Zero, with an infinite error, if a half has no extent.
     """
     order = np.argsort(measured.whole.image_ids[rows], kind="stable")
-    antennas = np.array(
-        [_antenna(problem, row, prior) for row, prior in zip(rows, priors, strict=True)]
-    )[order]
+    antennas = _antennas(problem, rows, priors)[order]
     positions = np.array([np.asarray(prior.position) for prior in priors])[order]
     flat = np.isnan(positions[:, 2]).any()
     given, found = (values[:, : 2 if flat else 3] for values in (positions, antennas))
-    sigma = _sigma(priors, 0)
+    sigma = _sigmas(priors)[0]
     half = len(rows) // 2
     scales, errors = [], []
     for part in (slice(None, half), slice(half, None)):
@@ -339,8 +336,8 @@ def _distances(
         larger; and the larger ratio of the groups with its limit.
     """
     whitened = np.array(
-        [prior.whiten(_antenna(measured.whole, row, prior) - np.asarray(prior.position))
-         for row, prior in zip(rows, priors, strict=True)]
+        [prior.whiten(antenna - np.asarray(prior.position))
+         for antenna, prior in zip(_antennas(measured.whole, rows, priors), priors, strict=True)]
     )  # fmt: skip
     own, worst = whitened.copy(), (0.0, RATIO)
     for axes, middle, error in GROUPS:
@@ -372,17 +369,17 @@ def _used(measured: Measured) -> tuple[list[int], list[Any]]:
     return rows, priors
 
 
-def _antenna(problem: Problem, row: int, prior: Any) -> Floats:
-    pose = problem.cam_from_world[row : row + 1]
-    turned = quaternion_rotate(
-        quaternion_inverse(pose[:, :4]), np.asarray(prior.lever_arm, float)[None]
-    )
-    antenna: Floats = problem.projection_centers[row] + turned[0]
-    return antenna
+def _antennas(problem: Problem, rows: list[int], priors: list[Any]) -> Floats:
+    """Return the positions R^T (a - t) (n, 3) of antennas at the lever arms a."""
+    poses = problem.cam_from_world[rows]
+    levers = np.array([np.asarray(prior.lever_arm, float) for prior in priors])
+    return quaternion_rotate(quaternion_inverse(poses[:, :4]), levers - poses[:, 4:])
 
 
-def _sigma(priors: list[Any], axis: int) -> float:
-    return median(np.array([np.sqrt(prior.full_covariance[axis, axis]) for prior in priors]))
+def _sigmas(priors: list[Any]) -> list[float]:
+    """Return the median horizontal (east) and vertical sigma."""
+    sigmas = np.array([np.sqrt(np.diag(prior.full_covariance)) for prior in priors])
+    return [median(sigmas[:, axis]) for axis in (0, 2)]
 
 
 # Standard deviations of measured positions, as a model that was solved with them shows them.
@@ -393,12 +390,11 @@ def _sigma(priors: list[Any], axis: int) -> float:
 #     red_i = 1 - u_i^T C u_i / sigma_i^2,
 #
 # C the covariance of the antenna in the solution with all priors and u_i the axis, the variances of
-# a group are multiplied by f = sum v^2 / sum red, and the model is solved again, until f is 1. East
-# and north are one group, up is the other: receivers know heights several times less well. The RMS
-# of the residuals is too small as an estimate, because the model follows its positions; iterated,
-# it converges to 0. The rounds begin with sigmas that are certainly too large: the first solve is
-# then free, and its residuals show the errors. With sigmas that are far too small, all redundancies
-# are near 0.
+# a group are multiplied by f = sum v^2 / sum red, and the model is solved again, until f is 1. The
+# RMS of the residuals is too small as an estimate, because the model follows its positions;
+# iterated, it converges to 0. The rounds begin with sigmas that are certainly too large: the first
+# solve is then free, and its residuals show the errors. With sigmas that are far too small, all
+# redundancies are near 0.
 #
 # A standard deviation has the relative error 1 / sqrt(2 sum red). Below a sum of 10, which is 22 %,
 # it is not estimated.
@@ -409,8 +405,6 @@ TOO_LARGE = 10.0
 """Factor of the first round, on sigmas as the residuals show them."""
 SETTLED = 0.05
 """Change of a standard deviation below which the rounds end."""
-AXES = slice(0, 2), slice(2, 3)
-"""Axes of the groups: east and north, up."""
 
 
 def sigma_factors(
@@ -469,16 +463,15 @@ def _sums(problem: Problem, rows: list[int], priors: list[Any], covariances: Flo
     """Return, for each group, the sum of squares and that of the redundancies."""
     poses = problem.cam_from_world[rows]
     back = np.swapaxes(rotation_matrices(poses[:, :4]), 1, 2)
-    levers = np.array([np.asarray(prior.lever_arm, float) for prior in priors])
-    # The antenna R^T (a - t): its derivative by the rotation w is R^T [a - t]x, by t is -R^T.
-    jacobian = np.concatenate([back @ cross_matrices(levers - poses[:, 4:]), -back], axis=2)
+    antennas = _antennas(problem, rows, priors)
+    # With b = R^T (a - t), the derivative by the rotation w is R^T [a - t]x = [b]x R^T, by t -R^T.
+    jacobian = np.concatenate([cross_matrices(antennas) @ back, -back], axis=2)
     spread = jacobian @ covariances @ np.swapaxes(jacobian, 1, 2)
-    antennas = (back @ (levers - poses[:, 4:])[:, :, None])[:, :, 0]
     sums = np.zeros((2, 2))
     for prior, antenna, one in zip(priors, antennas, spread, strict=True):
         position = np.asarray(prior.position, float)
         variance = np.diag(prior.full_covariance)
-        for group, axes in enumerate(AXES):
+        for group, (axes, *_) in enumerate(GROUPS):
             sums[group, 0] += np.nansum((antenna - position)[axes] ** 2 / variance[axes])
             redundancy = (1.0 - np.diag(one)[axes] / variance[axes])[np.isfinite(position[axes])]
             sums[group, 1] += redundancy.sum()

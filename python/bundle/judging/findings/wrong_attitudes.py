@@ -17,7 +17,7 @@ show.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -90,15 +90,9 @@ def _single(measured: Measured, errors: AttitudeErrors) -> Finding | None:
 
 def _wrong_sigmas(measured: Measured, errors: AttitudeErrors) -> Finding | None:
     count = len(errors.images)
-    if count < FEWEST:
+    limit = max(RATIO, 1 + ERRORS * SPREAD[errors.noun] / math.sqrt(max(count, 1)))
+    if count < FEWEST or not errors.ratio > limit:
         return None
-    if not errors.ratio > max(RATIO, 1 + ERRORS * SPREAD[errors.noun] / math.sqrt(count)):
-        return None
-    evidence: dict[str, Any] = {
-        "noun": errors.noun,
-        "num_images": count,
-        "ratio": errors.ratio,
-    }
     sigma = f"{errors.ratio * errors.sigma:.2g}"
     return Finding(
         kind="attitudes",
@@ -106,7 +100,7 @@ def _wrong_sigmas(measured: Measured, errors: AttitudeErrors) -> Finding | None:
         f"sigmas: the sigmas are rather {sigma} than {number(errors.sigma)} degrees, or the model "
         "is bent. Give the measurements larger sigmas.",
         command=_sigma_command(measured, errors, sigma),
-        evidence=evidence,
+        evidence={"noun": errors.noun, "num_images": count, "ratio": errors.ratio},
     )
 
 
