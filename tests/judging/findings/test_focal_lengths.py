@@ -34,7 +34,8 @@ def group(focal, sigma=1.0, distortion=0.0, factor=1.0):
 
 
 MEASURED = SimpleNamespace(
-    command=NextCommand(), whole=SimpleNamespace(camera_ids=np.arange(1, 101))
+    command=NextCommand(),
+    whole=SimpleNamespace(camera_ids=np.arange(1, 101), image_camera=np.arange(100), num_frames=0),
 )
 
 
@@ -87,18 +88,22 @@ def test_the_largest_undetermined_group_is_named_with_its_command():
 
 @pytest.mark.parametrize(("sigma", "reach"), [(1.0, 0.0400499), (50.0, 0.1077033)])
 def test_a_start_is_near_within_two_standard_deviations_of_both(sigma, reach):
-    start, both = group([FOCAL] * 3, sigma), ("PINHOLE",) * 3
+    def near(moved, start):
+        models = [
+            None if one is None else SimpleNamespace(camera_models=both, camera_params=one)
+            for one in (moved, start)
+        ]
+        return is_near(SimpleNamespace(whole=models[0], start=models[1]), found)
+
+    found, both = group([FOCAL] * 3, sigma), ("PINHOLE",) * 3
     given = np.full((3, 4), FOCAL)
     for share, expected in ((0.999, True), (1.001, False)):
         for column, sign in ((0, 1), (1, -1)):  # a single focal length decides
             moved = given.copy()
             moved[2, column] *= 1 + sign * share * reach
-            models = [
-                SimpleNamespace(camera_models=both, camera_params=one) for one in (moved, given)
-            ]
-            assert is_near(start, *models) == expected
-    moved = given * [1.0, 1.0, 2.0, 2.0]  # the principal point does not matter
-    assert is_near(start, SimpleNamespace(camera_models=both, camera_params=moved), models[1])
+            assert near(moved, given) == expected
+            assert near(moved, None)  # the model is the start
+    assert near(given * [1.0, 1.0, 2.0, 2.0], given)  # the principal point does not matter
 
 
 def test_rules_of_the_solve_determine_a_focal_length():

@@ -173,4 +173,6 @@ def test_a_repair_changes_the_start_as_the_model():
     assert start.camera_models == ("OPENCV",) and start.rolling_shutter.direction == ("rows",)
     np.testing.assert_array_equal(start.cam_from_world, scene.start.cam_from_world)
     assert repaired(measured).start is scene.start
-    assert repaired(replace(measured, start=None), "OPENCV", "rows").start is None
+    own = repaired(replace(measured, start=None), "OPENCV", "rows").start  # the model itself
+    assert own.camera_models == ("OPENCV",) and own.rolling_shutter.direction == ("rows",)
+    np.testing.assert_array_equal(own.cam_from_world, problem.cam_from_world)

@@ -105,19 +105,6 @@ def _repairs(measured: Measured) -> tuple[tuple[str, str], bool]:
     return ("" if lens is None else str(lens.evidence["larger_model"]), ""), False
 
 
-def _with_determined_lens(
-    moves: Finding, measured: Measured, rolling: Measured
-) -> tuple[Finding, Measured]:
-    """Return motion and the model with a shutter; both commands determine its focal lengths."""
-    start = measured.start or measured.whole
-    near = [group for group in focal_lengths(rolling) if is_near(group, rolling.whole, start)]
-    loose = undetermined_intrinsics(rolling, near, PRIOR)
-    if loose is None:
-        return moves, rolling
-    command = rolling.command.with_flags_of(loose.command)
-    return dataclasses.replace(moves, command=loose.command), rolling.of_command(command)
-
-
 def _num_outliers(model: Measured, given: Measured) -> int:
     """Return the number of outliers of a model under the loss of another."""
     found = outliers(dataclasses.replace(model, options=given.options))
@@ -193,8 +180,13 @@ def _findings(measured: Measured) -> Iterator[Finding | None]:
     shutter = "" if moves is None else moves.evidence["shutter"]
     rolling = repaired(measured, shutter=shutter) if shutter and can_repair else None
     if moves is not None and rolling is not None:  # motion hides the field of a lens
-        moves, measured = _with_determined_lens(moves, measured, rolling)
+        groups = [group for group in focal_lengths(rolling) if is_near(rolling, group)]
+        loose = undetermined_intrinsics(rolling, groups, PRIOR)
+        if loose is not None:  # the shutter and what determines its focal lengths
+            moves = dataclasses.replace(moves, command=loose.command)
+            rolling = rolling.of_command(rolling.command.with_flags_of(loose.command))
         yield moves
+        measured = rolling
         found, fits, fields, _ = _fields(measured)
     lens = None if moves is not None and rolling is None else _lens(measured, fits, fields)
     yield lens

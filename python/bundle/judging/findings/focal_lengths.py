@@ -100,10 +100,8 @@ def undetermined_intrinsics(
     relative = worst.relative_sigma[rows]
     joint = joint_statistic(measured, worst) if len(worst.cameras) > 1 else None
     shares = len(worst.cameras) > 1 and (joint is None or joint[0] < PAYS * joint[1])
-    ids = ",".join(map(str, measured.whole.camera_ids[worst.cameras].tolist()))
-    if shares:
-        flags = ("--share-cameras", "all" if worst.is_covered else ids)
-    else:
+    flags = _sharing(measured.whole, worst)
+    if not shares:
         chosen = noun(len(rows), "camera", "cameras") + " " + ",".join(map(str, cameras.tolist()))
         flags = ("--set", f"{chosen}: f prior {100 * PRIOR:g} %")
     return Finding(
@@ -121,10 +119,11 @@ def undetermined_intrinsics(
     )
 
 
-def is_near(group: FocalLengths, problem: Problem, start: Problem) -> bool:
-    """Return True if priors at the start agree with the focal lengths of a group in a model."""
-    columns = _columns(problem.camera_models[int(group.cameras[0])], ("focal",))
-    given, found = (one.camera_params[group.cameras][:, columns] for one in (start, problem))
+def is_near(measured: Measured, group: FocalLengths) -> bool:
+    """Return True if priors at the start agree with the focal lengths of a group."""
+    models = measured.whole, measured.start or measured.whole
+    columns = _columns(models[0].camera_models[int(group.cameras[0])], ("focal",))
+    found, given = (one.camera_params[group.cameras][:, columns] for one in models)
     moved = np.abs(found / given - 1.0).max(axis=1)
     return bool((moved <= 2.0 * np.hypot(PRIOR, group.relative_sigma)).all())
 
@@ -136,7 +135,7 @@ def shared_lens(measured: Measured, groups: Groups, *, is_jointed: bool = False)
         if not (
             len(group.cameras) >= FEWEST_CAMERAS
             and group.is_determined
-            and not _drifts(group, DRIFT_STATISTIC / 2 * factor)
+            and _drift(group, DRIFT_STATISTIC / 2 * factor) is None
         ):
             continue
         joint = joint_statistic(measured, group)
@@ -243,11 +242,9 @@ def joint_statistic(measured: Measured, group: FocalLengths) -> tuple[float, int
 def focal_drift(measured: Measured, groups: Groups, *, is_jointed: bool = False) -> Finding | None:
     """Return the finding about focal lengths that change with the order of the images, or None."""
     for group in groups:
-        if not group.is_determined:
-            continue
-        if _drifts(group, DRIFT_STATISTIC * (JOINTED if is_jointed else 1.0)):
-            change, gain = _trend(group)
-            left = (group.statistic - gain) / (len(group.cameras) - 2)
+        drift = _drift(group, DRIFT_STATISTIC * (JOINTED if is_jointed else 1.0))
+        if drift is not None and group.is_determined:
+            change, gain, left = drift
             ids = measured.whole.camera_ids[group.cameras].tolist()
             return Finding(
                 kind="focal_drift",
@@ -260,24 +257,17 @@ def focal_drift(measured: Measured, groups: Groups, *, is_jointed: bool = False)
     return None
 
 
-def _drifts(group: FocalLengths, least: float) -> bool:
+def _drift(group: FocalLengths, least: float) -> tuple[float, float, float] | None:
+    """Return the relative change over the images, its chi^2, and Q / d that is left, or None."""
     if len(group.cameras) < FEWEST_IN_ORDER:
-        return False
-    change, gain = _trend(group)
-    left = (group.statistic - gain) / (len(group.cameras) - 2)
-    return gain > least * max(left, 1.0) and abs(change) > DRIFT
-
-
-def _trend(group: FocalLengths) -> tuple[float, float]:
-    """Return the relative change from the first to the last image, and its chi^2."""
-    weight = 1.0 / group.sigma**2
-    mean = _mean(group.focal, group.sigma)
-    time = group.order - float((weight * group.order).sum() / weight.sum())
-    spread = float((weight * time**2).sum())
-    if not spread > 0:
-        return 0.0, 0.0
+        return None
+    weight, mean = 1.0 / group.sigma**2, _mean(group.focal, group.sigma)
+    time = group.order - _mean(group.order, group.sigma)
+    spread = max(float((weight * time**2).sum()), 1e-300)
     slope = float((weight * time * (group.focal - mean)).sum()) / spread
-    return 2.0 * slope / mean, slope**2 * spread
+    change, gain = 2.0 * slope / mean, slope**2 * spread
+    left = (group.statistic - gain) / (len(group.cameras) - 2)
+    return (change, gain, left) if gain > least * max(left, 1.0) and abs(change) > DRIFT else None
 
 
 def focal_lengths(measured: Measured) -> Iterator[FocalLengths]:

@@ -17,10 +17,10 @@ a field A theta of rms 0.13 scales per coordinate, which makes the RMSE 1 % too 
 it is too small.
 
 Model. The smallest larger model whose terms beyond the present ones explain half of the field; the
-next run tests what is left. Poses and points turn a part of each field into others, so that the
-missing term alone explains 78 to 100 % of it in seeded scenes, and other terms at most 3 %. Terms
-that are not needed cost accuracy: where r4 was missing and explained 78 to 85 %, RADIAL left 0.11
-to 0.93 of the position errors, OPENCV 0.14 to 1.4.
+next run tests what is left. Poses and points turn a part of each field into others: in seeded
+scenes, a missing r2 or r4 alone explains 78 to 100 % of it, r6 48 to 74 %, other terms 3 % at most.
+Terms that are not needed cost accuracy: where r4 was missing, RADIAL left 0.11 to 0.93 of the
+position errors, OPENCV 0.14 to 1.4.
 """
 
 from __future__ import annotations

@@ -94,7 +94,7 @@ def repaired(
     priors = measured.priors if with_priors else ()
     try:
         problem, options = _edited(measured.whole, options, lens_model, shutter)
-        start = measured.start and _edited(measured.start, options, lens_model, shutter)[0]
+        start = _edited(measured.start or measured.whole, options, lens_model, shutter)[0]
         result = solved(measured, problem, options, priors)
     except InputError:
         return None
