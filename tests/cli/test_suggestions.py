@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from bundle.cli.main import COMMANDS
+from bundle.cli import parser
+from bundle.cli.main import COMMANDS, command_parser
 
 
 @pytest.mark.parametrize(
@@ -32,6 +33,16 @@ from bundle.cli.main import COMMANDS
         (["help", "optimize"], ["mean refine?"]),
         (["info", "--zzz", "MODEL"], []),
         (["convert", "MODEL", "b", "c"], ["'c'"[1:-1]]),
+        (["report", "MODEL", "refined", "-o", "x.html"], []),  # no flag resembles a word
+        (["refine", "MODEL", "out"], ["required: -o/--output", "mean -o out?"]),
+        (["refine", "MODEL", "-O", "out"], ["unrecognized arguments: -O", "mean -o?"]),
+        (["refine", "MODEL", "a b"], ["mean -o 'a b'?"]),
+        (["refine"], ["required: INPUT, -o/--output"]),
+        (["evaluate", "MODEL", "MODEL"], ["required: --reference", "mean --reference "]),
+        (["refine", "MODEL", "-o", "x", "--robust", "huber"], ["mean --loss?"]),
+        (["refine", "MODEL", "-o", "x", "--robust-kernal=huber"], ["mean --loss"]),
+        (["refine", "MODEL", "-o", "x", "--accuracy", "0.1"], ["mean --gps-sigma?"]),
+        (["info", "MODEL", "--kernel", "huber"], []),  # without --loss
     ],
 )
 def test_misspelt(run, model, words, suggested):
@@ -48,6 +59,13 @@ def test_other_words_for_a_command_belong_to_one_command():
     words = [word for row in COMMANDS.values() for word in row.also.split()]
     assert len(words) == len(set(words)) > 20
     assert not set(words) & set(COMMANDS)
+
+
+def test_other_words_for_a_flag_are_no_flags_of_refine():
+    flags = command_parser().commands()["refine"].flags()
+    words = " ".join(parser.ELSEWHERE.values()).split()
+    assert {*parser.ELSEWHERE} <= {*flags}
+    assert len({*words} - {*flags}) == len(words) > 5
 
 
 def test_after_two_dashes_everything_is_a_name(run):

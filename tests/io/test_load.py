@@ -68,12 +68,14 @@ def test_a_folder_that_is_no_model(tmp_path: Path) -> None:
     with pytest.raises(bundle.InputError, match=r"found a folder without images\.txt$"):
         bundle.load(tmp_path / "text")
 
+    (tmp_path / "sparse/0/images").mkdir()
+    with pytest.raises(bundle.InputError, match=f"; try {tmp_path}/sparse/0$"):
+        bundle.load(tmp_path / "sparse/0/images")
+
 
 def test_a_file_of_a_model_points_to_its_folder(tmp_path: Path) -> None:
     folder = write_model(tmp_path, ".txt")
-    with pytest.raises(
-        bundle.InputError, match="expected the folder of a COLMAP model, found one of"
-    ):
+    with pytest.raises(bundle.InputError, match=f"found one of its files; try {folder}$"):
         bundle.load(folder / "images.txt")
 
 

@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import functools
 import re
 from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager
+from functools import cache, partial
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from bundle.base.words import join
@@ -171,7 +171,11 @@ def naming_flags(*kinds: type[Any], **others: str) -> Iterator[None]:
         if name not in flags:
             raise
         words = re.sub(r"\b(\w+)=", lambda m: f"{flags.get(m[1], m[1])} ", rest)
-        words = re.sub(r"\b[a-z]+(?:_[a-z]+)+\b", lambda m: _as_typed(m[0]), words)
+        words = re.sub(
+            r"\b[a-z]+(?:_[a-z]+)+\b",
+            lambda m: choice_word(m[0]) if m[0] in _values() else m[0],
+            words,
+        )
         raise InputError(f"{flags[name]}{colon}{words}") from None
 
 
@@ -182,7 +186,7 @@ def flags_of(*kinds: type[Any]) -> dict[str, str]:
     }
 
 
-@functools.cache
+@cache
 def _values() -> frozenset[str]:
     """Return every named value of the options of a solve."""
     from bundle.interface.option_fields import REFINABLE, SENSORS  # only for messages
@@ -192,10 +196,6 @@ def _values() -> frozenset[str]:
     return frozenset(
         (*REFINABLE, SENSORS, *(name for f in fields for name in f.metadata["choices"] or ()))
     )
-
-
-def _as_typed(word: str) -> str:
-    return choice_word(word) if word in _values() else word
 
 
 def _add_option(
@@ -277,16 +277,7 @@ def parse_images(text: str) -> tuple[int, ...] | str:
     return parse_ids(text) if numeric or not all(parts) else text
 
 
-def parse_sensors(text: str) -> tuple[tuple[int, int], ...]:
-    """Return the pairs of ids in text such as "1:2,1:3"."""
-    return _pairs(text, "sensors RIG:CAMERA such as 1:2,1:3")
-
-
-def _parse_pairs(text: str) -> tuple[tuple[int, int], ...]:
-    return _pairs(text, "pairs A:B of image ids such as 1:2,7:3")
-
-
-def _pairs(text: str, expected: str) -> tuple[tuple[int, int], ...]:
+def _parse_pairs(expected: str, text: str) -> tuple[tuple[int, int], ...]:
     pairs = []
     for part in text.split(","):
         first, _, second = part.partition(":")
@@ -327,11 +318,14 @@ READERS: dict[str, tuple[Callable[[str], Any], str]] = {
     "ids or all": (_parse_ids_or_all, "such as 1,2,5-9; "),
     "images": (parse_images, _IMAGES),
     "names of images": (str, _IMAGES),
-    "pairs": (_parse_pairs, ""),
+    "pairs": (partial(_parse_pairs, "pairs A:B of image ids such as 1:2,7:3"), ""),
     "path": (a_path, ""),
     "resumed checkpoint": (PathArgument("checkpoint", replaces=("checkpoint",)), ""),
     "sets": (_parse_sets, ""),
-    "sensors": (parse_sensors, "RIG:CAMERA by ids, such as 1:2,1:3; "),
+    "sensors": (
+        partial(_parse_pairs, "sensors RIG:CAMERA such as 1:2,1:3"),
+        "RIG:CAMERA by ids, such as 1:2,1:3; ",
+    ),
     "word": (choice_word, ""),
     "words": (_parse_words, ""),
 }

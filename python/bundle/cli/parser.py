@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import argparse
 import re
+import shlex
 import sys
 import textwrap
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any, NamedTuple, NoReturn
 
@@ -131,9 +132,24 @@ class Parser(argparse.ArgumentParser):
             if word.startswith("--") and word.partition("=")[0] not in flags:
                 self.error(self.explain(word))
         self.config = None
-        parsed, rest = super().parse_known_args(self._with_config(list(args or ())), namespace)
-        if rest:
+        words = self._with_config(list(args or ()))
+        required = [action for action in self._actions if action.required]
+        for action in required:  # the base class does not say which words it could not use
+            action.required = False
+        try:
+            parsed, rest = super().parse_known_args(words, namespace)
+        finally:
+            for action in required:
+                action.required = True
+        missing = [action for action in required if action not in dict(self.taken)]
+        if rest and (rest[0].startswith("-") or not missing):
             self.error(self.explain(rest[0]))
+        if missing:
+            names = ", ".join(str(argparse._get_action_name(action)) for action in missing)
+            hint = ""
+            if rest and len(missing) == 1:
+                hint = f"; did you mean {missing[0].option_strings[0]} {shlex.quote(rest[0])}?"
+            self.error(f"the following arguments are required: {names}{hint}")
         if self.check is not None:
             with naming_config(self.config):
                 self.check(self._actions, parsed)
@@ -196,9 +212,13 @@ class Parser(argparse.ArgumentParser):
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         if action.choices is None or value in action.choices:
             return
-        if isinstance(action, argparse._SubParsersAction):
-            self.error(unknown_command(value, action.choices, self.spellings))
-        raise argparse.ArgumentError(action, unknown_value(str(value), map(str, action.choices)))
+        names = {str(name): str(name) for name in action.choices}
+        is_command = isinstance(action, argparse._SubParsersAction)
+        near = nearest(str(value), {**names, **self.spellings} if is_command else names)
+        expected = f"one of {', '.join(names)}, found {str(value)!r}{near}"
+        if is_command:
+            self.error(f"expected a command, {expected}")
+        raise argparse.ArgumentError(action, f"invalid choice: expected {expected}")
 
 
 # Config files: TOML whose keys are the flags of a command without their hyphens.
@@ -296,18 +316,12 @@ def _as_words(action: argparse.Action, flag: str, value: Any, place: str) -> lis
     return [f"{flag}={','.join(map(str, values))}"]
 
 
-def unknown_command(found: str, commands: Collection[str], spellings: Mapping[str, str]) -> str:
-    """Return the message about an unknown command."""
-    table = {**{name: name for name in commands}, **spellings}
-    listed = ", ".join(commands)
-    return f"expected a command, one of {listed}, found {found!r}{nearest(found, table)}"
-
-
-def unknown_value(found: str, values: Iterable[str]) -> str:
-    """Return the message about an invalid value of a choice."""
-    names = list(values)
-    listed = ", ".join(names)
-    return f"invalid choice: expected one of {listed}, found {found!r}{nearest(found, names)}"
+ELSEWHERE = {
+    "--loss": "--robust --robust-kernel --kernel --loss-function",
+    "--gps-sigma": "--accuracy --gps-accuracy",
+    "--fix-cameras": "--fix-intrinsics",
+}
+"""Flags of other tools (g2o, GTSAM, Metashape, COLMAP), by the flag that means the same here."""
 
 
 def unknown_flag(found: str, command: str, flags: Mapping[str, Iterable[str]]) -> str:
@@ -316,8 +330,12 @@ def unknown_flag(found: str, command: str, flags: Mapping[str, Iterable[str]]) -
     ``found`` is as typed, possibly with its value; ``command`` is "" before any command.
     """
     name, _, _ = found.partition("=")
-    meant = nearest(name, _long(flags.get(command, ())))
-    others = {other: _long(names) for other, names in flags.items() if other != command}
+    if not name.startswith("-"):
+        return f"unrecognized arguments: {found}"
+    own = flags.get(command, ())
+    spellings = {word: flag for flag in own for word in [flag, *ELSEWHERE.get(flag, "").split()]}
+    meant = nearest(name, spellings)
+    others = {other: tuple(names) for other, names in flags.items() if other != command}
     having = [other for other, names in others.items() if name in names]
     if having:
         listed = " and ".join(filter(None, [", ".join(having[:3][:-1]), having[:3][-1]]))
@@ -326,7 +344,3 @@ def unknown_flag(found: str, command: str, flags: Mapping[str, Iterable[str]]) -
         near = ((other, nearest(name, names)) for other, names in others.items())
         meant = next((f"{words[:-1]} of {other}?" for other, words in near if words), "")
     return f"unrecognized arguments: {found}{meant}"
-
-
-def _long(flags: Iterable[str]) -> list[str]:
-    return [flag for flag in flags if flag.startswith("--")]

@@ -177,13 +177,9 @@ def demo(arguments: argparse.Namespace) -> int:
 def _unpack(folder: Path, scene: Path) -> None:
     """Write the scene, unless an earlier demo has done so."""
     with zipfile.ZipFile(_SCENE) as packed:
-        files = {name: packed.read(name) for name in packed.namelist()}
-        if folder.is_dir() and all(_holds(scene / name, text) for name, text in files.items()):
+        files = {scene / name: packed.read(name) for name in packed.namelist()}
+        if all(path.is_file() and path.read_bytes() == text for path, text in files.items()):
             return
         if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
             raise InputError(f"{shown(folder)}: expected a new or empty folder, found other files")
         packed.extractall(scene)
-
-
-def _holds(path: Path, content: bytes) -> bool:
-    return path.is_file() and path.read_bytes() == content

@@ -311,13 +311,14 @@ def check_is_model(folder: Path) -> None:
     """Check that a folder has the files of a COLMAP model.
 
     Raises:
-        InputError: files are missing; the message names them, and models in folders below.
+        InputError: files are missing; the message names them, and models below or just above.
     """
     missing = missing_model_files(folder)
     if not missing:
         return
     found = f"found a folder without {', '.join(missing)}"
-    models = models_below(folder)
+    above = [] if missing_model_files(folder.parent) else [folder.parent]
+    models = models_below(folder) or above
     if models:
         paths = " or ".join(shown(model) for model in models[:MOST_HINTS])
         more = f" (or {len(models) - MOST_HINTS} more)" if len(models) > MOST_HINTS else ""

@@ -88,7 +88,8 @@ def load(
         return colmap.load(path)
     if path.name in MODEL_FILES and not missing_model_files(path.parent):
         raise InputError(
-            f"{shown(path)}: expected the folder of a COLMAP model, found one of its files"
+            f"{shown(path)}: expected the folder of a COLMAP model, found one of its files; "
+            f"try {shown(path.parent)}"
         )
     if is_pose_graph_file(path):
         raise InputError(f"{shown(path)}: expected a reconstruction, found a pose graph")
