@@ -91,7 +91,9 @@ inline void SolveColumns(const Triangle<kColumns>& l, const double* panel, int64
       for (int k = c + 1; k < kColumns; ++k) {
         const Vector factor = Broadcast(l.factor[c][k]);
 #pragma GCC unroll 3
-        for (int i = 0; i < kVectors; ++i) tile.v[k][i] -= tile.v[c][i] * factor;
+        for (int i = 0; i < kVectors; ++i) {
+          tile.v[k][i] = SubtractProduct(tile.v[k][i], tile.v[c][i], factor);
+        }
       }
     }
     tile.Write(to, stride);

@@ -71,7 +71,7 @@ struct Tile {
 #pragma GCC unroll 3
         for (int i = 0; i < kVectors; ++i) {
           if (kSubtract) {
-            v[c][i] -= rows[i] * factor;
+            v[c][i] = SubtractProduct(v[c][i], rows[i], factor);
           } else {
             v[c][i] += rows[i] * factor;
           }

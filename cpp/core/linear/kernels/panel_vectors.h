@@ -53,6 +53,18 @@ inline void StoreFirst(const Vector& v, int count, double* to) {
 
 inline Vector Broadcast(double x) { return x - Vector{}; }
 
+/// sum - a b, rounded once where the instruction set can. Left to the compiler, some tiles are
+/// fused and others are not (GCC 14), and rows get other bits in another tile.
+inline Vector SubtractProduct(const Vector& sum, const Vector& a, const Vector& b) {
+#if defined(__AVX512F__)
+  return _mm512_fnmadd_pd(a, b, sum);
+#elif defined(__FMA__)
+  return _mm256_fnmadd_pd(a, b, sum);
+#else
+  return sum - a * b;
+#endif
+}
+
 inline double SumOfLanes(const Vector& v) {
   double half[kLanes / 2];
   for (int i = 0; i < kLanes / 2; ++i) half[i] = v[i] + v[i + kLanes / 2];
