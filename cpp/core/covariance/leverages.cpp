@@ -251,7 +251,8 @@ class Leverages {
       }
       for (int row = 0; row < 2; ++row) {
         for (int k = 0; k < 2; ++k) {
-          sum(row, k) += down[row] * jb[k * size_b + c] + ja[row * size_a + c] * across[k];
+          sum(row, k) += down[row] * jb[k * size_b + c];
+          if (is_half) sum(row, k) += ja[row * size_a + c] * across[k];
         }
       }
     }
