@@ -137,7 +137,7 @@ def test_several_processes(written):
     assert find_rank_limit(ranks).message in page.text
     assert "25 Gbit/s and 5 microseconds" in page.text
     best = page.source.split('<tr class="best">')[-1]
-    assert best.startswith('<th scope="row">4</th>')
+    assert best.startswith('<th scope="row" data-label="processes">4</th>')
     memory = page.source.split("Peak memory")[-1].split("</figure>")[0]
     assert ">GB<" in memory
     assert re.findall(r">([\d.]+)<", memory)[-2:] == ["0.1", "1"]  # ticks of 0.5 to 1 GB
@@ -208,6 +208,13 @@ def test_matrices_are_drawn_under_every_order_with_their_nonzeros(written):
     size = {int(caption.split(": ")[1].split()[0].replace(",", "")) for caption in captions[0:10:2]}
     block = 6 + 2  # SIMPLE_RADIAL: focal length and k1; the principal point stays
     assert size == {block**2 * (12 + 2 * pairs)}
+
+
+@pytest.mark.parametrize(("density", "orders"), [(1.0, 1), (0.95, 1), (0.94, 5)])
+def test_a_full_matrix_is_drawn_once(written, density, orders):
+    full = dataclasses.replace(INSPECTION, reduced_density=density)
+    _, page = written(images(12), inspection=full)
+    assert sum("nonzeros (" in word for word in page.words) == 2 * orders + 1
 
 
 def test_options_decide_what_is_drawn(written):

@@ -251,6 +251,22 @@ def test_placement_and_certainty_are_on_the_page_where_they_are_known(solved, tm
     browser.call("Emulation.setEmulatedMedia", features=[])
     assert browser.complaints() == []
     assert browser.count("[data-shows=ellipsoids]") == 1
+    # Nine columns stay a table at 800 px; narrower, cells are listed and a bare id has its name.
+    looks = {800: ["table-row", "none"], 400: ["block", '"camera "']}
+    for width, look in looks.items():
+        check_nothing_is_clipped(browser, path, width)
+        size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
+        browser.call("Emulation.setDeviceMetricsOverride", **size)
+        found = browser.evaluate(LOOK)
+        browser.call("Emulation.clearDeviceMetricsOverride")
+        assert found == look
+
+
+LOOK = """(() => {
+  const row = [...document.querySelectorAll("tr")].find((r) => r.cells.length === 9);
+  const id = document.querySelector("tbody th[data-label=camera]");
+  return [getComputedStyle(row).display, getComputedStyle(id, "::before").content];
+})()"""
 
 
 def nothing_observed():

@@ -12,7 +12,7 @@ import numpy as np
 
 import bundle._core as _core
 from bundle.base.paths import as_path
-from bundle.base.words import amount, span
+from bundle.base.words import amount, few, span
 from bundle.figures.cost_figures import bar_figure, column_figure
 from bundle.figures.matplotlib.matrix_pattern import MatrixPattern
 from bundle.model.pose_graph_arrays import PoseGraph
@@ -28,7 +28,7 @@ from bundle.reports.page.elimination_player import (
 from bundle.reports.page.graph_report import structure_section
 from bundle.reports.page.page import orderings, tag, write_page
 from bundle.reports.page.table import CONVENTION, rendered
-from bundle.reports.sections import Section, Table
+from bundle.reports.sections import Column, Section, Table
 from bundle.reports.terminal.inputs import contents_of
 
 if TYPE_CHECKING:
@@ -49,9 +49,11 @@ def write_graph(graphs: Sequence[GraphInspection], path: str | os.PathLike[str])
         if graph.num_variables <= MOST_VARIABLES and len(graph.steps) == graph.num_variables
     ]
     stepped = f"Only graphs with up to {MOST_VARIABLES} variables are drawn step by step."
+    best_row = best if len(graphs) > 1 else None
+    table = Table(ORDERS, graphs, left=2, best=best_row, legend=CONVENTION)
     figures = [bar_figure("flops", "Flops, on a log scale", flops, amount), column_figure(profiles)]
     sections: list[Section | str] = [
-        Section(text=[size], tables=[_orders(graphs, best)]),
+        Section(text=[size], tables=[table]),
         Section(title="Elimination step by step", text=[] if steppable else [stepped]),
         elimination_section(steppable) if steppable else "",
         Section(title="Orders compared", figures=figures),
@@ -59,30 +61,22 @@ def write_graph(graphs: Sequence[GraphInspection], path: str | os.PathLike[str])
         orderings(pattern, {order_name(graph): graph.order for graph in graphs}, "matrix"),
     ]
     data = {"elimination": elimination_data(steppable)} if steppable else None
-    write_page(Path(path), "Elimination of a graph", rendered(sections), data)
+    least = f"{order_name(graphs[best])} needs {graphs[best].flops:,} flops"
+    title = "Elimination of a graph"
+    write_page(Path(path), title, rendered(sections), data, headline=f"{title}: {least}")
 
 
-def _orders(graphs: Sequence[GraphInspection], best: int) -> Table:
-    head = [
-        "order", "eliminated in order", "fill edges", "nonzeros of the matrix", "nonzeros of L",
-        "flops", "CHOLMOD's flops", "largest column count", "height of the tree",
-    ]  # fmt: skip
-    rows = []
-    for graph in graphs:
-        shown = [graph.names[variable] for variable in graph.order[:40]]
-        rows.append([
-            order_name(graph),
-            ", ".join(shown) + (", ..." if len(graph.order) > len(shown) else ""),
-            amount(graph.fill),
-            amount(graph.nnz),
-            amount(graph.nnz_factor),
-            amount(graph.flops),
-            amount(graph.cholmod_flops),
-            amount(max(graph.column_counts, default=0)),
-            amount(graph.tree_height),
-        ])  # fmt: skip
-    best_row = best if len(graphs) > 1 else None
-    return Table.of(head, rows, left=2, best=best_row, legend=CONVENTION)
+ORDERS = (
+    Column("order", order_name),
+    Column("eliminated in order", lambda graph: few([graph.names[k] for k in graph.order], 40)),
+    Column("fill edges", "fill", amount),
+    Column("nonzeros of the matrix", "nnz", amount),
+    Column("nonzeros of L", "nnz_factor", amount),
+    Column("flops", "flops", amount),
+    Column("CHOLMOD's flops", "cholmod_flops", amount),
+    Column("largest column count", lambda graph: amount(max(graph.column_counts, default=0))),
+    Column("height of the tree", "tree_height", amount),
+)
 
 
 # Page of a pose graph before a solve: cost of each elimination order, matrices, the elimination.

@@ -8,6 +8,7 @@ import shlex
 from collections.abc import Sequence
 from dataclasses import replace
 from html import escape
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -40,7 +41,7 @@ from bundle.reports.page.graph_facts import (
 from bundle.reports.page.page import tag, write_page
 from bundle.reports.page.scene_section import packed, scene_data, scene_script, scene_section
 from bundle.reports.page.table import findings_list, rendered
-from bundle.reports.sections import Section, Table
+from bundle.reports.sections import Column, Section, Table
 from bundle.reports.terminal.graph_costs import cost_table
 from bundle.reports.terminal.graph_headline import (
     about_information,
@@ -105,9 +106,6 @@ def write_graph_report(
     return problems
 
 
-KIND_FIELDS = ("kind", "count", "chi2_before", "chi2", "expected", "ratio")
-
-
 def error_kinds(facts: GraphFacts) -> list[dict[str, Any]]:
     """Return count, chi2 before and after, and expected chi2 of each kind of edges.
 
@@ -126,9 +124,11 @@ def error_kinds(facts: GraphFacts) -> list[dict[str, Any]]:
         expected = float(redundancy[known].sum()) if known.any() else math.nan
         is_compared = expected > 0 and is_minimum
         ratio = float(facts.chi2[known].sum()) / expected if is_compared else math.nan
-        before, chi2 = (float(of[member].sum()) for of in (facts.chi2_before, facts.chi2))
-        values = (kind, int(member.sum()), before, chi2, expected, ratio)
-        rows.append(dict(zip(KIND_FIELDS, values, strict=True)))
+        rows.append({
+            "kind": kind, "count": int(member.sum()), "expected": expected, "ratio": ratio,
+            "chi2": float(facts.chi2[member].sum()),
+            "chi2_before": float(facts.chi2_before[member].sum()),
+        })  # fmt: skip
     return rows
 
 
@@ -154,48 +154,40 @@ def _drawn(facts: GraphFacts) -> DrawnGraph:
 
 
 def _errors(facts: GraphFacts) -> list[Section]:
-    is_solved = facts.before is not None
-    before = ["chi2 before"] * is_solved
-    head = [f"kind of {facts.noun}", "count", *before, "chi2", "expected", "chi2 / expected"]
-    rows = []
-    for row in error_kinds(facts):
-        of_kind = [number(row[name]) for name in KIND_FIELDS[3 - is_solved :]]
-        rows.append([row["kind"], f"{row['count']:,}", *of_kind])
-    legend = (
-        f"Expected: the redundancy of these {facts.noun}s, the part of their errors that others "
-        "check. A ratio far below 1: the information is too cautious (sigmas too large); far above "
-        f"1: too optimistic, or some {facts.noun}s are wrong."
-    )
-    test = None if facts.diagnosis is None else facts.diagnosis.edge_test
-    worst = [
-        [
-            facts.names[k],
-            str(facts.kinds[k]),
-            *([number(facts.chi2_before[k])] if is_solved else []),
-            number(facts.chi2[k]),
-            number(float("nan") if test is None else float(test[k])),
-        ]
-        for k in np.argsort(-np.nan_to_num(facts.chi2), kind="stable")[:MOST_EDGES].tolist()
+    noun, is_solved = facts.noun, facts.before is not None
+    kinds = [
+        Column(f"kind of {noun}", itemgetter("kind")),
+        Column("count", itemgetter("count"), "{:,}".format),
+        *[Column("chi2 before", itemgetter("chi2_before"), number)] * is_solved,
+        Column("chi2", itemgetter("chi2"), number),
+        Column("expected", itemgetter("expected"), number),
+        Column("chi2 / expected", itemgetter("ratio"), number),
     ]
-    worst_head = [f"worst {facts.noun}s", "kind", *before, "chi2", "test"]
+    legend = (
+        f"Expected: the redundancy of these {noun}s, the part of their errors that others check. "
+        "A ratio far below 1: the information is too cautious (sigmas too large); far above 1: "
+        f"too optimistic, or some {noun}s are wrong."
+    )
+    test = np.full(len(facts.chi2), np.nan)
+    if facts.diagnosis is not None:
+        test = facts.diagnosis.edge_test
+    edges = [
+        Column(f"worst {noun}s", facts.names.__getitem__),
+        Column("kind", facts.kinds.__getitem__),
+        *[Column("chi2 before", facts.chi2_before.__getitem__, number)] * is_solved,
+        Column("chi2", facts.chi2.__getitem__, number),
+        Column("test", test.__getitem__, number),
+    ]
+    worst = np.argsort(-np.nan_to_num(facts.chi2), kind="stable")[:MOST_EDGES].tolist()
+    reading = "Test: r^T K^+ r with K the covariance of the error in the fit."
     figure = error_figure(facts.chi2, facts.sizes, facts.kinds.tolist())
     return [
         Section(
             title="Errors by kind",
-            tables=[Table.of(head, rows, legend=legend)],
+            tables=[Table(kinds, error_kinds(facts), legend=legend)],
             figures=[figure] if figure is not None else [],
         ),
-        Section(
-            title=f"Worst {facts.noun}s",
-            tables=[
-                Table.of(
-                    worst_head,
-                    worst,
-                    left=2,
-                    legend="Test: r^T K^+ r with K the covariance of the error in the fit.",
-                )
-            ],
-        ),
+        Section(title=f"Worst {noun}s", tables=[Table(edges, worst, left=2, legend=reading)]),
     ]
 
 

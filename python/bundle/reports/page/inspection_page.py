@@ -38,14 +38,16 @@ from bundle.reports.page.elimination_player import (
 )
 from bundle.reports.page.graph_page import write_graph
 from bundle.reports.page.page import command_box, matrix, orderings, tag, write_page
-from bundle.reports.page.table import CONVENTION, Notes, rendered
-from bundle.reports.sections import Section, Table
+from bundle.reports.page.table import CONVENTION, rendered
+from bundle.reports.sections import Column, Section, Table
 from bundle.reports.terminal.inspect import factor_table, rank_sections, size_facts
 
 STEPPED = ("natural", "minimum_degree")
 MOST_EDGES = 1500
 # Number of methods that are shown; the other methods are folded away.
 ROWS_SHOWN = 5
+FULL = 0.95
+"""Share of nonzeros in S from which its drawings under all orders look the same."""
 
 
 def write_inspection(
@@ -150,7 +152,7 @@ def _write_problem(
             "Each edge is a block of S."
         )
         drawn = covisibility_figure(covisibility_graph(problem, MOST_EDGES))
-        sections += _matrices(problem, options)
+        sections += _matrices(problem, options, inspection.reduced_density)
         sections.append(Section(title="Co-visibility", text=[words], figures=[drawn]))
     if graphs:
         words = (
@@ -196,27 +198,24 @@ def _label(method: MethodInspection) -> str:
 
 
 def _methods(inspection: Inspection, methods: Sequence[MethodInspection]) -> list[Section | str]:
-    notes = Notes()
-    rows = [
-        [
-            _label(method),
-            span(method.time_per_step_in_seconds),
-            format_size(method.memory_in_bytes),
-            "yes" if method.fits_in_memory else "NO",
-            notes.refer(method.note),
-        ]
-        for method in methods
-    ]
+    notes = [*dict.fromkeys(method.note for method in methods if method.note)]
+    columns = (
+        Column("method", _label),
+        Column("time per step", "time_per_step_in_seconds", span),
+        Column("memory", "memory_in_bytes", format_size),
+        Column("fits", "fits_in_memory", lambda fits: "yes" if fits else "NO"),
+        Column("note", "note", lambda note: str(notes.index(note) + 1) if note else ""),
+    )
     unfit = [_label(method) for method in methods if not method.fits_in_memory]
     best = 0 if inspection.recommended >= 0 else None
-    head = ["method", "time per step", "memory", "fits", "note"]
     shown = Section(
         title="Methods, the fastest first",
         notes=[f"Does not fit in memory: {', '.join(unfit)}."] if unfit else [],
         is_warning=True,
-        tables=[Table.of(head, rows, most=ROWS_SHOWN, best=best)],
+        tables=[Table(columns, methods, most=ROWS_SHOWN, best=best)],
     )
-    return [shown, notes.listed()]
+    listed = tag("ol", *(tag("li", escape(note)) for note in notes), class_="quiet")
+    return [shown, listed if notes else ""]
 
 
 def _costs(methods: Sequence[MethodInspection]) -> list[Figure]:
@@ -243,7 +242,7 @@ def _costs(methods: Sequence[MethodInspection]) -> list[Figure]:
     ]  # fmt: skip
 
 
-def _matrices(problem: Problem, options: SolveOptions) -> list[Section | str]:
+def _matrices(problem: Problem, options: SolveOptions, density: float) -> list[Section | str]:
     """Return the sections on S and L under each order, and on the arrowhead matrix."""
     reduced = reduced_pattern(problem, options)
     arrowhead = information_pattern(problem, options)
@@ -255,9 +254,12 @@ def _matrices(problem: Problem, options: SolveOptions) -> list[Section | str]:
     arrow = "An arrowhead: eliminating the points leaves S."
     if reduced.num_blocks == 0:
         return [Section(title="The information matrix"), first]
-    orders = {name: order_blocks(reduced, name) for name in ORDERINGS}
+    count, title = len(ORDERINGS), "S and its factor under each order"
+    if density >= FULL:
+        count, title = 1, f"S and its factor, {100 * density:.3g} % full in any order"
+    orders = {name: order_blocks(reduced, name) for name in ORDERINGS[:count]}
     return [
-        Section(title="S and its factor under each order", text=[words]),
+        Section(title=title, text=[words]),
         orderings(reduced, orders),
         Section(title="The information matrix", text=[arrow]),
         first,

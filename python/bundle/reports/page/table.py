@@ -1,4 +1,4 @@
-"""Tables, numbered notes, and sections of a report as markup."""
+"""Tables, findings and sections of a report as markup."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from bundle.reports.sections import Section, Table
 # Length in characters from which a cell counts as a sentence, which wraps.
 LONG = 20
 # Columns that fit on a page of 800 pixels.
-MOST_COLUMNS = 7
+MOST_COLUMNS = 9
 
 CONVENTION = (
     "Nonzeros: matrices count both triangles and the diagonal, L its lower triangle with the "
@@ -51,7 +51,8 @@ def table(
         kinds[column] = "words long" if longest > LONG else "words"
     lines = []
     for index, row in enumerate(rows):
-        name = tag("th", escape(row[0]), scope="row")
+        number = head[0] if row[0].isdigit() else None
+        name = tag("th", escape(row[0]), scope="row", data_label=number)
         cells = [
             tag("td", escape(cell), class_=kind, data_label=label)
             for cell, kind, label in zip(row[1:], kinds[1:], head[1:], strict=True)
@@ -76,22 +77,6 @@ def declared(made: Table) -> str:
     words = [k for k in range(1, len(head)) if k < made.left or made.columns[k].title == "note"]
     legend = tag("p", escape(made.legend), class_="quiet") if made.legend else ""
     return table(head, rows, words=words, best=made.best, rows_shown=made.most) + legend
-
-
-class Notes:
-    """Sentences that rows reference by number; each sentence is listed once."""
-
-    def __init__(self) -> None:
-        self._numbers: dict[str, int] = {}
-
-    def refer(self, note: str) -> str:
-        """Return the number of a note; "" for an empty note."""
-        return str(self._numbers.setdefault(note, len(self._numbers) + 1)) if note else ""
-
-    def listed(self) -> str:
-        """Return the referenced notes."""
-        lines = [tag("li", escape(note)) for note in self._numbers]
-        return tag("ol", *lines, class_="quiet") if lines else ""
 
 
 def rounded(values: NDArray[np.float64]) -> list[float]:
