@@ -222,7 +222,7 @@ def test_bars_are_the_same_in_both():
         rows = ["".join(cell.itertext()) for cell in root.findall("./div/div")]
         assert rows[::2] == [tick.get_text() for tick in ax.get_yticklabels()] == names
         assert rows[1::2] == [text.get_text().replace("\n", ", ") for text in ax.texts]
-        widths = [float(re.search(r"width:([\d.]+)", bar.get("style"))[1]) for bar in
+        widths = [float(re.search(r"width:calc\(([\d.]+)", bar.get("style"))[1]) for bar in
                   root.findall("./div/div/div[@style]")]  # fmt: skip
         spans = [np.log(bar.get_x() + bar.get_width()) - np.log(bar.get_x()) for bar in ax.patches]
         np.testing.assert_allclose(np.divide(widths, max(widths)), spans / max(spans), atol=1e-3)

@@ -62,8 +62,8 @@ def target_figure(place: Placement) -> Figure | None:
         "green: one standard deviation of the survey. Names where there is room."
     )
     return Figure(
-        name="target_errors", title="Horizontal errors", x=x, y=y, marks=(dots, *ellipses),
-        note=note, is_plan=True,
+        name="target_errors", title="Errors of control and check points", x=x, y=y,
+        marks=(dots, *ellipses), note=note, is_plan=True,
     )  # fmt: skip
 
 
@@ -77,7 +77,7 @@ def position_figure(place: Placement) -> Figure | None:
     x, y = square((0.0, 0.0), reach, ERRORS)
     return Figure(
         name="position_errors",
-        title="Horizontal errors",
+        title="Errors of positions",
         x=x,
         y=y,
         marks=(_dots(known, residuals), Ellipses(_moment(residuals)[None], 1)),

@@ -11,6 +11,7 @@ import pytest
 from bundle.base.words import amount
 from bundle.figures.marks import Bars, Figure, StackedBars, Steps, linear, logarithmic
 from bundle.reports.page import svg
+from bundle.reports.page.svg_planes import contours
 
 LEFT, RIGHT = svg.LEFT, svg.WIDTH - svg.RIGHT
 TOP, BOTTOM = svg.TOP, svg.HEIGHT - svg.BOTTOM
@@ -82,16 +83,23 @@ def test_a_logarithmic_axis_has_equal_steps_for_equal_ratios():
 
 
 def widths(markup):
-    return [float(width) for width in re.findall(r"width:([\d.]+)%", markup)]
+    """The shares of the room that the texts leave."""
+    return [float(width) for width in re.findall(r"width:calc\(([\d.]+)\*", markup)]
+
+
+def rooms(markup):
+    """The widths that are kept for the texts, in em."""
+    return {float(room) for room in re.findall(r"100% - ([\d.]+)em", markup)}
 
 
 def test_bars_are_as_long_as_their_values_on_the_scale():
     values = {"a": 1.0, "b": 10.0, "c": 100.0, "none": math.nan, "nothing": 0.0}
     found = widths(bars(values))
     scale = logarithmic([1 / 3, 1.0, 100.0])
-    assert found == pytest.approx([66 * scale(v) for v in (1.0, 10.0, 100.0)] + [0, 0], abs=0.01)
-    assert found[2] - found[1] == pytest.approx(found[1] - found[0], abs=0.01) != 0
-    assert max(widths(bars(values, impossible=["c"]))) < max(found)  # leaves room for the words
+    assert found == pytest.approx([scale(v) for v in (1.0, 10.0, 100.0)] + [0, 0], abs=1e-4)
+    assert found[2] - found[1] == pytest.approx(found[1] - found[0], abs=2e-4) != 0
+    (room,), (more,) = rooms(bars(values)), rooms(bars(values, impossible=["c"]))
+    assert room > 0.6 * len("none") and more > room  # the words of the impossible bar are longer
     hatched = [row for row in bars(values, impossible=["c"]).split("<div") if "impossible" in row]
     assert len(hatched) == 1
 
@@ -104,10 +112,29 @@ def test_folded_bars_share_the_scale():
     assert "<details" not in bars(values, most=7)
 
 
+@pytest.mark.parametrize("size", [(640, 480), (480, 640), (640, 640)])
+def test_the_longer_side_of_an_image_is_400(size):
+    """A portrait is no larger than a landscape: a limit of the height would shrink its letters."""
+    x, y = (linear([float(length)]) for length in size)
+    markup = svg.drawing(Figure(name="f", title="", x=x, y=y, marks=(), is_image=True))
+    drawn = [float(found) for found in re.findall(r'(?:width|height)="([\d.]+)"', markup)]
+    assert drawn == pytest.approx([400 * length / max(size) for length in size], abs=0.1)
+
+
+def test_labels_of_contours_do_not_meet():
+    """Both levels run through a corner, where there is room for one label."""
+    corner = np.zeros((12, 12))
+    corner[-1, -1], corner[-2, -1], corner[-1, -2] = 4.0, 2.0, 2.0
+    places = re.findall(r'<text x="([\d.]+)" y="([\d.]+)"', contours(corner, (1, 3), (9, 9), 2))
+    assert len(places) == 1
+    apart = contours(np.linspace(0, 4, 12) * np.ones((12, 1)), (1, 3), (30, 30), 2)
+    assert apart.count("<text") == 2
+
+
 def test_stacked_bars_add_up_to_their_totals():
     rows = {"fast": {"a": 1.0, "rest": 1.0}, "slow": {"a": 3.0, "rest": 5.0}}
     found = widths(stacked_bars(rows, " s"))
-    assert found == pytest.approx([74 / 8, 74 / 8, 74 * 3 / 8, 74 * 5 / 8], abs=0.001)
+    assert found == pytest.approx([1 / 8, 1 / 8, 3 / 8, 5 / 8], abs=1e-4)
     assert re.findall(r">([\d.]+) s<", stacked_bars(rows, " s")) == ["2", "8"]
     colours = re.findall(r"background:var\(--(\w+)\)", stacked_bars(rows, " s"))
     assert colours == ["c0", "rest"] * 3  # two bars and the legend

@@ -128,6 +128,7 @@ def test_a_suspect_control_point_needs_attention(told, solved):
     assert ORDER.index(found["Georeference"]["mark"]) >= ORDER.index("attention")
     assert "1 check point, RMS 3 m" in found["Georeference"]["number"]
     assert "1 suspect point" in found["Georeference"]["number"]
+    assert next(iter(found)) == "Georeference"  # the answer of a survey, before its reasons
 
 
 def test_collapsed_points_are_a_problem(told, solved):

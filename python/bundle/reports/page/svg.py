@@ -37,12 +37,12 @@ def bars(mark: Bars) -> str:
     If two or more bars follow the first ``most``, they are folded away, on the same scale.
     """
     scale = mark.scale
-    longest = 46.0 if mark.impossible else 66.0  # leaves room for the text to the right
+    room = _room(map(mark.text, mark.rows()))
     rows: list[str] = []
     for name, value in mark.rows().items():
-        width = longest * scale(value) if math.isfinite(value) and value > 0 else 0.0
+        share = scale(value) if math.isfinite(value) and value > 0 else 0.0
         kind = "bar impossible" if name in mark.impossible else "bar"
-        rows += _row(name, tag("div", class_=kind, style=f"width:{width:.2f}%"), mark.text(name))
+        rows += _row(name, tag("div", class_=kind, style=_width(share, room)), mark.text(name))
     most, count = mark.most, len(rows) // 2
     shown = count if most is None or count <= most + 1 else most
     kind = "bars dense" if mark.is_ordered else "bars"
@@ -76,6 +76,8 @@ def stacked_bars(mark: StackedBars) -> str:
     """Return horizontal stacked bars and their legend; the part named "rest" is grey."""
     totals = {name: sum(parts.values()) for name, parts in mark.rows.items()}
     longest = max(totals.values(), default=1.0) or 1.0
+    texts = {name: f"{total:.3g}{mark.unit}" for name, total in totals.items()}
+    room = _room(texts.values())
     phases: Sequence[str] = list(next(iter(mark.rows.values()), {}))
     cells = []
     for name, parts in mark.rows.items():
@@ -84,11 +86,11 @@ def stacked_bars(mark: StackedBars) -> str:
                 "div",
                 class_="bar",
                 title=f"{phase}: {value:.3g}{mark.unit}",
-                style=f"width:{74.0 * value / longest:.3f}%;background:{_paint(index, phase)}",
+                style=f"{_width(value / longest, room)};background:{_paint(index, phase)}",
             )
             for index, (phase, value) in enumerate(parts.items())
         ]
-        cells += _row(name, "".join(pieces), f"{totals[name]:.3g}{mark.unit}")
+        cells += _row(name, "".join(pieces), texts[name])
     swatches = [
         tag(
             "li",
@@ -103,6 +105,16 @@ def stacked_bars(mark: StackedBars) -> str:
         for index, phase in enumerate(phases)
     ]
     return tag("div", *cells, class_="bars") + tag("ul", *swatches, class_="legend")
+
+
+def _room(texts: Iterable[str]) -> float:
+    """Return the width of the longest text beside a bar, in em."""
+    return 1.0 + 0.65 * max(map(len, texts), default=0)
+
+
+def _width(share: float, room: float) -> str:
+    """Return the style of a bar: a share of what the texts leave, or of 46 % where it is more."""
+    return f"width:calc({share:.4f}*max(46%,100% - {room:.1f}em))"
 
 
 def _row(name: str, bar: str, words: str) -> list[str]:

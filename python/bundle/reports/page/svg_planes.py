@@ -20,7 +20,7 @@ from bundle.figures.marks import (
 )
 from bundle.reports.page.page import data_uri, tag
 
-WIDTH = 400.0
+LONGER = 400.0
 PAD = 2.0
 BELOW = 18.0
 DOTS_WIDE = 560
@@ -29,7 +29,7 @@ DOTS_WIDE = 560
 def plane(figure: Figure) -> str:
     """Return a drawing in the shape of the image, with corner coordinates and a legend.
 
-    The drawing is 400 wide; if that would make it higher than 600, it is 600 high.
+    Its longer side is 400, so that letters keep their size where the page limits the height.
     """
     area = _Plane(figure)
     content = [area.mark(mark) for mark in figure.marks]
@@ -57,11 +57,7 @@ class _Plane:
     def __init__(self, figure: Figure) -> None:
         self._corner = np.array([figure.x.low, figure.y.low])
         self._size = np.array([figure.x.high, figure.y.high]) - self._corner
-        height = WIDTH * float(self._size[1] / self._size[0])
-        limit = 1.5 * WIDTH
-        self.width, self.height = (
-            (WIDTH, height) if height <= limit else (WIDTH * limit / height, limit)
-        )
+        self.width, self.height = (LONGER * self._size / self._size.max()).tolist()
         self._unit = self.width / float(self._size[0])
         self._photographed = any(isinstance(mark, Photo) for mark in figure.marks)
 
@@ -224,7 +220,7 @@ def contours(values: Array, levels: Sequence[float], cell: tuple[float, float], 
     """
     rows, columns = values.shape
     middle = np.array([columns, rows]) / 2
-    lines, labels = [], []
+    lines, labels, taken = [], [], np.zeros((0, 2))
     for index, level in enumerate(levels):
         segments = contour(values, level)
         if not len(segments):
@@ -239,6 +235,9 @@ def contours(values: Array, levels: Sequence[float], cell: tuple[float, float], 
         x, y = ends.mean(axis=1)[int(np.argmax(along))]
         width, height = np.array([columns, rows]) * cell
         x, y = np.clip([x, y], [pad + 18, pad + 10], [pad + width - 18, pad + height - 10])
+        if (np.abs(taken - [x, y]) < [40, 14]).all(axis=1).any():
+            continue
+        taken = np.vstack([taken, [x, y]])
         words = escape(f"{level:g}")
         labels.append(tag("text", words, x=f"{x:.1f}", y=f"{y + 4:.1f}", text_anchor="middle"))
     return tag("g", *lines, *labels, class_="contours")

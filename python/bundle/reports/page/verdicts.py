@@ -304,6 +304,7 @@ def _place(given: Judged) -> Verdict | None:
 
 QUESTIONS: tuple[tuple[Callable[[Judged], Verdict | None], str], ...] = (
     (_solve, ""),
+    (_place, "positions attitudes gps_offset control_points"),
     (
         _error,
         "not_refined not_converged far_start shifted_pixels no_observations "
@@ -317,7 +318,6 @@ QUESTIONS: tuple[tuple[Callable[[Judged], Verdict | None], str], ...] = (
     (_positions, "scale_drift no_covariance images_with_few_observations undetermined_poses"),
     (_tracks, "duplicate_points collapsed_points far_points points_not_seen points_seen_once"),
     (_connection, "weak_joint disconnected images_without_observations"),
-    (_place, "positions attitudes gps_offset control_points"),
 )
 """Functions that answer a question, and the kinds of findings about its subject."""
 
