@@ -291,11 +291,13 @@ def _by_size(evidence: Evidence) -> None:
     fine = [j for j in fine if j not in alone]
     small = [j for j, size in sizes.items() if size < 0.3 and j not in (*fine, *alone)]
     large = [j for j in sizes if j not in (*fine, *alone, *small)]
+    rows = (evidence.deviations.error[..., alone] > evidence.tolerance).any(axis=(0, 2))
+    residuals = ", ".join(map(str, np.flatnonzero(rows)))
     for kind, columns, words in (
         (
             "small_part",
             alone,
-            f"wrong in the last digits of {_rows_of(evidence, alone)} only: a small term, or a "
+            f"wrong in the last digits of residual {residuals} only: a small term, or a "
             "constant with few digits",
         ),
         (
@@ -328,11 +330,6 @@ def _is_spread(evidence: Evidence, column: int) -> bool:
     if counts[..., column].any(axis=0).sum() > 1:
         counts, off = counts[..., column], off[..., column]
     return bool(2 * off.sum() > counts.sum())
-
-
-def _rows_of(evidence: Evidence, columns: Sequence[int]) -> str:
-    wrong = (evidence.deviations.error[..., columns] > evidence.tolerance).any(axis=(0, 2))
-    return f"residual {', '.join(map(str, np.flatnonzero(wrong)))}"
 
 
 def _largest(evidence: Evidence, column: int) -> np.ndarray:

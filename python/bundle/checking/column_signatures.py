@@ -46,14 +46,20 @@ def factors(evidence: Evidence) -> None:
         for guess in (whole, rows):
             off = np.flatnonzero(np.abs(guess - 1) > evidence.tolerance)
             if len(off) and evidence.explains((guess * reference)[..., None], [j], points):
-                key = tuple(_rounded(ratio) for ratio in guess.tolist())
+                # Six digits; near 1, three digits of the difference from 1.
+                key = tuple(
+                    float(f"{ratio:.6g}")
+                    if abs(ratio - 1) > 1e-2
+                    else 1 + float(f"{ratio - 1:.3g}")
+                    for ratio in guess.tolist()
+                )
                 by_factor.setdefault(key, ([], off))[0].append(j)
                 break
     for ratios, (columns, off) in by_factor.items():
         if len(set(ratios)) == 1:
             kind, words = _factor_in_words(ratios[0])
             note = where.get(columns[0], "")
-            if kind == "factor" and len(columns) > 1 and len(columns) == _num_used(evidence):
+            if kind == "factor" and 1 < len(columns) == evidence.reference.any(axis=(0, 1)).sum():
                 alone = "residual" if abs(ratios[0]) < 1 else "Jacobians"
                 note += f" (all columns: the weights may multiply only the {alone})"
             sentence = f"{evidence.names(columns)}: {words}{note}"
@@ -154,21 +160,12 @@ def zero_entries(evidence: Evidence) -> None:
             )
 
 
-def _num_used(evidence: Evidence) -> int:
-    return int(evidence.reference.any(axis=(0, 1)).sum())
-
-
 def _ratios(analytic: Array, reference: Array, axis: int | None) -> Array:
     """Return the least-squares factors from reference to analytic along an axis."""
     square = np.sum(reference * reference, axis=axis)
     counts = square > NEGLIGIBLE**2 * np.sum(reference * reference)  # others are rounding
     ratio: Array = np.sum(analytic * reference, axis=axis) / np.where(counts, square, 1.0)
     return np.where(counts, ratio, 1.0)
-
-
-def _rounded(ratio: float) -> float:
-    """Return a ratio with six digits; near 1, with three digits of its difference from 1."""
-    return float(f"{ratio:.6g}") if abs(ratio - 1) > 1e-2 else 1 + float(f"{ratio - 1:.3g}")
 
 
 def _factor_in_words(factor: float) -> tuple[str, str]:

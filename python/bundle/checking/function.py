@@ -6,13 +6,14 @@ the residual has no value there. Only the first call, which counts the residuals
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import inspect
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 import bundle._core as _core
-from bundle.base.arrays import as_array
+from bundle.base.arrays import as_array, check_type
 from bundle.base.records import dataclass
 from bundle.base.words import plural
 from bundle.checking.classify import rounds_to_single
@@ -20,7 +21,7 @@ from bundle.checking.jacobian_deviation import Array, JacobianDeviation
 from bundle.checking.residual_blocks import Layout
 from bundle.checking.step_curve import Line, acquitted, walk
 from bundle.checking.tally import CHECKER_PRECISION
-from bundle.errors import InputError
+from bundle.errors import InputError, brief
 
 ResidualFunction = Callable[[list[Array]], tuple[Any, Sequence[Any]]]
 
@@ -37,6 +38,24 @@ class UserFunction:
         self.function = function
         self.sizes = [len(block) for block in blocks]
         self.num_residuals = num_residuals or len(self._residual(self._call(blocks)[0]))
+
+    @staticmethod
+    def check_call(function: Any, blocks: Any) -> None:
+        """Refuse a function that does not take one list, and blocks that are no list of arrays."""
+        check_type("function", function, Callable, "a function")
+        is_vector = isinstance(blocks, np.ndarray) and blocks.ndim < 2  # one block or several?
+        is_list = isinstance(blocks, Iterable) and not isinstance(blocks, str | bytes | Mapping)
+        if is_vector or not is_list:
+            hint = "; try [blocks]" if is_vector else ""
+            raise InputError(f"blocks: expected a list of arrays, found {brief(blocks)}{hint}")
+        try:
+            inspect.signature(function).bind(blocks)
+        except TypeError as error:
+            raise InputError(
+                f"function: expected one argument, the list of blocks: {error}"
+            ) from None
+        except ValueError:
+            pass  # compiled functions have no signature
 
     def evaluate(self, blocks: Sequence[Array]) -> tuple[Array, Array]:
         """Return the residual (R,) and the Jacobians of all blocks, concatenated to (R, N)."""

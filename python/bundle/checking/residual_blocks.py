@@ -44,11 +44,10 @@ class Layout:
         count = len(start)
         for what, given in (("manifolds", manifolds), ("names", names)):
             check_type(what, given, list | tuple | None, "a list, one per block")
+            if given is not None and len(given) != count:
+                raise InputError(f"{what}: expected {count}, one per block, found {len(given)}")
         manifolds = [None] * count if manifolds is None else list(manifolds)
         names = [f"block {b}" for b in range(count)] if names is None else list(names)
-        for what, given in (("manifolds", manifolds), ("names", names)):
-            if len(given) != count:
-                raise InputError(f"{what}: expected {count}, one per block, found {len(given)}")
         layout = Layout([], [], [], [], [])
         for block, manifold, name in zip(start, manifolds, names, strict=True):
             layout._add(Manifold.parse(manifold, len(block)), name)
@@ -150,6 +149,11 @@ class Manifold:
         pair = given if isinstance(given, tuple) else (given or "euclidean", ())
         if len(pair) != 2:
             raise InputError(f"manifolds: expected a name or (name, entries), found {brief(given)}")
+        if str(pair[0]).lower() in ("so2", "so3", "se2"):  # of factor graphs
+            raise InputError(
+                'manifolds: expected tangent="gtsam" or that of another library, too, whose '
+                f"coordinates the Jacobians have, found {pair[0]!r} alone"
+            )
         name = choice("manifolds", pair[0], NAMES)
         try:
             entries = tuple(operator.index(entry) for entry in pair[1])

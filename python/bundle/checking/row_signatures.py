@@ -60,14 +60,18 @@ def whitening(evidence: Evidence) -> None:
     used = [j for j in range(analytic.shape[2]) if reference[..., j].any()]
     if analytic.shape[1] < 2 or len(used) < 2 or not set(used) <= set(evidence.wrong):
         return
-    ratios = _row_ratios(analytic[..., used], reference[..., used])
+    square = (reference[..., used] ** 2).sum(axis=(0, 2))
+    products = (analytic[..., used] * reference[..., used]).sum(axis=(0, 2))
+    ratios = np.where(square > 0, products / np.where(square > 0, square, 1.0), 1.0)
     if _is_number(np.diag(ratios)):
         return  # a scalar factor is another signature
     everything = np.linalg.norm(analytic[..., used] - reference[..., used])
     off = np.abs(ratios - 1) > EXPLAINED
     left = np.linalg.norm(analytic[..., used] - ratios[:, None] * reference[..., used])
     is_by_rows = left <= EXPLAINED * everything
-    degrees = np.flatnonzero(off & _are_degrees(ratios))
+    sizes = np.abs(ratios)
+    from_degrees = np.minimum(np.abs(sizes * DEGREE - 1), np.abs(sizes / DEGREE - 1))
+    degrees = np.flatnonzero(off & (from_degrees < 1e-4))
     if is_by_rows and 0 < len(degrees) == off.sum():
         evidence.found(
             "degrees",
@@ -207,20 +211,6 @@ def _sources(given: Array, right: Array) -> tuple[NDArray[np.intp], Array]:
     own = np.arange(len(size))
     source = np.where(np.diag(left) <= EXPLAINED * size, own, left.argmin(axis=1))
     return source, np.where(source == own, 1.0, factors[own, source])
-
-
-def _are_degrees(ratios: Array) -> NDArray[np.bool_]:
-    """Return the mask of factors from degrees to radians, or the reverse."""
-    sizes = np.abs(ratios)
-    off = np.minimum(np.abs(sizes * DEGREE - 1), np.abs(sizes / DEGREE - 1))
-    are: NDArray[np.bool_] = off < 1e-4
-    return are
-
-
-def _row_ratios(given: Array, right: Array) -> Array:
-    square = (right * right).sum(axis=(0, 2))
-    ratios: Array = (given * right).sum(axis=(0, 2)) / np.where(square > 0, square, 1.0)
-    return np.where(square > 0, ratios, 1.0)
 
 
 def _is_number(matrix: Array) -> bool:

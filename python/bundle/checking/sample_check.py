@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bundle.base.arrays import as_array, as_flag, check_type, refuse_row
+from bundle.base.arrays import as_array, as_flag, refuse_row
 from bundle.base.words import plural
 from bundle.checking.classify import classify, float_precision, is_single, stale
 from bundle.checking.evidence import EXPLAINED, Evidence, Finding, join_names
@@ -20,7 +20,7 @@ from bundle.checking.jacobian_deviation import Array, JacobianDeviation
 from bundle.checking.residual_blocks import Block, Column, Layout, ManifoldLike, Name, sample
 from bundle.checking.step_curve import CheckDetails, make_details
 from bundle.checking.tally import Tally, make_report, undecided_points
-from bundle.errors import InputError, brief
+from bundle.errors import InputError
 from bundle.interface.analysis_options import TOLERANCE
 from bundle.interface.option_fields import number
 
@@ -78,7 +78,8 @@ class _Check:
     def run(self) -> GradientReport:
         """Compare with both references and report."""
         if not self.samples:
-            return self._report([], [_no_value()], GradientCheckerSummary())
+            words = "the residual is not a finite number at any sample"
+            return self._report([], [Finding("not_finite", (), words)], GradientCheckerSummary())
         repeated_calls = [at.evaluate() for at in self.samples]
         unstable = _unstable(self.residuals, [residual for residual, _ in repeated_calls])
         if unstable is not None:
@@ -320,10 +321,6 @@ class _Check:
         )
 
 
-def _no_value() -> Finding:
-    return Finding("not_finite", (), "the residual is not a finite number at any sample")
-
-
 def _unstable(first: Sequence[Array], again: Sequence[Array]) -> Finding | None:
     """Return a finding if two calls at one point differ by more than rounding errors."""
     for k, (one, other) in enumerate(zip(first, again, strict=True)):
@@ -428,10 +425,7 @@ def check_function_at(
     details: bool = False,
 ) -> GradientReport:
     """Check the Jacobians of a function; see :func:`bundle.check_gradients`."""
-    check_type("function", function, Callable, "a function")
-    single = isinstance(blocks, np.ndarray) and blocks.ndim == 0
-    if isinstance(blocks, str | bytes | Mapping) or not isinstance(blocks, Iterable) or single:
-        raise InputError(f"blocks: expected a list of arrays, found {brief(blocks)}")
+    UserFunction.check_call(function, blocks)
     start: list[Array] = [as_array("blocks", block).reshape(-1).copy() for block in blocks]
     if not start or not all(len(block) for block in start):
         raise InputError("blocks: expected at least one block, and no empty block")

@@ -139,6 +139,17 @@ MISUSES = [
     (lambda: bundle.check_gradients(make_graph(measured_range), manifolds=["se2"]), "manifolds: "),
     (lambda: bundle.check_gradients(make_graph(), names=["a"]), "names: "),
     (lambda: bundle.check_gradients(measured_range), "blocks: "),
+    (
+        lambda: bundle.check_gradients(
+            bundle.PoseGraph(
+                poses=np.eye(3)[:2],
+                edges=[[0, 1]],
+                measurements=np.eye(3)[:1],
+                information=[np.eye(3)],
+            )
+        ),
+        "pose graph.*check_jacobians",
+    ),
     (lambda: bundle.check_gradients(bundle.PriorFactor("x", 0, 1), {}), "blocks: .*'x'"),
     (lambda: bundle.check_gradients(bundle.PriorFactor("x", 0, 1), [1, 2]), "blocks: "),
     (
@@ -192,6 +203,10 @@ def test_a_tangent_is_that_of_its_library():
     assert "g2o" in found.findings[0].sentence
     with pytest.raises(bundle.InputError, match=r"tangent: .*gtsam.*found 'sophia'"):
         bundle.check_gradients(between, values, manifolds, tangent="sophia")
+    with pytest.raises(bundle.InputError, match="one argument"):
+        bundle.check_gradients(lambda a, b: between([a, b]), values, manifolds, tangent="g2o")
+    with pytest.raises(bundle.InputError, match="blocks: "):
+        bundle.check_gradients(between, np.zeros(3), ["se2"], tangent="g2o")
     for names in ([1, 2], ["x"], "xl"):
         with pytest.raises(bundle.InputError, match="names: "):
             bundle.check_gradients(between, values, manifolds, tangent="g2o", names=names)

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 import bundle._core as _core
 from bundle.base.arrays import check_function
-from bundle.checking.function import ResidualFunction
+from bundle.checking.function import ResidualFunction, UserFunction
 from bundle.checking.gradient_report import GradientReport
 from bundle.checking.jacobians import check_problem
 from bundle.checking.residual_blocks import ManifoldLike, Name
@@ -179,9 +179,10 @@ def check_gradients(
     if tangent is not None:
         settings["tangent"] = tangent
     if not isinstance(function, FactorGraph | Factor):
-        if blocks is None:
-            raise InputError("blocks: expected a list of arrays, found None")
+        if isinstance(function, PoseGraph):
+            raise InputError("function: expected factors, found a pose graph; try check_jacobians")
         if tangent is not None:
+            UserFunction.check_call(function, blocks)
             keys = _keys(blocks, names)
             graph = _graph_of(FunctionFactor(keys, function), blocks, manifolds)
             check = graph.check_gradients(num_samples=num_samples or 10, **settings)
@@ -210,8 +211,6 @@ def check_gradients(
 
 
 def _keys(blocks: Any, names: Any) -> tuple[str, ...]:
-    if not hasattr(blocks, "__len__") or isinstance(blocks, str | bytes):
-        raise InputError(f"blocks: expected a list of arrays, found {brief(blocks)}")
     if names is None:
         return tuple(f"block {b}" for b in range(len(blocks)))
     is_list = isinstance(names, list | tuple) and len(names) == len(blocks)
