@@ -88,6 +88,23 @@ def test_doubt_is_part_of_the_covariance() -> None:
         assert added[6] >= sigmas[1] * 0.075 / np.sqrt(3) - 1e-9
 
 
+@pytest.mark.parametrize("seconds", [1.9, 2.5])
+@pytest.mark.parametrize("sensor", ["gyro", "accel"])
+def test_clipped_samples_keep_their_values_and_rates_their_doubt(sensor, seconds) -> None:
+    """Images measure rotations, too; without forces the scale gets lost."""
+    count = round(200 * seconds)
+    stamps = 5_000_000 * np.arange(2001)
+    rng = np.random.default_rng(0)
+    values = {"gyro": rng.normal(0, 0.1, (2001, 3)), "accel": rng.normal(0, 1.0, (2001, 3))}
+    values[sensor][700 : 700 + count, 1] += 20.0
+    values[sensor] = np.minimum(values[sensor], 8.0)
+    slices = ImuSlices(stamps, values["gyro"], values["accel"], "zero_order_hold")
+    inside = slices.between(int(stamps[720]), int(stamps[760]))
+    np.testing.assert_array_equal(getattr(inside, sensor), values[sensor][720:760])
+    own, other = inside.doubt if sensor == "gyro" else inside.doubt[::-1]
+    assert (own > 0, other) == (sensor == "gyro" or seconds < 2, 0.0)
+
+
 @pytest.mark.parametrize(("seconds", "is_bridged"), [(2.0, True), (2.01, False)])
 def test_a_bad_stretch_is_a_gap_of_its_sensor(seconds: float, is_bridged: bool) -> None:
     rng = np.random.default_rng(0)

@@ -30,7 +30,7 @@ from bundle.inertial.vio.linear_start import ACCEL_BIAS_SIGMA
 from bundle.inertial.vio.sequence_images import SequenceImages
 from bundle.interface.finding import Finding
 from bundle.model.sequence.sequence import Recording, Sequence
-from bundle.model.sequence.sequence_findings import SequenceFinding, bad_stretches, is_bridged
+from bundle.model.sequence.sequence_findings import SequenceFinding, bad_stretches, is_short
 
 FEW, MANY = 40, 200  # pairs of images
 SUSPICIOUS = 0.3  # share of the rotation that the gyroscope does not explain; 0.2 if clean
@@ -114,7 +114,7 @@ def _reversed(recording: Recording, signs: Signs, is_problem: bool) -> Finding:
 def _measures(sequence: Sequence) -> bool:
     """Return False if a sensor stops for longer than can be bridged: this explains everything."""
     stretches = bad_stretches(sequence.gyro, sequence.accel)
-    return all(is_bridged(each, sequence.imu_timestamps_ns) for each in stretches)
+    return all(is_short(each, sequence.imu_timestamps_ns) for each in stretches)
 
 
 def _constant_axes(recording: Recording) -> tuple[Finding, ...]:

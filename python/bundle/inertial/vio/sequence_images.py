@@ -8,8 +8,8 @@ of their standard deviation around the gap (twice its length on each side). A ga
 uncertainty of s T to a rotation and of s T to a velocity.
 
 Without its bad samples (:mod:`bundle.model.sequence.sequence_findings`) a sensor has a gap, too.
-For a spike, s is at least its size, in case it was a real impact. Longer stretches of bad samples
-than two seconds are kept.
+For a spike, s is at least its size: it may be an impact. Clipped samples keep their values. So do
+stretches of more than two seconds, without an uncertainty unless they are clipped rates.
 """
 
 from __future__ import annotations

@@ -304,9 +304,14 @@ def bad_stretches(gyro: Array, accel: Array) -> tuple[BadStretch, ...]:
     return tuple(sorted(found, key=lambda each: (each.first, each.sensor)))
 
 
-def is_bridged(stretch: BadStretch, stamps: NDArray[np.int64]) -> bool:
-    """Return True if a stretch is short enough to be bridged."""
+def is_short(stretch: BadStretch, stamps: NDArray[np.int64]) -> bool:
+    """Return True if a stretch is short enough to be bridged whatever it contains."""
     return float(stamps[stretch.last] - stamps[stretch.first]) <= 1e9 * LONGEST_BRIDGE
+
+
+def is_bridged(stretch: BadStretch, stamps: NDArray[np.int64]) -> bool:
+    """Return True for a short stretch, and for clipped rates, which images measure, too."""
+    return (stretch.kind, stretch.sensor) == ("saturated", "gyro") or is_short(stretch, stamps)
 
 
 def _runs(flags: Array) -> Array:
