@@ -206,13 +206,15 @@ def standardized_errors(problem: Problem, errors: _Floats, given: tuple[Any, Any
     """Return (n,) standardized errors [px]; ``errors`` (n,) where the leverage is unknown.
 
     The residual along an eigenvector u of the leverages h (``core/covariance/reliability.h``) has
-    the deviation sqrt(1 - h) sigma (W. Baarda, 1968). ``given``: arguments of the core.
+    the deviation sqrt(1 - h) sigma (W. Baarda, 1968). NaN: no direction is checkable, with 1 - h
+    of at least 0.02. ``given``: arguments of the core.
     """
     out = _core.reliability(problem, *given, NOT_CHECKABLE, 0, False)
     known = out["weights"] > 0
     h, directions = np.linalg.eigh(out["leverages"][known][:, [[0, 1], [1, 2]]])
     along = np.einsum("nji,nj->ni", directions, out["residuals"][known])  # sqrt(w) u^T r / sigma
-    squares = (along**2 / np.where(1 - h < NOT_CHECKABLE, np.inf, 1 - h)).sum(axis=1)
+    own = along**2 / np.where(1 - h < NOT_CHECKABLE, np.nan, 1 - h)
+    squares = np.where(np.isnan(own).all(axis=1), np.nan, np.nansum(own, axis=1))
     sigma = 1.0 if problem.observation_sigma is None else problem.observation_sigma[known]
     found = errors.copy()
     found[known] = sigma * np.sqrt(squares / out["weights"][known])

@@ -10,7 +10,9 @@ import bundle
 from bundle.cli.main import command_parser
 from bundle.interface.finding import Finding
 from bundle.judging.findings import find as find_module
+from bundle.judging.findings import measured as measured_module
 from bundle.judging.findings.find import find
+from bundle.judging.findings.measured import Measured
 from bundle.judging.findings.next_command import NextCommand
 from bundle.judging.findings.outliers import outliers
 from tests.campaigns.findings import judge, make
@@ -145,6 +147,7 @@ def judged(errors, *, loss="cauchy", loss_scale=1.0, scale=1.0, sigma=None, robu
         problem=SimpleNamespace(observation_sigma=sigma),
         command=NextCommand(),
     )
+    measured.standardized = measured
     return outliers(measured, None if robust is None else SimpleNamespace(scale=robust))
 
 
@@ -167,6 +170,44 @@ def test_limits_of_the_test(far, others, is_found):
         share = np.sum(np.square(far)) / np.sum(np.square([*far, *others]))
         assert found.evidence["cost_share"] == pytest.approx(share)
         assert found.evidence["num_outliers"] == 3
+
+
+def test_outliers_that_the_model_absorbs_are_found_by_standardized_errors():
+    tight = {"function_tolerance": 1e-10, "num_threads": 1}
+    made = bundle.synthesize(scene="orbit", num_images=8, num_points=120, pixel_noise=0.5, seed=1)
+    clean = bundle.solve(made.problem, **tight).problem
+    before = bundle.reliability(clean)
+    order = np.argsort(np.abs(before.least_redundancy - 0.2))
+    first = np.unique(clean.observation_point[order], return_index=True)[1]
+    rows = order[np.sort(first)[:3]]  # of different points
+    xy = clean.observation_xy.copy()
+    xy[rows] += 14 * before.weakest_direction[rows]
+    problem = bundle.solve(clean.replace(observation_xy=xy), **tight).problem
+    measured = Measured(whole=problem, command=NextCommand())
+    tested = measured.standardized
+    assert (tested.errors[rows] > 6 * tested.local_scale[rows]).all()
+    assert not (measured.errors > 6 * measured.local_scale)[rows].any()
+    known = bundle.reliability(problem).least_redundancy >= 0.02
+    assert tested.counted[known].all()
+    found = outliers(measured)
+    assert found.evidence["num_outliers"] >= 3
+    counted = measured.errors[tested.counted]
+    assert found.evidence["rmse"] == pytest.approx(np.sqrt((counted**2).mean()))
+    assert outliers(Measured(whole=clean, command=NextCommand())) is None
+
+
+def test_errors_without_a_redundancy_stay_as_they_are(monkeypatch, scene):
+    count = Measured(whole=scene.problem, command=NextCommand()).work
+    assert count == scene.problem.num_observations + 20 * scene.problem.num_images**2
+    for limit, is_large in ((count, False), (count - 1, True)):
+        monkeypatch.setattr(measured_module, "CHEAP_COVARIANCE", limit)
+        measured = Measured(whole=scene.problem, command=NextCommand())
+        assert (measured.standardized is measured) == is_large
+    monkeypatch.undo()
+    apart = (scene.problem.observation_image < 6) == (scene.problem.observation_point < 400)
+    pieces = scene.problem.select(observations=apart).problem
+    measured = Measured(whole=pieces, command=NextCommand())
+    np.testing.assert_array_equal(measured.standardized.errors, measured.errors)
 
 
 @pytest.mark.parametrize("loss", ["trivial", "huber", "soft_l1"])

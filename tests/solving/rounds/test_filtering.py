@@ -268,6 +268,7 @@ def dense_standardized(problem, loss="trivial", loss_scale=1.0):
     values, vectors = np.linalg.eigh(blocks)
     along = np.einsum("nji,nj->ni", vectors, dense.residual.reshape(-1, 2))
     squares = np.where(values >= 0.02, along**2 / np.maximum(values, 1e-9), 0).sum(axis=1)
+    squares[values.max(axis=1) < 0.02] = np.nan
     sigma = 1.0 if problem.observation_sigma is None else problem.observation_sigma
     return sigma * np.sqrt(squares / dense.rho_prime)
 
@@ -311,10 +312,29 @@ def test_a_standardized_filter_removes_the_largest_error_of_each_point(uneven, m
 
 def test_errors_that_do_not_exist_are_removed_with_those_beyond_the_noise(uneven):
     errors = np.full(uneven.num_observations, 0.1)
-    errors[[3, 40]] = np.nan, 30.0
-    found = _of_suspects(uneven, errors)
+    tested = errors.copy()
+    errors[3] = np.nan
+    tested[[3, 4, 40]] = np.nan, np.nan, 30.0  # nothing checks the second
+    found = _of_suspects(uneven, errors, tested)
     assert np.isnan(found[3]) and found[40] == 30.0
     assert not np.delete(found, [3, 40]).any()
+
+
+def test_an_observation_that_nothing_checks_stays(uneven):
+    """An image with three observations, whose pose absorbs all their errors."""
+    rows = np.flatnonzero(uneven.observation_image == 2)
+    keep = np.ones(uneven.num_observations, bool)
+    keep[rows[3:]] = False
+    loose = scenes.with_observations(uneven.replace(observation_sigma=None), keep)
+    loose = bundle.solve(loose, function_tolerance=1e-12).problem
+    layout = lay_out(loose, bundle.SolveOptions(), ())
+    errors, _ = bundle.reprojection_errors(loose)
+    given = layout.options.asdict(), layout.limits, layout.core_factors()
+    found = standardized_errors(loose, errors, given)
+    np.testing.assert_array_equal(np.isnan(found), loose.observation_image == 2)
+    settings = {"max_error": 1e-3, "min_angle": 0, "min_track_length": 0}
+    kept = bundle.filter_observations(loose, **settings, standardized=True).observation_mask
+    assert kept[loose.observation_image == 2].all() and not kept.all()
 
 
 def test_errors_of_a_solution_that_is_not_determined_are_not_standardized(uneven):

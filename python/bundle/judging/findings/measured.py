@@ -11,6 +11,7 @@ power: each test requires size and significance.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -21,10 +22,12 @@ from numpy.typing import NDArray
 import bundle._core as _core
 from bundle.base.arrays import median
 from bundle.base.records import dataclass
+from bundle.errors import InputError
 from bundle.interface.options import SolveOptions
 from bundle.judging.findings.next_command import NextCommand
 from bundle.model.problem import Problem
-from bundle.model.reprojection import RAYLEIGH_MEDIAN, Residuals, residuals
+from bundle.model.reprojection import RAYLEIGH_MEDIAN, Residuals, residuals, standardized_errors
+from bundle.solving.layout import lay_out
 
 if TYPE_CHECKING:
     from bundle.georeference.point_check import SurveyChecks
@@ -95,13 +98,13 @@ class Measured:
     @property
     def counted(self) -> NDArray[np.bool_]:
         """(n,) True for observations that count."""
-        return self._residuals.counted
+        return ~np.isnan(self.errors)
 
     @cached_property
     def errors(self) -> Floats:
         """(n,) lengths of the residuals [px]; NaN where an observation is ignored."""
         with np.errstate(over="ignore", invalid="ignore"):
-            return np.where(self.counted, np.hypot(*self.residuals.T), np.nan)
+            return np.where(self._residuals.counted, np.hypot(*self.residuals.T), np.nan)
 
     @cached_property
     def scale(self) -> float:
@@ -113,6 +116,20 @@ class Measured:
     def image_scale(self) -> Floats:
         """(num_images,) scale of each image; NaN with fewer than 30 observations."""
         return self._scales(self.problem.observation_image, self.problem.num_images)
+
+    @cached_property
+    def standardized(self) -> Measured:
+        """This model with standardized errors, which count where the redundancy is at least 0.02.
+
+        Itself if the model is large. Raw errors if observations leave unknowns undetermined.
+        """
+        if self.work > CHEAP_COVARIANCE:
+            return self
+        found, used = replace(self), lay_out(self.problem, self.options.replace(num_threads=1), ())
+        given = used.options.asdict(), used.limits, used.core_factors()
+        with suppress(InputError):  # without full rank, no redundancy is known
+            vars(found)["errors"] = standardized_errors(self.problem, self.errors, given)
+        return found
 
     @cached_property
     def local_scale(self) -> Floats:
@@ -146,17 +163,20 @@ class Measured:
         spoiled[point[self.is_outlier]] = True
         return ~spoiled[point]
 
+    @property
+    def work(self) -> int:
+        """Work of a covariance, in the unit of CHEAP_COVARIANCE."""
+        return self.whole.num_observations + 20 * self.whole.num_images**2
+
     @cached_property
     def known_lens_sigmas(self) -> tuple[NDArray[np.float64], float] | None:
         """Sigmas of the intrinsics and sigma0, computed here if that takes milliseconds."""
         whole = self.whole
-        work = whole.num_observations + 20 * whole.num_images**2
-        if self.lens_sigmas is not None or work > CHEAP_COVARIANCE:
+        if self.lens_sigmas is not None or self.work > CHEAP_COVARIANCE:
             return self.lens_sigmas
         if "focal" not in self.options.refine:
             return None
         from bundle.analysis.uncertainty.covariance_by_input import intrinsics_covariance
-        from bundle.errors import InputError
 
         try:
             options = self.options.replace(num_threads=1)

@@ -1,9 +1,10 @@
 """Outliers: observations that do not belong to their points.
 
-Test. Errors are divided by the local noise, the scale of their surroundings (measured.py). Gaussian
-noise exceeds 6 scales once in 65 million observations. Real keypoints have heavier tails. These
-alone do no harm: an outlier matters by its share of the cost, which least squares minimises. With a
-share q of the cost beyond 6 scales, the RMSE is larger by 1 / sqrt(1 - q).
+Test. Errors are standardized (the model absorbs a part of each, by its leverage) and divided by the
+local noise, the scale of their surroundings (measured.py). Gaussian noise exceeds 6 scales once in
+65 million observations. Real keypoints have heavier tails. These alone do no harm: an outlier
+matters by its share of the cost, which least squares minimises. With a share q of the cost beyond 6
+scales, the RMSE is larger by 1 / sqrt(1 - q).
 
 Threshold. At least 3 observations, and q >= 0.2: RMSE inflated by 12 % or more.
 
@@ -25,12 +26,10 @@ squares at c = 1 px, and to 0.58 at c = 2.4 times the noise.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bundle.base.arrays import median
 from bundle.base.words import number, plural
 from bundle.interface.finding import Finding
-from bundle.interface.options import SolveOptions
 from bundle.judging.findings.measured import Measured
 from bundle.model.losses import evaluate_loss
 
@@ -46,12 +45,13 @@ FEWEST_OBSERVATIONS = 30
 
 def outliers(measured: Measured, robust: Measured | None = None) -> Finding | None:
     """Return the finding about outliers, or None; ``robust`` is the model after a robust solve."""
-    known = measured.counted
+    tested = measured.standardized
+    known = tested.counted
     count = int(known.sum())
     if count < FEWEST_OBSERVATIONS:
         return None
-    errors, scales = measured.errors[known], measured.local_scale[known]
-    far = errors > BEYOND * scales
+    errors = measured.errors[known]
+    far = (tested.errors > BEYOND * tested.local_scale)[known]
     with np.errstate(over="ignore", invalid="ignore"):
         squares = errors**2
         share = float(squares[far].sum() / squares.sum()) if far.any() else 0.0
@@ -64,7 +64,9 @@ def outliers(measured: Measured, robust: Measured | None = None) -> Finding | No
     sigma = measured.problem.observation_sigma
     sigmas = np.ones(count) if sigma is None else sigma[known]
     if options.loss in BOUNDED:
-        pull = _share_of_influence(errors / sigmas, far, options)
+        whitened = np.minimum(errors / sigmas, 1e150) ** 2
+        influence = whitened * evaluate_loss(options.loss, options.loss_scale, whitened)[:, 1] ** 2
+        pull = float(influence[far].sum() / max(influence.sum(), 1e-300))
         scale = EFFICIENT * measured.scale / median(sigmas)
         if not pull >= SHARE or options.loss_scale <= scale:
             return None
@@ -92,12 +94,3 @@ def outliers(measured: Measured, robust: Measured | None = None) -> Finding | No
             "rmse_without": float(np.sqrt(squares[~far].mean())),
         },
     )
-
-
-def _share_of_influence(
-    errors: NDArray[np.float64], far: NDArray[np.bool_], options: SolveOptions
-) -> float:
-    """Return the share of some errors [sigmas] in the sum of psi^2."""
-    squares = np.minimum(errors, 1e150) ** 2
-    influence = squares * evaluate_loss(options.loss, options.loss_scale, squares)[:, 1] ** 2
-    return float(influence[far].sum() / max(influence.sum(), 1e-300))

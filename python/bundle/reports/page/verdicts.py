@@ -5,7 +5,7 @@ two limits; "problem" beyond the second. Limits:
 
 * error: the median reprojection error, 1.5 and 4 px. Least squares on keypoints of good images
   leaves 0.3 to 1 px. Medians tolerate outliers, which have a line of their own.
-* outliers: the share of observations beyond 5 times the noise of their surroundings, 5 and 20 %.
+* outliers: the share of standardized errors above 5 times the local noise, 5 and 20 %.
 * lens: the share of image cells with a significant mean residual, 20 and 60 %, where 1 % is
   expected, if these means are also larger than 0.3 times the noise. Smaller ones do no harm.
 * focal length: its median standard deviation, 1 and 10 %.
@@ -170,14 +170,14 @@ def _held_out(given: Judged) -> Verdict | None:
 
 
 def _outliers(given: Judged) -> Verdict | None:
-    far, counted = given.measured.is_outlier, given.measured.counted
+    tested, counted = given.measured.standardized, given.measured.counted
     if not counted.any():
         return None
-    share = float(far[counted].mean())
-    words = f"{_share(share)} beyond 5 sigmas"
+    far = tested.is_outlier & tested.counted
+    words = f"{_share(float(far[counted].mean()))} beyond 5 sigmas"
     without = int((~counted).sum())
     words += f", {without:,} without a value" if without else ""
-    return Verdict("Outliers", _mark(float(far.mean()), 0.05, 0.2), words)
+    return Verdict("Outliers", _mark(float((far | ~counted).mean()), 0.05, 0.2), words)
 
 
 def _worst(given: Judged) -> Verdict | None:

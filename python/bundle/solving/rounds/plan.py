@@ -171,7 +171,7 @@ def filter_adjusted(
         used = layout()
         given = used.options.asdict(), used.limits, used.core_factors()
         with suppress(InputError):  # without full rank, no redundancy is known
-            errors = _of_suspects(problem, standardized_errors(problem, errors, given))
+            errors = _of_suspects(problem, errors, standardized_errors(problem, errors, given))
     good = (errors <= limits.max_error) & ~behind  # false for nan
     if tracks.any():
         good |= tracks[problem.observation_point]
@@ -205,13 +205,16 @@ def _filtered(problem: Problem, good: _Mask, limits: RoundOptions, always: _Mask
     )
 
 
-def _of_suspects(problem: Problem, errors: _Floats) -> _Floats:
-    """Return the largest error of each point, if it exceeds the noise; 0 for all others."""
+def _of_suspects(problem: Problem, errors: _Floats, tested: _Floats) -> _Floats:
+    """Return the largest tested error of each point, if it exceeds the noise; 0 for all others.
+
+    Errors that do not exist stay NaN.
+    """
     largest = np.zeros(problem.num_points)
-    np.fmax.at(largest, problem.observation_point, errors)
-    noise = float(np.nanmedian(errors)) / RAYLEIGH_MEDIAN
-    is_far = (errors >= largest[problem.observation_point]) & (errors > BEYOND * noise)
-    return np.where(is_far | np.isnan(errors), errors, 0.0)
+    np.fmax.at(largest, problem.observation_point, tested)
+    noise = float(np.nanmedian(tested)) / RAYLEIGH_MEDIAN
+    is_far = (tested >= largest[problem.observation_point]) & (tested > BEYOND * noise)
+    return np.where(is_far | np.isnan(errors), tested, 0.0)
 
 
 def _mask_of(name: str, problem: Problem, point_ids: Iterable[int]) -> _Mask:
