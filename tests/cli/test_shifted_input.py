@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 import bundle
+from bundle import InputError
+from bundle.io.formats import nvm
 from bundle.model.reprojection import residuals
 from tests.io.formats import foreign_files as foreign
 from tests.io.formats.foreign_files import small
@@ -30,6 +32,24 @@ def test_pixels_from_the_corner_are_named_with_the_command_that_reads_them(run, 
     assert found["command"].endswith("--pixel-origin corner")
     again = findings(run, path, tmp_path, *size, "--overwrite", "--pixel-origin", "corner")
     assert "shifted_pixels" not in {one["kind"] for one in again}
+
+
+@pytest.mark.parametrize("shift", [0.0, 500.0])
+def test_a_shift_is_named_where_the_format_cannot_hold_the_bent_lenses(
+    run, tmp_path, monkeypatch, shift
+):
+    def write(*_):
+        raise InputError("an NVM file cannot hold them")
+
+    monkeypatch.setattr(nvm, "write", write)
+    problem = exact(make_problem(num_images=6, num_points=60, model="SIMPLE_RADIAL"))
+    moved = problem.replace(observation_xy=problem.observation_xy + np.array([shift, 0.0]))
+    bundle.save(moved, tmp_path / "model", "colmap")
+    code, _, said = run("refine", tmp_path / "model", "-o", tmp_path / "x.nvm", "--quiet")
+    assert code == 2 and said.count("\n") == 1
+    assert ("All pixels are shifted alike" in said) == (shift > 0)
+    assert ("an NVM file cannot hold them" in said) == (shift == 0)
+    assert not (tmp_path / "x.nvm").exists()
 
 
 @pytest.mark.parametrize(("shift", "is_found"), [(9.0, False), (11.0, True)])

@@ -38,10 +38,6 @@ from bundle.solving.request import PartRequest, SolveRequest
 from bundle.solving.rounds.solve_rounds import run as run_plan
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from bundle.cli.refine_input import Opened
-    from bundle.cli.refinement import Refinement
     from bundle.cli.run import Run
     from bundle.georeference.measurements import MeasurementErrors
     from bundle.graphs.loops.loop_closing import LoopClosing
@@ -68,7 +64,12 @@ def run(arguments: argparse.Namespace) -> int:
         waiting = waiting_since(before)
         measured = opened.known.errors(solved)
         begun = perf_counter()
-        written, lost = _write(opened, solved, measured, progress)
+        try:
+            written, lost = _write(opened, solved, measured, progress)
+        except InputError as error:  # of a format that cannot hold a model that a shift has bent
+            for shift in () if opened.sliced else _shifted_input(asked, opened, solved):
+                raise InputError(f"{shift.sentence.rstrip('.')}: `{shift.command}`") from error
+            raise
         save_time = perf_counter() - begun
         statistics_time = _measure(opened, solved, progress)
         findings = judge(asked, opened, solved, inertial, measured)
@@ -276,8 +277,7 @@ def judge(
     )
     if opened.sliced is not None:
         return about_imu
-    shift = _shifted_input(opened, solved, command)
-    if shift:
+    if shift := _shifted_input(asked, opened, solved):
         return one_list(shift, about_imu, broken_parts(solved.problem))
     priors = opened.known.priors
     if not solved.summary.is_solution_usable:
@@ -330,17 +330,17 @@ def _about_control_points(
     return () if found is None else (found,)
 
 
-def _shifted_input(opened: Opened, solved: Result, command: NextCommand) -> tuple[Finding, ...]:
+def _shifted_input(asked: Refinement, opened: Opened, solved: Result) -> tuple[Finding, ...]:
     """Return the finding about pixels of the input that all have the same shift, or None.
 
     A refined principal point absorbs a shift without a bend. The RMSE is at least as large as the
     shift: a small RMSE excludes a shift at no cost.
     """
-    problem, options = opened.problem, opened.options
+    command = NextCommand(asked.source, asked.target, asked.given)
     is_far = solved.reprojection_error_before.rmse >= SMALLEST_SHIFT
-    if not is_far or "principal_point" in options.refine:
+    if not is_far or "principal_point" in opened.options.refine:
         return ()
-    found = shifted_pixels(Measured(whole=problem, command=command, options=options))
+    found = shifted_pixels(Measured(whole=opened.problem, command=command, options=opened.options))
     return () if found is None else (found,)
 
 

@@ -252,12 +252,10 @@ def _tracks(sequence: Sequence, place: Place, findings: list[SequenceFinding]) -
 #     that is quantised, but not clipped, it is less frequent.
 #
 # spike
-#     A sample far from the median of its neighbours. Distances are relative to the quartiles of
-#     these neighbours, which at most five spikes in a row do not move, and to the whole recording.
-#     Both are below 3 in vibrating and in smooth flights at 50 to 200 Hz.
+#     A sample far from the median of its neighbours, relative to the quartiles of these, which five
+#     spikes in a row do not move, and of the recording: below 3 in flights at 50 to 200 Hz.
 #
-# The sensor did measure something else in this time, so that :class:`ImuSlices` treats a stretch as
-# a gap: its samples are replaced by interpolation, with a larger uncertainty.
+# :class:`ImuSlices` treats a stretch as a gap of its sensor, with a larger uncertainty.
 
 LONGEST_BRIDGE = 2.0  # s; over a longer stretch, depths and with them the scale get lost
 FROZEN_RUN = 5  # usual runs
