@@ -4,7 +4,7 @@ import pytest
 
 from bundle.checking.evidence import Finding
 from bundle.checking.gradient_report import GradientCheckerSummary, Undecided
-from bundle.checking.tally import make_report
+from bundle.checking.tally import make_report, undecided_points
 
 
 def verdict(num_checked, num_undecided, *findings):
@@ -43,3 +43,10 @@ def test_a_verdict_needs_a_decided_point(checked, undecided, expected):
 def test_some_findings_decide_nothing(kind, columns, expected):
     assert verdict(2, 0, Finding(kind, columns, "")) == expected
     assert verdict(2, 0, Finding("unstable", (), ""), Finding(kind, columns, "")) == expected
+
+
+@pytest.mark.parametrize(("count", "named"), [(3, "0; 1; 2)"), (4, "0; 1; 2; ...)")])
+def test_three_undecided_places_are_named(count, named):
+    (entry,) = undecided_points("sample", {"rough": range(count), "no_value": []}, str)
+    assert (entry.count, entry.places) == (count, ("0", "1", "2"))
+    assert entry.sentence.endswith(f"({named}")

@@ -9,7 +9,7 @@ import bundle
 from bundle.checking.evidence import Evidence
 from bundle.checking.jacobian_deviation import JacobianDeviation
 from bundle.checking.residual_blocks import Column
-from bundle.checking.tally import Tally
+from bundle.checking.tally import EDGES, Tally
 
 
 @pytest.mark.parametrize(
@@ -109,6 +109,14 @@ def test_an_entry_is_wrong_or_undecided_but_not_both():
     assert not tally.is_undecided(0), "half of the entries"
     tally.add(deviations([1.0], [0.1], [0.2]), np.arange(1))
     assert tally.num_undecided.tolist() == [3] and tally.is_undecided(0), "three of five"
+
+
+def test_a_histogram_counts_every_entry_with_the_last_bin_for_infinity():
+    tally = Tally([Column("x", "x")], tolerance=0.01)
+    tally.add(deviations([1.0] * 3, [0.0, 3e-9, np.inf], [0.0] * 3), np.arange(3))
+    tally.add(deviations([1.0] * 2, [2e-9, 20.0], [0.0] * 2), np.arange(2))
+    found = {edge: count for edge, count in zip(EDGES, tally.histogram, strict=False) if count}
+    assert found == {0.0: 1, 1e-9: 2, 10.0: 2}
 
 
 def test_a_slope_that_only_tiny_steps_show_is_not_accused():

@@ -53,6 +53,7 @@ def problem_of(**changes):
             "the problem's 4 images, found 3",
         ),
         ({"neighbours": [[0, 4]] * 4}, r"indices from -1 to 3, found \[0, 4\]"),
+        ({"neighbours": [[0, -1]] * 4}, r"two images or twice -1, found \[0, -1\]"),
         ({"frames": [0.0, np.inf, 1, 2]}, "frames"),
         ({"row_time": "late"}, "row_time"),
         ({"camera_sizes": [[640, 0], [640, 480]]}, "camera 0: expected the size of its images"),

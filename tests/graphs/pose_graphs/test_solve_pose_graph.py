@@ -229,6 +229,8 @@ def test_progress_is_told_and_may_stop():
 
     result = bundle.solve(graphs.loop(3, start_noise=0.5), progress=progress)
     assert seen == [0, 1] and result.summary.interrupted
+    with pytest.raises(bundle.InputError, match=r"^progress: "):
+        bundle.solve(graphs.loop(3), progress="bar")
 
 
 @pytest.mark.parametrize(

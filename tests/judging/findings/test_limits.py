@@ -324,3 +324,14 @@ def test_the_decrease_is_compared_with_what_noise_alone_allows():
     found = list(minimum._left(Measured(whole=problem, command=NextCommand())))
     for (left, what, decrease), share in zip(found, (180 / 480, 24 / 480), strict=True):
         assert left == pytest.approx((1 - decrease) / (1 - share)), what
+
+
+def test_the_decrease_is_a_share_of_the_cost():
+    """Two groups of one unknown each: it takes 3 and 4 away, and leaves a 2 across."""
+    residual = np.array([[3.0, 0.0], [4.0, 2.0]])
+    jacobian = np.array([[[1.0], [0.0]], [[1.0], [0.0]]])
+    found = minimum._decrease(residual, jacobian, np.array([0, 1]), np.ones(2))
+    assert found == pytest.approx(25 / 29)
+    doubled = minimum._decrease(2 * residual, jacobian, np.array([0, 1]), np.ones(2))
+    assert doubled == pytest.approx(found)
+    assert minimum._decrease(0 * residual, jacobian, np.array([0, 1]), np.ones(2)) == 0
