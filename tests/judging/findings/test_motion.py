@@ -7,8 +7,11 @@ import numpy as np
 import pytest
 
 import bundle
+from bundle.interface.finding import Finding
+from bundle.judging.findings import find as module
 from bundle.judging.findings import images
 from bundle.judging.findings.find import find
+from bundle.judging.findings.focal_lengths import PRIOR
 from bundle.judging.findings.images import certain_gain, gain_of_shutter
 from bundle.judging.findings.larger_lens import Step
 from bundle.judging.findings.measured import Measured
@@ -121,6 +124,29 @@ def test_a_shutter_has_the_prior_of_a_lens_that_only_a_global_one_determines():
     # No prior at bent focal lengths, if the bent model is the input.
     (bent,) = [one for one in find(problem, is_minimum=True) if one.kind == "motion"]
     assert bent.command.endswith("--rolling-shutter rows")
+
+
+def test_later_commands_have_the_shutter_and_the_prior_beside_it(monkeypatch):
+    scene, problem = solved(62_008, ("motion", "lens_model"))
+    asked, rule = [], "camera 1: f prior 2 %"
+
+    def loose(measured, _, *limit):
+        asked.append((measured.whole, *limit))
+        command = measured.command.refine("--set", rule)
+        return Finding(kind="undetermined_intrinsics", sentence="", command=command)
+
+    monkeypatch.setattr(module, "undetermined_intrinsics", loose)
+    found = {one.kind: one for one in find(problem, start=scene.start, is_minimum=True)}
+    (rolling, limit), (still,) = asked
+    assert rolling.rolling_shutter is not None and limit == PRIOR
+    assert still is problem  # the model without what a shutter leaves open
+    shutter, prior = ["--rolling-shutter", "rows"], ["--set", rule]
+    lens = ["--camera-model", "OPENCV"]
+    assert {kind: shlex.split(one.command)[5:] for kind, one in found.items()} == {
+        "motion": [*shutter, *prior],
+        "lens_model": [*shutter, *prior, *lens],
+        "undetermined_intrinsics": [*shutter, *lens, *prior],
+    }
 
 
 def test_a_lens_that_only_the_shutter_leaves_open_is_no_finding():

@@ -7,7 +7,8 @@ import pytest
 
 import bundle
 from bundle.cli.main import command_parser
-from bundle.interface.finding import one_list
+from bundle.interface.finding import Finding, one_list
+from bundle.judging.findings import find as module
 from bundle.judging.findings.find import IMPORTANCE, find
 from bundle.judging.findings.next_command import NextCommand
 from tests.campaigns.findings import KINDS, judge, make
@@ -147,3 +148,30 @@ def test_a_drift_is_mended_with_the_prior_of_what_is_not_determined():
     assert prior[-2:] == ["--set", "camera 1: f prior 2 %"] and "--gps-sigma-scale" not in prior
     for word in (*prior[-2:], "--loss", "--gps-sigma-scale", "--initial-trust-region-radius"):
         assert drift.count(word) == 1
+
+
+@pytest.mark.parametrize(
+    ("drift", "loose", "expected"),
+    [
+        ("--gps-sigma 1", "--share-cameras all", "--share-cameras all --gps-sigma 1"),
+        ("--gps-sigma 1", "--gps-sigma 9 --set r", "--set r --gps-sigma 1"),  # its own flags count
+        ("", "--share-cameras all", ""),  # the images contradict the drift
+        ("--gps-sigma 1", None, "--gps-sigma 1"),
+    ],
+)
+def test_only_a_drift_with_a_command_gets_what_determines_the_lens(
+    monkeypatch, drift, loose, expected
+):
+    def refine(flags):
+        return f"bundle refine INPUT -o OUTPUT {flags}" if flags else ""
+
+    known = [("scale_drift", drift), ("undetermined_intrinsics", loose)]
+    given = [
+        Finding(kind=kind, sentence="", command=refine(flags))
+        for kind, flags in known
+        if flags is not None
+    ]
+    monkeypatch.setattr(module, "_findings", lambda _: given)
+    found = {one.kind: one.command for one in find(make(SEED, ()).start)}
+    assert found.pop("scale_drift") == refine(expected)
+    assert all(command == refine(loose) for command in found.values())
