@@ -228,7 +228,7 @@ def test_models_that_are_not_tested(monkeypatch, dome):
     assert absorbed_lens(measured(four)).evidence["camera_ids"] == four.camera_ids[:4].tolist()
     monkeypatch.setattr(larger_lens, "_found", lambda *_: "found")
     assert absorbed_lens(measured(five)) is None
-    assert absorbed_lens(measured(five), is_varied=True) == "found"
+    assert absorbed_lens(measured(five), has_hint=True) == "found"
     work = dome.num_observations + 20 * dome.num_images**2
     monkeypatch.setattr(larger_lens, "MOST_WORK", work)
     assert absorbed_lens(measured(dome)) is not None

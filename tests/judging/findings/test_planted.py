@@ -1,6 +1,7 @@
 """Each planted fault is found, alone and beside others; sound scenes have no findings."""
 
 import shlex
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -138,6 +139,32 @@ def test_lenses_are_not_shared_while_the_scale_drifts():
     found = {one.kind: one for one in judge(make(51_025))}
     assert set(found) == {"scale_drift", "shared_lens"}
     assert found["scale_drift"].command and not found["shared_lens"].command
+
+
+def test_a_lens_per_image_whose_term_is_missing_is_found_and_shared():
+    """The field is significant, but less than 1 % of the residuals: positions alone were named."""
+    found = {one.kind: shlex.split(one.command)[5:] for one in judge(make(72_025))}
+    assert set(found) == {"lens_model", "positions", "shared_lens"}
+    lens, share = ["--camera-model", "OPENCV"], ["--share-cameras", "all"]
+    scale = ["--gps-sigma-scale", found["positions"][-1]]
+    assert found == {
+        "lens_model": [*scale, *lens],
+        "positions": [*lens, *scale],
+        "shared_lens": [*scale, *lens, *share],
+    }
+    # The file has 0.0089 m, and the errors are 0.041 m.
+    np.testing.assert_allclose([float(one) for one in scale[1].split("/")], 4.6, rtol=0.25)
+
+
+@pytest.mark.parametrize("is_varied", [True, False])
+@pytest.mark.parametrize("significant", [True, False])
+def test_what_hints_at_a_lens_that_poses_have_absorbed(monkeypatch, is_varied, significant):
+    monkeypatch.setattr(module, "lens_model", lambda *_: None)
+    monkeypatch.setattr(module, "absorbed_lens", lambda _, has_hint: has_hint)
+    monkeypatch.setattr(module, "variation", lambda *_: ({}, {}, is_varied))
+    fields = [SimpleNamespace(significant=one) for one in (False, significant)]
+    hint = module._lens(SimpleNamespace(scale=1.0), None, fields)
+    assert hint == (is_varied or significant)
 
 
 def test_a_drift_is_mended_with_the_prior_of_what_is_not_determined():

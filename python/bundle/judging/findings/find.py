@@ -90,7 +90,8 @@ def find(
 
 def _lens(measured: Measured, fits: ImageFits, fields: Sequence[LensField]) -> Finding | None:
     is_varied = variation(measured.scale, fits, fields)[2]
-    return lens_model(measured, fields) or absorbed_lens(measured, is_varied=is_varied)
+    has_hint = is_varied or any(field.significant for field in fields)
+    return lens_model(measured, fields) or absorbed_lens(measured, has_hint=has_hint)
 
 
 def _repairs(measured: Measured) -> tuple[tuple[str, str], bool]:

@@ -59,15 +59,16 @@ MOST_WORK = 150_000
 Floats = NDArray[np.float64]
 
 
-def absorbed_lens(measured: Measured, *, is_varied: bool = False) -> Finding | None:
+def absorbed_lens(measured: Measured, *, has_hint: bool = False) -> Finding | None:
     """Return the finding about a lens model whose missing term moved the cameras, or None.
 
-    Many lenses are tested if the residuals of their images vary as motion does.
+    Many lenses are tested only with a hint: residuals that vary as motion does, or a field that is
+    small, but significant.
     """
     problem = measured.whole
     names = _extensions(measured)
     has_many = len(distinct(problem.image_camera)) > MOST_LENSES
-    if not is_cheap(problem) or not names or (has_many and not is_varied):
+    if not is_cheap(problem) or not names or (has_many and not has_hint):
         return None
     if not measured.scale > SMALLEST_SCALE:  # exact observations
         return None
