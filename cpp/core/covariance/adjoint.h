@@ -16,9 +16,9 @@
 ///
 /// in the chart of the solver about the problem's values. The differences are second derivatives of
 /// all that the solver differentiates: camera models, rigs, shutters, ties and factors of any kind.
-/// Only J is differenced; r~ is constant, because a difference of residuals would lose digits:
-/// relative to the change by e a, pixels are rounded 1e3 times as coarsely as J. Rows of factors
-/// are weighted by sqrt(rho'), without the correction of the solvers.
+/// Only J is differenced; r~ is constant. A difference of residuals would lose digits, because
+/// rounding errors of pixels, relative to their change by e a, are 1e3 times those of J. Rows of
+/// factors are weighted by sqrt(rho'), without the correction of the solvers.
 ///
 /// Callers solve for a by conjugate gradients with the factor of J~^T J~ (reduced_system.h) as
 /// preconditioner.

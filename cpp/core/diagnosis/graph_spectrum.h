@@ -15,7 +15,7 @@ struct GraphSpectrum {
   double condition_number_unscaled = 0;
 };
 
-/// At the graph's poses, without held ones. `null_directions`: num_poses x d rows by tangent
+/// At the graph's poses, constant ones excluded. `null_directions`: num_poses x d rows by tangent
 /// coordinates, row-major, with `num_null` columns. They are directions that the edges do not
 /// determine, zero at held poses; they are left out, too.
 GraphSpectrum FindGraphSpectrum(const PoseGraph& graph, const double* null_directions, int num_null,

@@ -10,8 +10,8 @@
 namespace bundle {
 
 /// Removes as many pose numbers from `free` as there are motions that change no image
-/// (gauge_count.h), so that no such motion remains. Returns a message if some motions remain
-/// because they move no free number. Returns "" otherwise, and also if no pose is free.
+/// (gauge_count.h), so that no such motion remains. Returns a message if a motion remains that
+/// no free number can fix. Returns "" otherwise, and also if no pose is free.
 std::string HoldFreeMotions(const AdjustmentProblem& problem, FreeParameters* free);
 
 }  // namespace bundle

@@ -10,7 +10,7 @@ class Communicator;
 class ThreadPool;
 
 /// Cuts the points of a sorted plan into chunks with their tiles, and writes the entries of its
-/// observations. The chunks end with sections if `in_sections`. They do not depend on the number of
+/// observations. `in_sections`: no chunk crosses a section. Chunks do not depend on the number of
 /// threads. `communicator`: the ranks whose plans together cover the problem; nullptr: this plan.
 void CutIntoChunks(const ImageParts& parts, const PointSizes& sizes, bool in_sections,
                    Communicator* communicator, ThreadPool* pool, EliminationPlan* plan);

@@ -18,8 +18,8 @@ unit:
 
 No entry is judged more exactly than its numerical derivative: U_ij holds the rounding of the row's
 own values and the truncation of the differences. Where u_i d_j is below U_ij / t, a deviation up to
-2 U_ij is right. No entry is judged more leniently than by c_j. So a row that is zero, constant or
-noise has the unit 1, and its uncertainty is relative to c_j.
+2 U_ij is right. s_ij is at most c_j, so a row that is zero, constant or noise has the unit 1, and
+its uncertainty is relative to c_j.
 """
 
 from __future__ import annotations

@@ -19,7 +19,7 @@ Name = str | Callable[..., Any]
 
 
 class Row:
-    """Record whose fields and defaults are those of its class; a dataclass starts more slowly."""
+    """Record with the fields and defaults of its class; a dataclass would slow down the start."""
 
     def __init__(self, **given: Any) -> None:
         if unknown := given.keys() - type(self).__annotations__.keys():

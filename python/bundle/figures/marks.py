@@ -132,8 +132,8 @@ class Cells:
 class Vectors:
     """Lines from (n, 2) points by (n, 2) steps, drawn at their given length.
 
-    Lines that are not bold are grey; None: all are bold. ``cells`` has the cell of each line, row
-    by row, of a grid of rows and columns with titles. Opacity holds for lines without cells.
+    Lines with False in ``bold`` are grey; None: all are bold. ``cells`` has the cell of each line,
+    row by row, of a grid of rows and columns with titles. Opacity holds for lines without cells.
     """
 
     at: Array

@@ -312,7 +312,7 @@ def plain_metres(value: float) -> str:
 
 
 def _detectable(point: ControlPointError) -> str:
-    """Return the size of an error that a test finds; "-" if no test can."""
+    """Return the minimal detectable error; "-" if the redundancy is too small for a test."""
     return plain_metres(point.detectable) if point.redundancy >= LEAST_REDUNDANCY else "-"
 
 

@@ -311,7 +311,7 @@ ROWS = [
 
 
 def options_class() -> type[GeoreferenceOptions]:
-    """Return the class of the options of all kinds."""
+    """Return one class with the options of all kinds of measurements."""
     return _with(tuple(dict.fromkeys(row.options for row in ROWS if row.options is not None)))
 
 

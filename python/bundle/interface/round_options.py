@@ -80,10 +80,9 @@ class RoundOptions(Options):
     database: str | None = option(
         None,
         "--database",
-        "complete, merge and triangulate tracks before each round after the first, with the "
-        "verified matches of this COLMAP database, which has the images and keypoints of INPUT and "
-        f"is only read; by default at most {NUM_TRACK_ROUNDS} rounds (--rounds), and "
-        f"{DEFAULT_SHARE:g} % held out (--hold-out)",
+        "complete, merge and triangulate tracks before each further round, with the verified "
+        "matches of this COLMAP database, which is not changed; it needs the images and keypoints "
+        f"of INPUT. Defaults are then --rounds {NUM_TRACK_ROUNDS} and --hold-out {DEFAULT_SHARE:g}",
         metavar="FILE",
         value="path",
         use=22,

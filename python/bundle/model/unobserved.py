@@ -41,7 +41,7 @@ class PointOptions(Protocol):
 
     @property
     def fixed_point_ids(self) -> Collection[int]:
-        """Ids of the points that are held."""
+        """Ids of constant points."""
 
 
 def are_images_unrelated(problem: ProblemArrays, options: PointOptions) -> bool:

@@ -138,7 +138,7 @@ class MeasuredResult(RoundRecords, SolveRecord):  # the first table: iterations
 
     @cached_property
     def rmse_global_shutters(self) -> float:
-        """RMSE in pixels at the input, after all edits, if all shutters were global."""
+        """RMSE in pixels of the edited input if all shutters were global."""
         return self._measure(self.initial_problem.replace(rolling_shutter=None)).rmse
 
     @cached_property

@@ -39,7 +39,7 @@ def null_modes(
     collapsed: tuple[CollapsedCluster, ...],
     counts: EquationCounts,
 ) -> list[WeakMode]:
-    """Return the deficiencies of null directions beyond the gauge, (num_unknowns, count)."""
+    """Return the modes of null ``directions`` (num_unknowns, count) that are not gauge."""
     modes = list(_unseen(unknowns, tracks))
     for rows in _blocks(unknowns, directions):
         own = directions[rows]

@@ -13,8 +13,8 @@ integrals of the turned force, Q_k and W_k their derivatives by the acceleromete
     s c_k + l_k = p_0 + v_0 t + 1/2 g t^2 + P_k + Q_k a,        v_k = v_0 + g t + V_k + W_k a.
 
 The first equation is linear in s, g, a and the p_0 and v_0 of every segment, which are eliminated
-from each segment by a QR factorisation. A prior keeps a near 0, which short segments confuse with
-g. Then g is moved on its sphere by two coordinates (Mur-Artal and Tardos, "Visual-inertial
+from each segment by a QR factorisation. Short segments cannot tell a from g, so a prior keeps a
+near 0. Then g is moved on its sphere by two coordinates (Mur-Artal and Tardos, "Visual-inertial
 monocular SLAM with map reuse", 2017, solve for the same unknowns from three consecutive images at a
 time, which amplifies the noise of the images).
 """

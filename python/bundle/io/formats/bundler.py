@@ -210,7 +210,7 @@ def _registered(
 
 
 def check(problem: Problem, path: Path) -> None:
-    """Raise the error that :func:`write` would raise, also for the list.txt of another model.
+    """Raise the error of :func:`write`; also if the list.txt there belongs to another model.
 
     Raises:
         InputError: a camera, a name or the folder cannot be written.
@@ -220,7 +220,7 @@ def check(problem: Problem, path: Path) -> None:
     listed = path.parent / LIST
     if any(problem.image_names) and listed.exists() and not path.exists():
         raise InputError(
-            f"{shown(path)}: expected a folder without {LIST}, which has the names of the images, "
+            f"{shown(path)}: expected a folder without {LIST}, the image names of another model, "
             f"found {shown(listed)}"
         )
 

@@ -205,7 +205,7 @@ def _described(one: Problem | PoseTable) -> dict[str, Any]:
 def _directions(
     tables: Sequence[PoseTable], options: EvaluateOptions, words: list[str]
 ) -> dict[str, str]:
-    """Return commands that read A or B as inverse poses; "" for a format with one direction."""
+    """Return commands that read A or B as inverse poses; "" if the format fixes the direction."""
     given = (options.input_pose_direction, options.pose_direction)
     flags = ("--input-pose-direction", "--pose-direction")
     commands = {}

@@ -21,9 +21,9 @@ together. With the covariance C of all of them, the contrasts D theta to the fir
 
 chi^2 of d = (m - 1) q degrees of freedom if the cameras have one lens with q parameters. Blocks of
 C are not sufficient: neighbours see the same points, so their errors are correlated, and f absorbs
-a difference of distortion. Significance is not the question: lenses that differ a little cost less
-than the certainty that a lens per image takes away. On 1000 seeded flights and orbits, positions
-had the least error with one lens below T = 4 d and with own lenses above. Below 2 d the finding
+a difference of distortion. Significance alone does not decide: one lens for lenses that differ a
+little costs less accuracy than a lens per image. On 1000 seeded flights and orbits, one lens gave
+the smaller error of positions where T < 4 d, a lens per image where T > 4 d. Below 2 d the finding
 advises to share the lens; up to 4 d it reports a difference and advises held-out observations. Own
 lenses that are not determined, or that drift by half of the limit below, are not compared.
 

@@ -1,9 +1,9 @@
 r"""Measured gravity, orientations and headings that contradict most others of their kind.
 
-The model is first turned to the measurements, robustly, and the robust mean of each kind is
-removed: a few wrong measurements, which pull the model, are found nevertheless, and a model that
-was not turned yet gives no finding. The length a_i of the remaining turn in its sigmas has a chi
-distribution with k = 1, 2 or 3 degrees of freedom.
+A robust fit first turns the model to the measurements and removes the mean of each kind. So it
+finds a few wrong measurements although they pull the model, and a model that is not aligned yet
+gives no finding. The length a_i of the remaining turn in its sigmas has a chi distribution with
+k = 1, 2 or 3 degrees of freedom.
 
 Single images. a_i is above max(1, ratio) times the quantile that the largest of n good ones exceeds
 with a probability of 0.1 %, and above 1 degree, in less than half of the images. The ratio is the

@@ -402,7 +402,7 @@ def _notes(records: Sequence[ValidatedCandidate], decision: Decision) -> list[st
     notes = [f"{one.name}: cannot start: {one.error}" for one in records if one.error]
     loose = [one.name for one in records if not one.error and not one.is_converged]
     if loose:
-        notes.append(f"not converged in every fold: {'; '.join(loose)}")
+        notes.append(f"not converged in some folds: {'; '.join(loose)}")
     usable = [k for k, one in enumerate(records) if np.isfinite(one.bic)]
     if usable:
         by_bic = min(usable, key=lambda k: records[k].bic)

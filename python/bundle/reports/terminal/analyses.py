@@ -284,7 +284,7 @@ _PERCENT = "{:.0%}".format
 
 
 def _unnoticed(given: Any, found: Reliability) -> list[Section]:
-    """Return the tables of errors that would go unnoticed, and of what nothing checks."""
+    """Return the tables of minimal detectable errors and of redundancies."""
     from bundle.figures.residual_figures import redundancy_figure  # with --reliability only
 
     names = {

@@ -12,9 +12,9 @@ RESIDENT_BYTES = 1 << 30
 def scratch_bytes(num_observations: int, num_points: int) -> float:
     """Return the bytes on disk during a solve with tracks of one length.
 
-    The files hold, for each observation, two copies of its pixels and of its image, its point and
-    its places in chunk and tile; 4 bytes for each pair of observations of a point. For each point:
-    the input, two states, scales, places (cpp/core/schur/elimination_plan.h).
+    For each observation, the files hold its pixels and its image twice, its point, and its places
+    in chunk and tile. For each point: the input, two states, scales and places. For each pair of
+    observations of a point: 4 bytes (cpp/core/schur/elimination_plan.h).
     """
     length = num_observations / max(num_points, 1)
     pairs = 4 * max(length - 1, 0) / 2
