@@ -62,8 +62,7 @@ void ExpectScatter(const PointAssembler& assembler, double variance, const doubl
 /// `variance`: s^2.
 BlockValues SumMeat(const ReducedSystem& system, double variance, ScatterGauge* gauge);
 
-/// Returns D at the blocks of S, for a factorised system; the D' of scatter_gauge.h, unless `gauge`
-/// is nullptr.
+/// Returns D at the blocks of S, for a factorised system; with `gauge`, the D' of scatter_gauge.h.
 LinearSolution SolveForScatter(ReducedSystem* system, const BlockValues& meat,
                                const ScatterGauge* gauge, BlockValues* scatter);
 

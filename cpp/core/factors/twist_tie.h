@@ -28,7 +28,7 @@
 /// of both poses (factors/reprojection.h: d is R^T J_l dw, R^T dt) and by rho are a `TwistMap`.
 ///
 /// A similarity of the world with scale c multiplies v, the translation of xi and their difference
-/// by c: ties lower their cost by a smaller scene. Something else must hold the scale.
+/// by c: ties alone would shrink the scene. Something else must determine the scale.
 
 #include "core/factors/factor.h"
 #include "core/factors/reprojection.h"

@@ -64,8 +64,8 @@ class Agreement(NamedTuple):
     ) -> Agreement:
         """Return the agreement.
 
-        ``costs`` are those of motions, then walks and first prior of each bias; ``alone`` is C_0
-        and the variance factor of the images alone.
+        ``costs``: of all motions, then for each bias of its walks and its first prior; ``alone``:
+        C_0 and the variance factor, both of the images alone.
         """
         motions, gyro, accel = (costs[first : first + count] for first in (0, count, 2 * count + 1))
         intervals = 2 * (motions + gyro + accel)

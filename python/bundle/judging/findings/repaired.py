@@ -3,8 +3,8 @@
 One fault causes symptoms of others. Outliers of a least-squares fit bend cameras, a lens model that
 is too small makes focal lengths differ, a rolling shutter bends, wrong positions pull images away.
 So the tests run in stages. If a stage finds a fault, the model is solved again from its present
-values as the command of the finding says (a cauchy loss, a larger lens model, a rolling shutter, no
-positions), and the next stage looks at that model. It reports faults of the original only. If the
+values with the remedy of the finding: a cauchy loss, a larger lens model, a rolling shutter, or no
+positions. The next stage looks at that model. It reports faults of the original only. If the
 robust solve does not converge, the fault has destroyed the model, and no later stage can be
 trusted. That of a larger lens or a shutter begins at a minimum; a few steps are enough. Later
 stages need only large changes, so both solves may end at a cost that is 1e-4 too high. This takes a
