@@ -199,11 +199,12 @@ def test_outliers_that_the_model_absorbs_are_found_by_standardized_errors():
 def test_errors_without_a_redundancy_stay_as_they_are(monkeypatch, scene):
     count = Measured(whole=scene.problem, command=NextCommand()).work
     assert count == scene.problem.num_observations + 20 * scene.problem.num_images**2
-    for limit, is_large in ((count, False), (count - 1, True)):
-        monkeypatch.setattr(measured_module, "CHEAP_COVARIANCE", limit)
-        measured = Measured(whole=scene.problem, command=NextCommand())
-        assert (measured.standardized is measured) == is_large
-    monkeypatch.undo()
+    for name, sigmas in (("CHEAP_ERRORS", None), ("CHEAP_COVARIANCE", (np.zeros((0, 0)), 1.0))):
+        for limit, is_large in ((count, False), (count - 1, True)):
+            monkeypatch.setattr(measured_module, name, limit)
+            measured = Measured(whole=scene.problem, command=NextCommand(), lens_sigmas=sigmas)
+            assert (measured.standardized is measured) == is_large
+        monkeypatch.undo()
     apart = (scene.problem.observation_image < 6) == (scene.problem.observation_point < 400)
     pieces = scene.problem.select(observations=apart).problem
     measured = Measured(whole=pieces, command=NextCommand())

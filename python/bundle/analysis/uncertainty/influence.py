@@ -24,7 +24,7 @@ from bundle.analysis.uncertainty.covariance_by_input import (
     request_at,
 )
 from bundle.analysis.uncertainty.quantity import Quantity, lacking, quantity_of
-from bundle.analysis.uncertainty.reliability import directions_of, notes_of
+from bundle.analysis.uncertainty.reliability import notes_of
 from bundle.base.arrays import FrozenArrays, filled, freeze
 from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
@@ -36,6 +36,7 @@ from bundle.interface.option_fields import choice
 from bundle.interface.options import SolveOptions
 from bundle.interface.tabular import Tabular
 from bundle.io.files import Source
+from bundle.model.reprojection import directions_of
 from bundle.solving.prepare import Prepared, prepare
 from bundle.solving.request import SolveRequest
 from bundle.solving.result import Result

@@ -56,6 +56,7 @@ from bundle.interface.option_fields import choice
 from bundle.interface.options import SolveOptions
 from bundle.io.files import Source
 from bundle.model.problem import Problem
+from bundle.model.reprojection import directions_of
 from bundle.solving.prepare import Prepared, prepare
 from bundle.solving.result import Result
 
@@ -205,23 +206,6 @@ def notes_of(prepared: Prepared, out: Mapping[str, Any]) -> tuple[str, ...]:
         return tuple(out["warnings"])
     is_plain = prepared.layout.options.loss == "trivial"
     return (*out["warnings"], not_converged(100 * decrease / cost, is_plain))
-
-
-def directions_of(h: _Floats) -> tuple[tuple[_Floats, _Floats], _Floats]:
-    """Return the eigenvectors of I - h and its eigenvalues (n, 2), ascending.
-
-    ``h``: (n, 3) entries h_00, h_01 and h_11 of symmetric matrices.
-    """
-    half = 0.5 * (h[:, 0] - h[:, 2])
-    mean, root = 0.5 * (h[:, 0] + h[:, 2]), np.hypot(half, h[:, 1])
-    # Of the two forms of the eigenvector, the one without cancellation.
-    wide = np.stack([half + root, h[:, 1]], axis=1)
-    high = np.stack([h[:, 1], root - half], axis=1)
-    u = np.where((half >= 0)[:, None], wide, high)
-    length = np.linalg.norm(u, axis=1, keepdims=True)
-    u = np.where(length > 0, u / np.where(length > 0, length, 1), [1.0, 0.0])
-    across = np.stack([-u[:, 1], u[:, 0]], axis=1)
-    return (u, across), np.stack([1 - mean - root, 1 - mean + root], axis=1)
 
 
 class _Rows:
