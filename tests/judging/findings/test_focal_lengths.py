@@ -1,11 +1,13 @@
 """Findings about focal lengths, at the limits of their tests and with exact numbers."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import bundle
+from bundle.judging.findings import focal_lengths as module
 from bundle.judging.findings.find import find
 from bundle.judging.findings.focal_lengths import (
     FocalLengths,
@@ -44,6 +46,9 @@ def drifting(change, num=10, sigma=1.0):
     return group(FOCAL * (1 + change / 2 * np.linspace(-1, 1, num)), sigma)
 
 
+ZIGZAG = np.tile([1.0, -1.0], 5)
+
+
 @pytest.mark.parametrize("change", [0.05, -0.05])
 def test_a_drift_has_its_size_and_its_sign(change):
     found = focal_drift(MEASURED, [drifting(change)])
@@ -52,6 +57,11 @@ def test_a_drift_has_its_size_and_its_sign(change):
     assert found.evidence["chi2"] == pytest.approx((FOCAL * change / 2) ** 2 * spread, rel=1e-9)
     assert f"{100 * change:+.1f} %" in found.sentence
     assert found.command == ""  # a prior at the present values would undo the drift
+    known = np.linspace(1.0, 3.0, 10)
+    given = drifting(change, sigma=known)
+    found = focal_drift(MEASURED, [given])
+    mean = np.average(given.focal, weights=known**-2.0)
+    assert found.evidence["change"] == pytest.approx(FOCAL * change / mean, rel=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -63,7 +73,10 @@ def test_a_drift_has_its_size_and_its_sign(change):
         (drifting(0.05, num=5), False),
         (drifting(0.05, sigma=9.10), True),  # gain 30.7
         (drifting(0.05, sigma=9.30), False),  # gain 29.4
-        (group(drifting(0.05).focal, sigma=60.0), False),  # not determined
+        (group(drifting(0.05).focal, factor=48.0), True),
+        (group(drifting(0.05).focal, factor=49.0), False),  # 5.03 % of 975 px: not determined
+        (group(drifting(0.05).focal + 7.5 * ZIGZAG), True),  # gain 31 times what is left
+        (group(drifting(0.05).focal + 8.0 * ZIGZAG), False),  # 27 times
     ],
 )
 def test_limits_of_a_drift(given, is_found):
@@ -84,6 +97,20 @@ def test_the_largest_undetermined_group_is_named_with_its_command():
     assert found.command.endswith("--set 'camera 1: f prior 2 %'")
     assert found.evidence["relative_sigma"] == [pytest.approx(0.1)]
     assert undetermined_intrinsics(MEASURED, [group([FOCAL], 100.0, factor=0.4)]) is None
+
+
+def test_the_group_with_most_open_cameras_is_named_and_only_these(monkeypatch):
+    monkeypatch.setattr(module, "joint_statistic", lambda *_: (100.0, 1))  # lenses differ
+    largest = replace(group([FOCAL] * 5), relative_sigma=np.array([0.9, 0, 0, 0, 0]))
+    most = replace(group([FOCAL] * 3), relative_sigma=np.array([0.06, 0.03, 0.06]))
+    for groups in ([largest, most], [most, largest]):
+        found = undetermined_intrinsics(MEASURED, groups)
+        assert found.evidence["camera_ids"] == [1, 3]
+        assert found.evidence["relative_sigma"] == [0.06, 0.06]
+        assert found.command.endswith("'cameras 1,3: f prior 2 %'")
+    found = undetermined_intrinsics(MEASURED, [largest, most], 0.02)
+    assert found.evidence["camera_ids"] == [1, 2, 3]
+    assert undetermined_intrinsics(MEASURED, [], 0.02) is None
 
 
 @pytest.mark.parametrize(("sigma", "reach"), [(1.0, 0.0400499), (50.0, 0.1077033)])
@@ -121,6 +148,7 @@ def groups_of(seen, scale=0.5):
     """Return the groups of five cameras, of which some are seen by an image or two."""
     known = np.arange(20.0).reshape(5, 4) + 1
     params = 100 * np.arange(1.0, 21).reshape(5, 4)
+    params[1, 1] = 500.0  # sigmas of 1 % in fx, 1.2 % in fy
     image_camera = np.array([2, 0, 3, 1, 2, 4])
     whole = SimpleNamespace(
         num_cameras=5, num_images=6, image_ids=np.array([30, 20, 10, 5, 7, 3]),

@@ -147,6 +147,10 @@ def test_later_commands_have_the_shutter_and_the_prior_beside_it(monkeypatch):
         "lens_model": [*shutter, *prior, *lens],
         "undetermined_intrinsics": [*shutter, *lens, *prior],
     }
+    asked.clear()
+    _, problem = solved(20_000, ("lens_model",))  # nothing moves: the larger lens may be open
+    (larger, _) = find(problem, is_minimum=True)
+    assert [one[0].camera_models for one in asked] == [(larger.evidence["larger_model"],)]
 
 
 def test_a_lens_that_only_the_shutter_leaves_open_is_no_finding():
