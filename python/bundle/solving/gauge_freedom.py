@@ -153,7 +153,7 @@ def can_shrink(
         factors: all factors of the solve, with those of the resolved rules.
     """
     feet = {id(factor): one for one, factor in zip(applied.priors, applied.factors, strict=True)}
-    feet = {key: one for key, one in feet.items() if one.normals}
+    feet = {key: one for key, one in feet.items() if one.normals or one.flatness}
     from bundle.graphs.factors.factors import PositionFactor
 
     others = [factor for factor in factors if id(factor) not in feet]
@@ -165,7 +165,7 @@ def can_shrink(
     count.add_frames()
     count.add_held_points()
     count.add_factors(others)
-    count.add_feet(feet.values())
+    count.add_feet(one for one in feet.values() if one.normals)
     return count.can_scale()
 
 

@@ -55,7 +55,8 @@ def lay_out(
             "constraints: expected free rotations and positions with hard twists, which follow them"
         )
     options = resolve_defaults(problem, options)
-    if options.gauge == "none" and known and applied and any(one.normals for one in applied.priors):
+    has_planes = applied and any(one.normals or one.flatness for one in applied.priors)
+    if options.gauge == "none" and known and applied and has_planes:
         from bundle.solving.gauge_freedom import can_shrink  # for planes and lines only
 
         if can_shrink(problem, options, known.factors, applied):

@@ -37,6 +37,8 @@ RULES = {
     "points 4-9,12: on plane 0 0 1 -2.5 sigma 5e-3": On(
         "points 4-9,12", "plane", (0, 0, 1, -2.5), 0.005
     ),
+    "points *: on plane sigma 5e-3": On("points *", "plane", (), 0.005),
+    "points 1-9: on level plane sigma 2": On("points 1-9", ["level plane"], [], 2),
     "point 3: on line 1 2 3  0 0 1 sigma 1": On("point 3", "line", [1, 2, 3, 0, 0, 1], 1),
 }
 
@@ -120,6 +122,11 @@ BAD = (
     "point 3: on plane 0 0 1e-101 1 sigma 1",
     "point 3: on plane 1e308 1e308 0 1 sigma 1",
     "point 3: on plane 0 0 1 sigma 1",
+    "point 3: on line sigma 1",
+    "point 3: on level sigma 1",
+    "point 3: on level line sigma 1",
+    "point 3: on level plane 1 sigma 1",
+    "point 3: on level plane 0 0 1 1 sigma 1",
     "point 3: on plane 0 0 1 1 1 sigma 1",
     "point 3: on line 0 0 1 1 sigma 1",
     "point 3: on line 1 2 3 0 0 0 sigma 1",

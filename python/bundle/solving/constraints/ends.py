@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import field, replace
 from typing import TYPE_CHECKING, Any
 
@@ -31,6 +31,50 @@ HELD_ROTATION, HELD_POSITION = 1, 2
 
 
 @dataclass(frozen=True)
+class Flatness:
+    """Distances of points from their best plane, as the function of a factor.
+
+    Let C be the points minus their mean, e_1, e_2 and n the axes of its singular value
+    decomposition, n that of the least, c_k = C e_k, and r = C n. Of all planes, the one through the
+    mean with the normal n has the least sum of squared distances, which are r. So offset and normal
+    are eliminated as exactly as by a Schur complement, with
+
+        dr = dC n + sum_k c_k e_k^T dn,  e_k^T dn = (e_k^T dC^T r + c_k^T dC n) / (|r|^2 - |c_k|^2).
+
+    As c_k^T r = 0, the gradient is that at a constant plane. The normal of a level plane is z.
+    """
+
+    points: tuple[int, ...]  # ids
+    sigma: float
+    # (3,) normal at the start, on whose side it stays; None: z, that of a level plane
+    normal: tuple[float, ...] | None
+
+    def along(self, points: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return (n, 3) c_1, c_2 and r, and the axes (3, 3) in rows."""
+        from_middle, axes = points - points.mean(axis=0), np.eye(3)
+        if self.normal is not None:
+            axes = np.linalg.svd(from_middle, full_matrices=False)[2]
+            axes[2] *= np.copysign(1.0, axes[2] @ self.normal)
+        return from_middle @ axes.T, axes
+
+    def distances(self, problem: Problem) -> list[float]:
+        """Return the signed distances in a problem."""
+        points = problem.points[np.isin(problem.point_ids, self.points)]
+        found: list[float] = self.along(points)[0][:, 2].tolist()
+        return found
+
+    def __call__(self, values: Any) -> tuple[Any, Any]:
+        """Return the whitened distances and their Jacobians; see :class:`bundle.FunctionFactor`."""
+        along, axes = self.along(np.array(values))
+        errors = along[:, 2]
+        jacobian = (np.eye(len(errors)) - 1 / len(errors))[:, :, None] * axes[2]
+        for c, axis in zip(along.T[:2], axes[:2], strict=True) if self.normal else ():
+            turn = np.outer(errors, axis) + np.outer(c, axes[2])
+            jacobian += c[:, None, None] * turn / (errors @ errors - c @ c)
+        return errors / self.sigma, list(jacobian.swapaxes(0, 1) / self.sigma)
+
+
+@dataclass(frozen=True)
 class KnownPrior:
     """A prior on one parameter of a camera, or on a position or rotation."""
 
@@ -46,6 +90,8 @@ class KnownPrior:
     column: int = -1  # column of a camera's parameter
     # unit normals of a plane or line on which a point lies; `value` is its foot at the start
     normals: tuple[tuple[float, ...], ...] = ()
+    # distances of points from an estimated plane; `subject` is the first of them
+    flatness: Flatness | None = None
 
 
 @dataclass(frozen=True)
@@ -127,9 +173,11 @@ def rule_ends(applied: Applied, before: Problem, after: Problem) -> tuple[RuleEn
     first, last = _Values(before), _Values(after)
     priors: dict[int, list[PriorEnd]] = {}
     for prior in applied.priors:
-        end = _prior_end(prior, first, last)
-        if end is not None:
-            priors.setdefault(prior.rule, []).append(end)
+        ends = priors.setdefault(prior.rule, [])
+        if prior.flatness is not None:
+            ends.extend(_plane_ends(prior, prior.flatness, before, after))
+        elif (end := _prior_end(prior, first, last)) is not None:
+            ends.append(end)
     bounds: dict[int, list[BoundEnd]] = {}
     for (camera_id, j), pair in sorted(applied.bounds.items()):
         value = last.param(camera_id, j)
@@ -219,6 +267,18 @@ def _prior_end(prior: KnownPrior, first: _Values, last: _Values) -> PriorEnd | N
         after=after,
         pull=_pull(prior, after),
     )
+
+
+def _plane_ends(
+    prior: KnownPrior, flatness: Flatness, before: Problem, after: Problem
+) -> Iterator[PriorEnd]:
+    """Yield the outcome of each point on an estimated plane."""
+    starts, ends = flatness.distances(before), flatness.distances(after)
+    for key, start, end in zip(flatness.points, starts, ends, strict=True):
+        yield PriorEnd(
+            subject="point", id=key, parameter=prior.parameter, known=(0.0,), sigma=prior.sigma,
+            relative=False, before=(start,), after=(end,), pull=end / flatness.sigma,
+        )  # fmt: skip
 
 
 def _pull(prior: KnownPrior, after: tuple[float, ...]) -> float:

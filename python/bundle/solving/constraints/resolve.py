@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bundle.base.arrays import at
+from bundle.base.words import plural
 from bundle.errors import InputError, brief
 from bundle.interface.options import SolveOptions
 from bundle.model.cameras import camera_models, param_kinds
@@ -23,13 +24,22 @@ from bundle.solving.constraints.constant_parts import (
     check_components,
     divided_bounds,
 )
-from bundle.solving.constraints.ends import HELD_POSITION, HELD_ROTATION, Applied, KnownPrior, Tie
+from bundle.solving.constraints.ends import (
+    HELD_POSITION,
+    HELD_ROTATION,
+    Applied,
+    Flatness,
+    KnownPrior,
+    Tie,
+)
 from bundle.solving.constraints.rule_list import rules_of
 from bundle.solving.constraints.rules import SHAPES, Bounds, Fixed, On, Prior, Ratio, Rule, Share
 
 if TYPE_CHECKING:
     from bundle.graphs.factors.factors import Factor
 
+MOST_ON_A_PLANE = 1000
+"""Points of an estimated plane, whose distances all depend on each other."""
 PARTS = {"rotation": HELD_ROTATION, "position": HELD_POSITION}
 
 
@@ -268,8 +278,41 @@ class _Resolver(ConstantParts):
                 sigma = sigma if len(sigma) == 3 else (sigma[0], sigma[0], sigma[-1])
             self._priors.append(KnownPrior(number, (kind, key), name, value, sigma))
 
+    def _flatten(self, number: int, rule: On) -> None:
+        """Lay points on a plane that the solve estimates."""
+        (shape,) = rule.parameters
+        rows, is_level = self._chooser.indices(rule), shape == "level plane"
+        ids = tuple(self._problem.point_ids[rows].tolist())
+        if any(self._is_outside("point", key) for key in ids):
+            raise InputError(
+                f"{rule.place}: expected points of the refined images on an unknown plane"
+            )
+        self._expect_first(number, ("on", shape, ids), f"the {shape} of these points")
+        least = 2 if is_level else 4
+        if not least <= len(ids) <= MOST_ON_A_PLANE:
+            raise InputError(
+                f"{rule.place}: expected {least} to {MOST_ON_A_PLANE} points on an unknown "
+                f"{shape}, found {len(ids)}"
+            )
+        if all(self._why_pose_held("point", index, "position") for index in rows):
+            self._expect_free(rule, "point", rows[0], "position")
+        points = self._problem.points[rows]
+        sizes, axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[1:]
+        if not is_level and not sizes[1] > 1e-9 * sizes[0]:
+            raise InputError(f"{rule.place}: expected points that are not on one line")
+        normal = None if is_level else tuple(axes[2].tolist())
+        self._counts[number] = len(ids)
+        flatness = Flatness(ids, rule.sigma, normal)
+        subject = ("point", ids[0])
+        self._priors.append(
+            KnownPrior(number, subject, shape, (), (rule.sigma,), flatness=flatness)
+        )
+
     def _lay_on(self, number: int, rule: On) -> None:
         (shape,) = rule.parameters
+        if not rule.numbers:
+            self._flatten(number, rule)
+            return
         numbers = np.array(rule.numbers)
         along = numbers[SHAPES[shape][1]]
         unit = along / np.linalg.norm(along)
@@ -461,10 +504,20 @@ def factor_of(prior: KnownPrior) -> Factor:
     For a rotation this residual is Log(R0^T R) / sigma. The factor is then a
     :class:`bundle.LinearPrior` on the pose, with zero information on the position.
     """
-    from bundle.graphs.factors.factors import PositionFactor, PriorFactor, ScalarPriorFactor
+    from bundle.graphs.factors.factors import (
+        FunctionFactor,
+        PositionFactor,
+        PriorFactor,
+        ScalarPriorFactor,
+    )
     from bundle.graphs.factors.linear_prior import LinearPrior, SquareRootPrior
 
     key = prior.subject
+    if prior.flatness is not None:
+        keys = tuple(("point", one) for one in prior.flatness.points)
+        factor = FunctionFactor(keys, prior.flatness)
+        factor.__dict__["name"] = f"{prior.parameter} of {plural(len(keys), 'point')}"
+        return factor
     if prior.normals:
         root = np.array(prior.normals) / prior.sigma[0]
         return SquareRootPrior(root, np.zeros(len(root)), {key: prior.value}, (key,))

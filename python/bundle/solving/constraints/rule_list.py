@@ -113,7 +113,7 @@ def rules_of(given: Any) -> tuple[Rule, ...]:
 #             | NAMES "in" "[" number "," number "]"
 #             | "share" NAMES
 #             | NAME "/" NAME "fixed"
-#             | "on" ("plane" | "line") {number} "sigma" number
+#             | "on" (["level"] "plane" | "line") {number} "sigma" number
 #     NAMES   = NAME {"," NAME}
 #     VALUE   = number | "[" number "," number "," number "]"
 #     SIGMA   = number | number "/" number | "[" number "," number "," number "]"
@@ -182,12 +182,13 @@ class _Reader:
             return Share(self._target, self._names(), place=self._place)
         if self._word() == "on":
             self._take()
-            shape = (self._name(),)
-            given: list[float] = []
+            shape, given = self._name(), list[float]()
+            if shape == "level":
+                shape += f" {self._name()}"
             while self._tokens and self._word() != "sigma":
                 given.append(self._number())
             self._expect("sigma")
-            return On(self._target, shape, tuple(given), self._number(), place=self._place)
+            return On(self._target, (shape,), tuple(given), self._number(), place=self._place)
         names = self._names()
         if self._word() == "/":
             self._take()

@@ -18,8 +18,8 @@ from bundle.model.problem_keys import MOST_IDS, id_range
 
 TARGETS = ("camera", "image", "point")
 """Kinds of variables that rules can name."""
-SHAPES = {"plane": (4, slice(3)), "line": (6, slice(3, 6))}
-"""Number of the numbers of a shape on which points lie, and its normal or direction in them."""
+SHAPES = {"plane": ((4, 0), slice(3)), "level plane": ((0,), slice(3)), "line": ((6,), slice(3, 6))}
+"""Shapes on which points lie: how many numbers they have (0: estimated), and the axis in these."""
 POSES = ("position", "rotation")
 """Parameters of rules on images; the parameter of rules on points is the position."""
 
@@ -241,12 +241,12 @@ class Prior(Rule):
 
 @dataclass(frozen=True)
 class On(Rule):
-    """Rule that points lie on a known plane or line; each costs 1/2 (distance / sigma)^2.
+    """Rule that points lie on a plane or line; each costs 1/2 (distance / sigma)^2.
 
     Attributes:
-        parameters: "plane" or "line".
+        parameters: "plane", "level plane" (an unknown height z) or "line".
         numbers: a, b, c, d of the plane a x + b y + c z + d = 0, where (a, b, c) has any length; or
-            x, y, z of a place on the line, then its direction.
+            x, y, z of a place on the line, then its direction. Without any, the plane is estimated.
         sigma: standard deviation of the distance, in the length unit of the reconstruction; of a
             line along each of two perpendicular axes.
     """
@@ -259,16 +259,18 @@ class On(Rule):
     def _check(self) -> None:
         if self.target.kind != "point" or self.parameters[1:] or self.parameters[0] not in SHAPES:
             raise InputError(f"expected points on plane or on line, found {self._head()}")
-        count, axis = SHAPES[self.parameters[0]]
-        self._set("numbers", _finite("numbers", self.numbers))
+        counts, axis = SHAPES[self.parameters[0]]
+        given: Any = self.numbers
+        self._set("numbers", () if given in ((), []) else _finite("numbers", given))
         self._set("sigma", _positive("sigma", self.sigma))
         found = len(self.numbers) if isinstance(self.numbers, tuple) else 1
-        if found != count or isinstance(self.sigma, tuple):
+        if found not in counts or isinstance(self.sigma, tuple):
             raise InputError(
-                f"expected {count} numbers of a {self.parameters[0]} and one sigma, found {found}"
+                f"expected {' or '.join(map(str, counts))} numbers of a {self.parameters[0]} and "
+                f"one sigma, found {found}"
             )
         size = math.hypot(*self.numbers[axis])
-        if not 1e-100 <= size <= 1e100:
+        if found and not 1e-100 <= size <= 1e100:
             raise InputError(
                 f"expected a normal or direction of a length above 0 (1e-100 to 1e100), found "
                 f"{size:g}"
@@ -276,8 +278,8 @@ class On(Rule):
 
     def __str__(self) -> str:
         """Return the text of this object, which the parser reads."""
-        numbers = " ".join(map(repr, self.numbers))
-        return f"{self.target}: on {self.parameters[0]} {numbers} sigma {self.sigma!r}"
+        words = (self.parameters[0], *map(repr, self.numbers))
+        return f"{self.target}: on {' '.join(words)} sigma {self.sigma!r}"
 
 
 @dataclass(frozen=True)
