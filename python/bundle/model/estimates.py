@@ -74,7 +74,7 @@ def arrays_of(rows: str) -> tuple[str, ...]:
 
 
 def kinds(holder: str = "") -> tuple[str, ...]:
-    """Return the kinds of keys of the variables with a holder."""
+    """Return the kinds of the variables whose array is in ``holder``; "": in the problem."""
     return tuple(one.kind for one in VARIABLES if one.holder == holder)
 
 

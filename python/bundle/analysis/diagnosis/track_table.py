@@ -120,7 +120,7 @@ class TrackTable:
         return (*np.divmod(code, size), count)
 
     def _pairs(self) -> tuple[Ints, Ints]:
-        """Return pairs of images on common points: each observation with the next ones.
+        """Return pairs of images that see a common point, once per such point.
 
         Long tracks give only pairs within ten positions: their images share many other points.
         """

@@ -193,8 +193,8 @@ def start_prior(
 
     Zero sigmas of position and yaw mean no prior on them. Yaw is a rotation about the world's z: a
     rotation d of the body changes it by (R^T e_z)^T d. At rest all velocities are zero and all
-    positions equal the first, to 1 cm/s and 5 mm. A refined camera_from_imu (7,) equals the given
-    one to 3 degrees and 5 cm: until the platform has turned, nothing else determines it.
+    positions equal the first, to 1 cm/s and 5 mm. Until the platform has turned, only its prior
+    determines a refined camera_from_imu (7,): the given one, with sigmas of 3 degrees and 5 cm.
     """
     frames = len(stamps) if at_rest else 1
     columns = 15 * frames + (0 if camera is None else 6)

@@ -120,7 +120,7 @@ def _variables(division: str) -> list[str]:
 
 
 def shared_of(problem: Problem) -> dict[str, Any]:
-    """Return the arrays of the full problem that each part has unchanged."""
+    """Return the arrays that are equal in the full problem and in each part."""
     return {name: getattr(problem, name) for name in (*_variables("shared"), *_SHARED)}
 
 
