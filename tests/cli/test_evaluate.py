@@ -59,6 +59,28 @@ def test_files_of_poses(run, files, format):
         assert report["unit"] == ("units" if format == "poses" else "m")
 
 
+def test_pose_graphs_by_their_ids(run, tmp_path):
+    rng = np.random.default_rng(3)
+    poses = rng.normal(size=(12, 3))
+    moved = poses + rng.normal(scale=0.01, size=(12, 3))
+    for name, at, ids in (("a", poses, range(12)), ("b", moved[::-1], range(11, -1, -1))):
+        rows = zip(ids, at.tolist(), strict=True)
+        lines = [f"VERTEX_SE2 {k} {x} {y} {angle}" for k, (x, y, angle) in rows]
+        edges = [f"EDGE_SE2 {k} {k + 1} 0 0 0 1 0 0 1 0 1" for k in range(11)]
+        (tmp_path / f"{name}.g2o").write_text("\n".join([*lines, *edges]))
+    page = tmp_path / "page.html"
+    words = (tmp_path / "a.g2o", "--reference", tmp_path / "b.g2o", "--align", "none")
+    report = evaluated(run, *words, "--html", page)
+    assert report["association"]["by"] == "name" and report["num_shared"] == 12
+    assert report["input"]["format"] == report["reference"]["format"] == "g2o"
+    off = poses - moved
+    assert report["position"]["rmse"] == pytest.approx(np.sqrt((off[:, :2] ** 2).sum(1).mean()))
+    assert report["rotation"]["max"] == pytest.approx(np.degrees(np.abs(off[:, 2]).max()))
+    assert "12 poses" in report["headline"][0] and page.stat().st_size > 1000
+    code, out, err = run("evaluate", *words[:2], tmp_path / "x.g2o", "--quiet")
+    assert (code, out, err.count("\n")) == (2, "", 1)
+
+
 def test_a_model_against_a_list_of_its_poses(run, files):
     problem = bundle.load(files / "refined")
     rows = [

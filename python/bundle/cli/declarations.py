@@ -139,8 +139,8 @@ COMPARED = argument(
 )
 EVALUATED = a_model(
     "a",
-    "a COLMAP model, a BAL file, or a file of poses: TUM, EuRoC, KITTI, or a list with lines of "
-    "name qw qx qy qz tx ty tz; the content decides the format",
+    "a COLMAP model, a BAL file, a pose graph (g2o), or a file of poses: TUM, EuRoC, KITTI, or a "
+    "list with lines of name qw qx qy qz tx ty tz; the content decides the format",
 )
 TRUTH = argument(
     "--reference",

@@ -15,6 +15,7 @@ from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
 from bundle.base.words import plural
 from bundle.errors import InputError
+from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.model.problem import Problem, strings
 from bundle.model.rigid_motions import (
     inverse_poses,
@@ -39,7 +40,7 @@ class PoseTable(Displayed):
             the centre in the length unit of the source.
         names: n names of images; "" for poses without a name.
         timestamps_ns: (n,) time stamps in nanoseconds; None without time stamps.
-        format: "tum", "euroc", "kitti", "poses", a format of :class:`bundle.Problem`, or "memory".
+        format: "tum", "euroc", "kitti", "poses", "g2o", that of a problem, or "memory".
 
     Raises:
         InputError: an array has the wrong shape, a number is not finite or too large, or a
@@ -76,6 +77,17 @@ class PoseTable(Displayed):
         """Return the poses of the images of a problem, in its order."""
         poses = inverse_poses(unit_poses(problem.cam_from_world))
         return cls(poses, problem.image_names, None, problem.format)
+
+    @classmethod
+    def of_graph(cls, graph: PoseGraph) -> PoseTable:
+        """Return the poses of a graph with their names or ids; those of a plane lie at z = 0."""
+        poses = graph.poses
+        if graph.dimension == 2:
+            x, y, half = poses.T * [[1], [1], [0.5]]
+            zero = np.zeros(len(poses))
+            poses = np.column_stack([zero, zero, np.sin(half), np.cos(half), x, y, zero])
+        names = graph.names or tuple(map(str, graph.ids.tolist()))
+        return cls(poses, names, None, graph.format or "memory")
 
     def __len__(self) -> int:
         return len(self.poses)

@@ -44,10 +44,6 @@ def _unknown() -> Any:
     return None
 
 
-def _is_nan(value: Any) -> bool:
-    return isinstance(value, float) and math.isnan(value)
-
-
 DIRECTIONS = ("global", "rows", "columns")
 ROW_TIMES = ("fixed-point", "observed")
 
@@ -116,7 +112,7 @@ class RollingShutter(FrozenArrays, Displayed):
                     f"{known[k].tolist()}"
                 ),
             )
-        if not _is_nan(self.frame_rate):
+        if not (isinstance(self.frame_rate, float) and math.isnan(self.frame_rate)):
             rate = number("rolling_shutter: frame_rate", self.frame_rate, above=0)
             self._set("frame_rate", rate)
         self._set("row_time", choice("rolling_shutter: row_time", self.row_time, ROW_TIMES))

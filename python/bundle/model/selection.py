@@ -159,7 +159,10 @@ def select(
         renumber("observation_image", rows, whole.num_images)
         if whole.num_frames:
             take(rows, "image_frame", "image_sensor")
-            frames, sensors = _rigs_of(whole, rows)
+            those = whole.image_frame[rows]
+            frames = distinct(those[those >= 0]).astype(np.int64)
+            rigs = whole.frame_rig_ids[frames]
+            sensors = np.flatnonzero(np.isin(whole.sensor_rig_ids, rigs))
             chosen |= {"frames": frames, "sensors": sensors}
             take(frames, *arrays_of("frames"), "frame_ids", "frame_rig_ids")
             take(sensors, *arrays_of("sensors"), "sensor_rig_ids", "sensor_camera_ids")
@@ -221,11 +224,3 @@ def _mask(name: str, given: ArrayLike | None, count: int) -> _Mask | None:
 
 def _rows(mask: _Mask | None, count: int) -> _Indices:
     return np.arange(count) if mask is None else np.flatnonzero(mask)
-
-
-def _rigs_of(whole: P, images: _Indices) -> tuple[_Indices, _Indices]:
-    """Return the frames of images, and all sensors of the rigs of these frames."""
-    frames = whole.image_frame[images]
-    of_images = distinct(frames[frames >= 0]).astype(np.int64)
-    rigs = whole.frame_rig_ids[of_images]
-    return of_images, np.flatnonzero(np.isin(whole.sensor_rig_ids, rigs))

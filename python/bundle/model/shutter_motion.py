@@ -62,8 +62,8 @@ def project_each(problem: Problem, image: NDArray[np.integer], points: Array) ->
     for index in np.flatnonzero(np.diff(starts)).tolist():
         rows = order[starts[index] : starts[index + 1]]
         model = problem.camera_models[index]
-        size = _num_params(model)
-        xy[rows] = project(model, problem.camera_params[index, :size], points[rows])[0]
+        params = problem.camera_params[index, : len(camera_models()[model])]
+        xy[rows] = project(model, params, points[rows])[0]
     return xy
 
 
@@ -118,10 +118,6 @@ def _coefficients(square: Array) -> tuple[Array, Array, Array]:
     series = (1 - square / 20 * (1 - square / 42 * (1 - square / 72 * (1 - square / 110)))) / 6
     c = np.where(small, series, (1 - a) / np.where(small, 1.0, square))
     return a, b, c
-
-
-def _num_params(model: str) -> int:
-    return len(camera_models()[model])
 
 
 def scaled(shutter: RollingShutter | None, scale: ArrayLike) -> RollingShutter | None:

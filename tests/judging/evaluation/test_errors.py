@@ -1,5 +1,6 @@
 """Errors of poses against the worked example, evo and pycolmap."""
 
+import dataclasses
 from dataclasses import astuple
 
 import numpy as np
@@ -66,6 +67,39 @@ def test_errors_are_those_of_evo(scale, align, delta):
                 for k in ErrorStatistics.__annotations__
             ]
             assert astuple(mine) == pytest.approx(theirs, rel=1e-9, abs=1e-9 * scale)
+
+
+def as_graph(table, ids):
+    order = np.argsort(ids)
+    edges = [(k, k + 1) for k in range(len(ids) - 1)]
+    identity = np.tile([0, 0, 0, 1.0, 0, 0, 0], (len(edges), 1))
+    return bundle.PoseGraph(
+        poses=table.poses[order],
+        edges=edges,
+        measurements=identity,
+        information=np.tile(np.eye(6), (len(edges), 1, 1)),
+        ids=np.sort(ids),
+    )
+
+
+@pytest.mark.parametrize("with_ids", [True, False])
+def test_errors_of_pose_graphs_are_those_of_evo(with_ids):
+    """Of twelve ids, 10 comes after 9, not after 1: the errors of motion show it."""
+    truth, ids = example.path(12), np.arange(12)
+    estimate = example.noisy(truth, 0.01)
+    reference = as_graph(truth, ids) if with_ids else PoseTable(truth.poses)
+    found = bundle.evaluate(as_graph(estimate, ids), reference, align="none")
+    assert found.association.by == ("name" if with_ids else "order")
+    for errors, mine in ((metrics.APE, found.position), (metrics.RPE, found.relative.position)):
+        theirs = errors(metrics.PoseRelation.translation_part)
+        theirs.process_data((as_evo(truth), as_evo(estimate)))
+        assert mine.rmse == pytest.approx(theirs.get_statistic(metrics.StatisticsType.rmse))
+
+
+def test_named_poses_of_a_graph_are_those_of_the_images():
+    graph = dataclasses.replace(as_graph(example.REFERENCE, np.arange(4)), names=example.NAMES)
+    found = bundle.evaluate(graph, example.REFERENCE)
+    assert (found.verdict, found.association.by) == ("identical", "name")
 
 
 def test_errors_are_those_of_pycolmap_for_the_same_transform():

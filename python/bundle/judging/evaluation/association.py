@@ -12,7 +12,8 @@ Order, without names and stamps: line k of a KITTI file is frame k, and names th
 such as 000012.png, are frames. Otherwise, both inputs must have the same number of poses; images
 with names are sorted by them.
 
-Pairs are sorted by name or by time, so that the order of the input has no influence on any result.
+Pairs are sorted by name (numbers by size) or by time, so that the order of the input has no
+influence on any result.
 """
 
 from __future__ import annotations
@@ -97,7 +98,7 @@ def _by_name(a: PoseTable, b: PoseTable) -> Association:
             best = len(pairs), by, pairs
     assert best is not None
     count, by, pairs = best
-    pairs.sort(key=lambda pair: a.names[pair[0]])
+    pairs.sort(key=lambda pair: _by_size(a.names[pair[0]]))
     sentence = f"by {_SAID[by]}"
     return _made(a, b, np.array(pairs, np.int64).reshape(count, 2), by, sentence)
 
@@ -112,6 +113,11 @@ _SAID = {
     "base name": "name without folders",
     "stem": "name without folders and suffix",
 }
+
+
+def _by_size(name: str) -> tuple[int, str]:
+    """Return the sort key of a name; numbers, such as ids of a graph, precede other names."""
+    return (len(name) if name.isdecimal() else 99, name)
 
 
 def _unique(names: tuple[str, ...], key: Callable[[str], str]) -> dict[str, int]:
@@ -193,7 +199,7 @@ def _sorted_rows(table: PoseTable) -> Indices:
     if table.timestamps_ns is not None:
         return np.argsort(table.timestamps_ns, kind="stable")
     if _is_named(table):
-        return np.array(sorted(range(len(table)), key=table.names.__getitem__), np.int64)
+        return np.array(sorted(range(len(table)), key=lambda k: _by_size(table.names[k])), np.int64)
     return np.arange(len(table))
 
 

@@ -25,7 +25,9 @@ from bundle.interface.option_class import takes_options
 from bundle.interface.option_fields import choice
 from bundle.interface.options import SolveOptions
 from bundle.io.files import Source, as_problem
+from bundle.io.g2o_files import load_g2o
 from bundle.io.pose_files import load_poses, pose_format
+from bundle.io.recognition import is_pose_graph_file
 from bundle.io.sequences.trajectory_files import Trajectory
 from bundle.judging.evaluation.association import Association, associate
 from bundle.judging.evaluation.check_points import CheckPointEvaluation, check_points_of
@@ -35,6 +37,7 @@ from bundle.judging.evaluation.movement_in_sigmas import SigmaMovement, movement
 from bundle.judging.evaluation.pair_errors import MOST_IMAGES as MOST_IN_PAIRS
 from bundle.judging.evaluation.pair_errors import pair_errors, point_difference, shared_points
 from bundle.judging.evaluation.verdict_word import Compared, findings_of, headline_of, word_of
+from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.model.pose_table import ErrorStatistics, PoseTable, absolute_errors, relative_errors
 from bundle.model.problem import Problem
 
@@ -44,8 +47,8 @@ MOST_IMAGES = 300
 METRIC = ("tum", "euroc", "kitti")
 """Formats of trajectories, whose length unit is the metre."""
 
-Compare: TypeAlias = "Source | PoseTable | Trajectory"
-"""A reconstruction in any form, a table of poses, a trajectory, or the path of one of them."""
+Compare: TypeAlias = "Source | PoseTable | PoseGraph | Trajectory"
+"""A reconstruction in any form, a pose graph, a trajectory, other poses, or a path of these."""
 
 
 @takes_options(EvaluateOptions)
@@ -62,8 +65,8 @@ def evaluate(
     compared by their lenses, by the points of common tracks, and in sigmas of A's covariance.
 
     Args:
-        a: a Problem, a PoseTable, a Trajectory, a pycolmap.Reconstruction, or a path: of a COLMAP
-            model, a BAL file, or a file of poses (TUM, EuRoC, KITTI, a list).
+        a: a Problem, a PoseGraph, a PoseTable, a Trajectory, a pycolmap.Reconstruction, or a path:
+            of a COLMAP model, a BAL file, a g2o file, or other poses (TUM, EuRoC, KITTI, a list).
         b: the reference, in the same forms; or check points: the path of ODM's gcp_list.txt, or
             ground control points.
         options: options; None: the defaults.
@@ -109,6 +112,10 @@ def open_input(
     """
     if isinstance(given, PoseTable):
         return given
+    if is_path(given) and format is None and is_pose_graph_file(given):
+        given = load_g2o(given)
+    if isinstance(given, PoseGraph):
+        return PoseTable.of_graph(given)
     if isinstance(given, Trajectory):
         return PoseTable(given.states[:, :7], (), given.timestamps_ns, "memory")
     if is_path(given):

@@ -289,7 +289,8 @@ def _poses(result: Mapping[str, Any]) -> str:
     # A truth may have many times more stamps than A.
     missing = pairs.only_a if pairs.by == "time" else pairs.only_b
     whole = len(pairs) + len(missing)
-    noun = "image" if pairs.by in ("name", "base name", "stem") else "pose"
+    is_image = pairs.by in ("name", "base name", "stem") and not pairs.names[0].isdecimal()
+    noun = "image" if is_image else "pose"
     of = f"{len(pairs)} of {plural(whole, noun)}" if missing else f"all {plural(whole, noun)}"
     if result["verdict"] == "identical":
         rounded = " up to rounding errors" if max(position.max, rotation.max) > 0 else ""

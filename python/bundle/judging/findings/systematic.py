@@ -105,8 +105,10 @@ class SystematicResiduals:
     def _joint(self) -> tuple[Floats, int]:
         """Columns without poses (n, 2, m): intrinsics, fields of lens and image, residual."""
         pose, params = self._derivatives
+        x, y = self.xy.T
+        image = np.stack([np.stack(one, axis=1) for one in ((x, y), (x, -y), (y, x))], axis=2)
         joint = np.concatenate(
-            [params, self.lens_columns, self._image_columns, self._residuals[:, :, None]], axis=2
+            [params, self.lens_columns, image, self._residuals[:, :, None]], axis=2
         )
         for one in self.images:
             joint[one.rows] = remove(joint[one.rows], pose[one.rows])
@@ -195,11 +197,6 @@ class SystematicResiduals:
             np.stack([2 * x * y, square + 2 * y * y], axis=1),
         ]
         return np.stack([*radial, *tangential, np.stack([x, -y], axis=1)], axis=2)
-
-    @cached_property
-    def _image_columns(self) -> Floats:
-        x, y = self.xy.T
-        return np.stack([np.stack(one, axis=1) for one in ((x, y), (x, -y), (y, x))], axis=2)
 
     @cached_property
     def image_fields(self) -> Floats:

@@ -14,7 +14,7 @@ import math
 import statistics
 import sys
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import field
 from functools import cached_property
 from typing import Any
@@ -85,7 +85,10 @@ def solve_facts(
     steps = max(len(iterations), summary["num_successful_steps"] + rejected) - 1
     # the radius of an entry is the one after its step, which the next step uses
     radii = [_known(step.get("trust_region_radius")) for step in iterations[:-1]]
-    number = _reader(summary)
+
+    def number(name: str) -> float | None:
+        return _known(summary.get(name))
+
     return SolveFacts(
         method=method,
         options=options,
@@ -151,10 +154,6 @@ def flight_facts(report: Entry) -> SolveFacts:
         warnings={kind: count for kind, count in alarms.items() if count},
         error=None if error is None else error["ate"],
     )
-
-
-def _reader(entry: Entry) -> Callable[[str], float | None]:
-    return lambda name: _known(entry.get(name))
 
 
 def _waiting(environment: Entry) -> float:

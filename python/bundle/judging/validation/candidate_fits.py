@@ -140,7 +140,9 @@ class _Run:
         """Fit the models of one sharing to all observations, one after another."""
         before: list[Problem] = []
         for fit in chain:
-            same = [one for one in others if _differ_in_sharing(one, fit)]
+            share = fit.candidate.share
+            usable = [one for one in others if not one.error]
+            same = [one for one in usable if replace(one.candidate, share=share) == fit.candidate]
             try:
                 self._fit(fit, [*before, *(one.refined for one in same)])
             except InputError as error:
@@ -177,8 +179,9 @@ class _Run:
             other, _ = with_cameras(fitted, candidate)
         except InputError:
             return start
-        errors = [_clipped_rmse(problem, self._options) for problem in (start, other)]
-        return other if errors[1] < errors[0] else start
+        errors = [errors_or_nan(each, self._options.cheirality, 1) for each in (start, other)]
+        rmse = [summarize_clipped(each).clipped_rmse for each in errors]
+        return other if rmse[1] < rmse[0] else start
 
     def fold(self, fit: CandidateFit, fold: int) -> None:
         """Fit all observations but those of a fold, and predict these."""
@@ -214,14 +217,6 @@ class _Run:
             self._done += 1
             if self._given.progress is not None:
                 self._given.progress(self._done, self._count, name)
-
-
-def _differ_in_sharing(fit: CandidateFit, other: CandidateFit) -> bool:
-    return not fit.error and replace(fit.candidate, share=other.candidate.share) == other.candidate
-
-
-def _clipped_rmse(problem: Problem, options: SolveOptions) -> float:
-    return summarize_clipped(errors_or_nan(problem, options.cheirality, 1)).clipped_rmse
 
 
 # Normalised errors of held-out observations, AIC and BIC, and the command of a candidate.

@@ -140,14 +140,10 @@ def default_candidates(
             refines,
         )
     ]  # fmt: skip
-    present = _product(problem, [own], [_own_share(problem, chosen)], losses, refines)
+    groups = groups_of(problem, "input").tobytes()
+    same = (s for s in chosen if s != "focal" and groups_of(problem, s).tobytes() == groups)
+    present = _product(problem, [own], [next(same, "input")], losses, refines)
     return list(dict.fromkeys([*found, *present]))
-
-
-def _own_share(problem: Problem, shares: Sequence[str]) -> str:
-    own = groups_of(problem, "input").tobytes()
-    same = (s for s in shares if s != "focal" and groups_of(problem, s).tobytes() == own)
-    return next(same, "input")
 
 
 def _shared_names(model: str, refine: tuple[str, ...]) -> list[str]:
