@@ -12,8 +12,8 @@ images. If the model is upside down, it has the opposite sign. Cameras that look
 ceiling also have -1 although they are correct. Coordinates are therefore refused in two cases only:
 another interpretation is upright and does not fit worse, or another interpretation fits many times
 better. The criterion of a fit is a robust residual, since some places may have gross errors and any
-three places fit a similarity well. It is the h-th smallest of n residuals in sigmas, h = n / 2 + 2,
-about the similarity on which most places agree.
+three places fit a similarity well: the h-th smallest of n residuals in sigmas, h = n / 2 + 2, after
+the similarity that fits most places.
 """
 
 from __future__ import annotations

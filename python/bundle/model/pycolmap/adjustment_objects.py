@@ -106,7 +106,7 @@ def options_of(options: BundleAdjustmentOptions | None) -> ColmapAdjustment:
 
 @functools.lru_cache(maxsize=8)
 def _translated(given: tuple[Any, ...]) -> ColmapAdjustment:
-    """Translate values of all options: most calls of a mapper have those of another call."""
+    """Translate values of all options; cached, because a mapper repeats the same few."""
     places = [f"{owner}.{name}" for owner, names in _option_names().items() for name in names]
     values = _by_place(places, given)
     defaults = _by_place(places, _values_of(BundleAdjustmentOptions()))
