@@ -155,15 +155,16 @@ class PythonAdjoint {
  public:
   /// `factors`: those of the gradient; `eliminated`: those of them that the factorisation has.
   PythonAdjoint(py::object problem, const py::dict& options, py::object restrictions,
-                const py::object& factors, const py::object& eliminated)
+                const py::object& factors, const py::object& eliminated, bool exact)
       : problem_(std::move(problem)),
         restrictions_(std::move(restrictions)),
         given_(problem_, options, restrictions_, eliminated),
         factors_(factors),
         system_(given_.Run([&](const auto& p, const auto& o) {
-          return bundle::AdjointSystem::Make(p, factors_.Check(), o);
+          return bundle::AdjointSystem::Make(p, factors_.Check(), o, exact);
         })) {}
 
+  bool is_exact() const { return system_->is_exact(); }
   py::object Held() const { return ToImmutableNumpy(system_->Held(), {num_cameras(), stride()}); }
 
   py::tuple Directions() const {
@@ -192,20 +193,14 @@ class PythonAdjoint {
     return Vector(std::move(gradient));
   }
 
-  py::tuple Product(const CastArray<double>& step, const CastArray<double>& a, double e) {
-    Checked(step);
-    std::vector<double> product(Checked(a).size()), by_params;
-    Run([&] { system_->Product(step.data(), a.data(), e, product.data(), &by_params); });
-    return py::make_tuple(Vector(std::move(product)),
-                          ToImmutableNumpy(std::move(by_params), {num_cameras(), stride()}));
-  }
-
-  py::dict Along(const CastArray<double>& a) {
+  py::dict Product(const CastArray<double>& a, double e) {
     Checked(a);
     bundle::AdjointRows rows;
-    Run([&] { rows = system_->Along(a.data()); });
+    Run([&] { rows = system_->Product(a.data(), e); });
     const py::ssize_t n = given_.view().num_observations;
     py::dict d;
+    d["product"] = Vector(std::move(rows.product));
+    d["by_params"] = ToImmutableNumpy(std::move(rows.by_params), {num_cameras(), stride()});
     d["along"] = ToImmutableNumpy(std::move(rows.along), {n, 2});
     d["residuals"] = ToImmutableNumpy(std::move(rows.residuals), {n, 2});
     d["weights"] = ToImmutableNumpy(std::move(rows.weights), {n});
@@ -285,17 +280,17 @@ void BindCovariance(py::module_& m) {
         py::arg("factors"), py::arg("least"), py::arg("images"), py::arg("cameras"),
         py::arg("points"));
   py::class_<PythonAdjoint>(m, "Adjoint")
-      .def(
-          py::init<py::object, const py::dict&, py::object, const py::object&, const py::object&>(),
-          py::arg("problem"), py::arg("options"), py::arg("restrictions"), py::arg("factors"),
-          py::arg("eliminated"))
+      .def(py::init<py::object, const py::dict&, py::object, const py::object&, const py::object&,
+                    bool>(),
+           py::arg("problem"), py::arg("options"), py::arg("restrictions"), py::arg("factors"),
+           py::arg("eliminated"), py::arg("exact"))
       .def_property_readonly("held", &PythonAdjoint::Held)
+      .def_property_readonly("is_exact", &PythonAdjoint::is_exact)
       .def("directions", &PythonAdjoint::Directions)
       .def("solve", &PythonAdjoint::Solve, py::arg("y"))
       .def("gather", &PythonAdjoint::Gather, py::arg("images"), py::arg("cameras"),
            py::arg("points"))
       .def("gradient", &PythonAdjoint::Gradient, py::arg("step"))
-      .def("product", &PythonAdjoint::Product, py::arg("step"), py::arg("a"), py::arg("e"))
-      .def("along", &PythonAdjoint::Along, py::arg("a"))
+      .def("product", &PythonAdjoint::Product, py::arg("a"), py::arg("e"))
       .def("moved", &PythonAdjoint::Moved, py::arg("step"));
 }

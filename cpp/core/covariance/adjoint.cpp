@@ -24,17 +24,16 @@ CovarianceOptions OfAdjoint() {
 
 std::unique_ptr<AdjointSystem> AdjointSystem::Make(const AdjustmentProblem& problem,
                                                    const ProblemFactors* all,
-                                                   const SolveOptions& options) {
-  return std::make_unique<AdjointComputation>(problem, all, options);
+                                                   const SolveOptions& options, bool exact) {
+  return std::make_unique<AdjointComputation>(problem, all, options, exact);
 }
 
 AdjointComputation::AdjointComputation(const AdjustmentProblem& problem, const ProblemFactors* all,
-                                       const SolveOptions& options)
+                                       const SolveOptions& options, bool exact)
     : options_(WithoutGauge(options)),
       wanted_(OfAdjoint()),
       computation_(problem, options_, wanted_),
       all_(computation_.view()),
-      here_(*this),
       ahead_(*this),
       behind_(*this) {
   all_.factors = all;
@@ -44,8 +43,8 @@ AdjointComputation::AdjointComputation(const AdjustmentProblem& problem, const P
     }
   }
   computation_.HoldGauge();
-  computation_.CountResiduals();
   computation_.Factorize();
+  is_exact_ = exact && FactorizeExactly();
 }
 
 /// By the maps of the images, of which those of unknowns on bounds are zero.
@@ -84,16 +83,6 @@ void AdjointComputation::Directions(double* n, double* of_sums) const {
   }
 }
 
-void AdjointComputation::Solve(const double* y, double* a) {
-  FullVectors rhs, found;
-  rhs.num_columns = 1;
-  rhs.cameras.assign(y, y + num_unknowns());
-  rhs.points.assign(y + num_unknowns(), y + size());
-  computation_.Check(computation_.system_.Solve(rhs, &found));
-  std::copy(found.cameras.begin(), found.cameras.end(), a);
-  std::copy(found.points.begin(), found.points.end(), a + num_unknowns());
-}
-
 std::vector<double> AdjointComputation::Gather(const InfluenceOptions& derivatives) const {
   const Eigen::MatrixXd cameras = computation_.GradientOfCameras(derivatives);
   std::vector<double> y(cameras.data(), cameras.data() + cameras.size());
@@ -113,8 +102,8 @@ void AdjointComputation::ClearHeld(double* gradient) const {
 }
 
 SolveOutput AdjointComputation::Moved(const double* step) {
-  MoveTo(step, 0, nullptr, &here_);
-  const CameraStates& states = here_.evaluator.states();
+  MoveTo(step, 1, &ahead_);
+  const CameraStates& states = ahead_.evaluator.states();
   SolveOutput output;
   output.cam_from_world = states.CamFromWorld();
   output.rig_from_world = states.RigFromWorld();
@@ -122,7 +111,7 @@ SolveOutput AdjointComputation::Moved(const double* step) {
   output.camera_params = states.camera_params();
   output.twists = states.Twists();
   output.readouts = states.readouts();
-  output.points = here_.points;
+  output.points = ahead_.points;
   computation_.centered_.MoveBack(&output);
   return output;
 }

@@ -20,8 +20,22 @@
 /// rounding errors of pixels, relative to their change by e a, are 1e3 times those of J. Rows of
 /// factors are weighted by sqrt(rho'), without the correction of the solvers.
 ///
-/// Callers solve for a by conjugate gradients with the factor of J~^T J~ (reduced_system.h) as
-/// preconditioner.
+/// **Factor.** H has the blocks of J~^T J~: of points, of cameras, and of the two that an
+/// observation joins. The exact blocks, summed once, are eliminated like those of Gauss-Newton
+/// (reduced_system.h), and the factor of their S gives H^-1. With u = sqrt(rho') r~ / s, an
+/// observation adds to J~^T (I + beta r~ r~^T) J~
+///
+///   sum_k u_k d2 r_k = Z^T T Z + C,        T = d/dz (u^T dr/dz),
+///
+/// where z are the point P = Exp(w) q + t in the frame of the camera (q = R X), the parameters and
+/// the twist. T is differenced; with g = u^T dr/dP, the other terms are
+///
+///   dP = -[q]x dw + dt + R dX,    C_ww = (g q^T + q g^T) / 2 - (g.q) I,    C_wX = -[g]x R.
+///
+/// At a minimum every V and S, held along the gauge, is positive definite. Elsewhere they may not
+/// be; the factor is then that of J~^T J~. The factor lacks second derivatives of rigs and ties of
+/// twists, and of factors. Callers therefore solve for a by conjugate gradients with it as
+/// preconditioner: one product shows that nothing is missing.
 ///
 /// Factors that couple a point with other unknowns, and functions of Python, are in no reduced
 /// system. They are in the gradient only, and the preconditioner lacks them.
@@ -41,8 +55,12 @@
 
 namespace bundle {
 
-/// Rows along a vector of unknowns.
+/// H a, and the rows along a.
 struct AdjointRows {
+  std::vector<double> product;  ///< H a
+  /// The same derivative of the gradient of the observations by all parameters of all cameras,
+  /// num_cameras x stride.
+  std::vector<double> by_params;
   LargeVector<double> along;      ///< num_observations x 2: J~ a; 0 if it does not count
   LargeVector<double> residuals;  ///< num_observations x 2: r~
   LargeVector<double> weights;    ///< num_observations: rho'
@@ -59,29 +77,27 @@ class AdjointSystem {
  public:
   /// Linearises and factorises at the problem's values. `all`: the factors of the gradient;
   /// nullptr: none. Those of the problem are in the factorisation, too. Keeps references to both.
-  /// Throws as ComputeCovariance.
+  /// `exact`: factorises H if it is positive definite. Throws as ComputeCovariance.
   static std::unique_ptr<AdjointSystem> Make(const AdjustmentProblem& problem,
-                                             const ProblemFactors* all,
-                                             const SolveOptions& options);
+                                             const ProblemFactors* all, const SolveOptions& options,
+                                             bool exact);
   virtual ~AdjointSystem() = default;
 
   virtual int64_t size() const = 0;
   virtual int degrees() const = 0;
+  /// True if H is factorised.
+  virtual bool is_exact() const = 0;
   /// 1 for each camera parameter that is constant, also on a bound: num_cameras x stride.
   virtual std::vector<uint8_t> Held() const = 0;
   /// N and E N, size x degrees, column-major.
   virtual void Directions(double* n, double* of_sums) const = 0;
-  /// a = (J~^T J~ + B B^T)^-1 y, with B as in FreeGauge::Hold.
+  /// a = (H + B B^T)^-1 y or (J~^T J~ + B B^T)^-1 y, with B as in FreeGauge::Hold.
   virtual void Solve(const double* y, double* a) = 0;
   /// y of derivatives by poses, cameras and points.
   virtual std::vector<double> Gather(const InfluenceOptions& derivatives) const = 0;
   /// F at the problem's values plus `step`.
   virtual void Gradient(const double* step, double* gradient) = 0;
-  /// H a there, and the same derivative of the gradient of the observations by all parameters of
-  /// all cameras, num_cameras x stride.
-  virtual void Product(const double* step, const double* a, double e, double* product,
-                       std::vector<double>* by_params) = 0;
-  virtual AdjointRows Along(const double* a) = 0;
+  virtual AdjointRows Product(const double* a, double e) = 0;
   /// The problem's values plus `step`, about the problem's origin.
   virtual SolveOutput Moved(const double* step) = 0;
 };

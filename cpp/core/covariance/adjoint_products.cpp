@@ -26,14 +26,13 @@ void ForColumns(const ChartedFactor& factor, const ParameterLayout& layout, cons
 
 }  // namespace
 
-/// To the problem's values plus step + e a; `a`: nullptr for 0.
-void AdjointComputation::MoveTo(const double* step, double e, const double* a, Place* place) const {
-  const auto of = [&](size_t j) { return step[j] + (a == nullptr ? 0 : e * a[j]); };
+/// To the problem's values plus e times a step.
+void AdjointComputation::MoveTo(const double* step, double e, Place* place) const {
   std::vector<double> state = layout().InitialState(all_);
   const size_t n = state.size();
-  for (size_t j = 0; j < n; ++j) state[j] += of(j);
+  for (size_t j = 0; j < n; ++j) state[j] += e * step[j];
   place->points.assign(all_.points, all_.points + 3 * int64_t{all_.num_points});
-  for (size_t k = 0; k < place->points.size(); ++k) place->points[k] += of(n + k);
+  for (size_t k = 0; k < place->points.size(); ++k) place->points[k] += e * step[n + k];
   place->evaluator.MoveTo(state.data(), place->points.data(), system().held());
 }
 
@@ -86,17 +85,17 @@ void AdjointComputation::ForObservations(const Visit& visit) const {
 
 /// Calls visit(index, factor, rho, residual, Jacobian) for each factor with a value.
 template <typename Visit>
-void AdjointComputation::ForFactors(const Place& place, const Visit& visit) const {
+void AdjointComputation::ForFactors(const ObservationEvaluator& evaluator, const double* points,
+                                    const Visit& visit) const {
   for (size_t k = 0; k < factors_.size(); ++k) {
     const ChartedFactor& factor = factors_[k];
     std::vector<const double*> values;
     for (const int point : factor.unknowns().points) {
-      values.push_back(place.points.data() + 3 * int64_t{point});
+      values.push_back(points + 3 * int64_t{point});
     }
     std::vector<double> r(factor.num_residuals());
     std::vector<double> jacobian(r.size() * factor.num_columns() + 1);
-    if (!factor.Evaluate(place.evaluator.states(), values.data(), r.data(), jacobian.data()))
-      continue;
+    if (!factor.Evaluate(evaluator.states(), values.data(), r.data(), jacobian.data())) continue;
     double rho[3];
     ValueOfLoss(factor.factor().loss(), factor.factor().loss_scale(),
                 SquaredNorm(r.data(), static_cast<int>(r.size())), rho);
@@ -105,37 +104,43 @@ void AdjointComputation::ForFactors(const Place& place, const Visit& visit) cons
 }
 
 void AdjointComputation::Gradient(const double* step, double* gradient) {
-  MoveTo(step, 0, nullptr, &here_);
+  MoveTo(step, 1, &ahead_);
   const int n = num_unknowns();
   std::fill_n(gradient, size(), 0.0);
   std::vector<std::vector<double>> sums(system().num_threads(), std::vector<double>(n));
   ForObservations([&](int64_t i, int point, int thread) {
     ObservationRows rows;
-    if (!here_.evaluator.Evaluate(i, &rows)) return;
+    if (!ahead_.evaluator.Evaluate(i, &rows)) return;
     AddRows(rows, rows.residual, point, sums[thread].data(), gradient + n);
   });
   for (const std::vector<double>& of : sums) {
     for (int j = 0; j < n; ++j) gradient[j] += of[j];
   }
-  ForFactors(here_, [&](size_t, const ChartedFactor& factor, const double* rho,
-                        const std::vector<double>& r, const std::vector<double>& jacobian) {
-    const int width = factor.num_columns();
-    ForColumns(factor, layout(), [&](int column, int64_t at) {
-      for (size_t row = 0; row < r.size(); ++row) {
-        gradient[at] += rho[1] * jacobian[row * width + column] * r[row];
-      }
-    });
-  });
+  ForFactors(ahead_.evaluator, ahead_.points.data(),
+             [&](size_t, const ChartedFactor& factor, const double* rho,
+                 const std::vector<double>& r, const std::vector<double>& jacobian) {
+               const int width = factor.num_columns();
+               ForColumns(factor, layout(), [&](int column, int64_t at) {
+                 for (size_t row = 0; row < r.size(); ++row) {
+                   gradient[at] += rho[1] * jacobian[row * width + column] * r[row];
+                 }
+               });
+             });
   ClearHeld(gradient);
 }
 
-void AdjointComputation::Product(const double* step, const double* a, double e, double* product,
-                                 std::vector<double>* by_params) {
-  MoveTo(step, 0, nullptr, &here_);
-  MoveTo(step, e, a, &ahead_);
-  MoveTo(step, -e, a, &behind_);
+AdjointRows AdjointComputation::Product(const double* a, double e) {
+  const ObservationEvaluator& here = system().evaluator();
+  MoveTo(a, e, &ahead_);
+  MoveTo(a, -e, &behind_);
   const int stride = all_.camera_params_stride, n = num_unknowns();
-  std::fill_n(product, size(), 0.0);
+  const auto num_observations = static_cast<size_t>(all_.num_observations);
+  AdjointRows found;
+  found.product.assign(size(), 0.0);
+  found.along.assign(2 * num_observations, 0.0);
+  found.residuals.assign(2 * num_observations, 0.0);
+  found.weights.assign(num_observations, 0.0);
+  found.bends.assign(num_observations, 0.0);
   struct Sums {
     std::vector<double> cameras, params;
   };
@@ -151,14 +156,19 @@ void AdjointComputation::Product(const double* step, const double* a, double e, 
     ObservationRows rows, moved;
     double local[2 * kMaxCameraParams];
     const auto add = [&](const ObservationRows& by, const double* r) {
-      AddRows(by, r, point, to.cameras.data(), product + n);
+      AddRows(by, r, point, to.cameras.data(), found.product.data() + n);
       for (int k = 0; k < num_params; ++k) {
         to.params[size_t(camera) * stride + k] += local[k] * r[0] + local[num_params + k] * r[1];
       }
     };
-    if (!here_.evaluator.Evaluate(i, &rows, local) || rows.weight == 0) return;
+    if (!here.Evaluate(i, &rows, local)) return;
     const double* const r = rows.residual;
     double v[2] = {Dot(rows, 0, point, a), Dot(rows, 1, point, a)};
+    std::copy_n(v, 2, &found.along[2 * i]);
+    std::copy_n(r, 2, &found.residuals[2 * i]);
+    found.weights[i] = rows.weight;
+    found.bends[i] = rows.bend;
+    if (rows.weight == 0) return;
     const double bend = rows.bend * (v[0] * r[0] + v[1] * r[1]);
     for (int row = 0; row < 2; ++row) v[row] += bend * r[row];
     add(rows, v);
@@ -170,90 +180,69 @@ void AdjointComputation::Product(const double* step, const double* a, double e, 
       add(moved, scaled);
     }
   });
-  by_params->assign(size_t(all_.num_cameras) * stride, 0.0);
+  found.by_params.assign(size_t(all_.num_cameras) * stride, 0.0);
   for (const Sums& of : sums) {
-    for (int j = 0; j < n; ++j) product[j] += of.cameras[j];
-    for (size_t k = 0; k < of.params.size(); ++k) (*by_params)[k] += of.params[k];
+    for (int j = 0; j < n; ++j) found.product[j] += of.cameras[j];
+    for (size_t k = 0; k < of.params.size(); ++k) found.by_params[k] += of.params[k];
   }
-  std::vector<std::vector<double>> residuals(factors_.size());
+  AddFactorRows(a, e, &found);
+  ClearHeld(found.product.data());
+  return found;
+}
+
+void AdjointComputation::AddFactorRows(const double* a, double e, AdjointRows* found) const {
+  found->factor_begin.push_back(0);
+  for (const ChartedFactor& factor : factors_) {
+    found->factor_begin.push_back(found->factor_begin.back() + factor.num_residuals());
+  }
+  found->factor_along.assign(found->factor_begin.back(), 0.0);
+  found->factor_residuals.assign(found->factor_begin.back(), 0.0);
+  found->factor_weights.assign(factors_.size(), 0.0);
+  found->factor_bends.assign(factors_.size(), 0.0);
   const auto add = [&](const ChartedFactor& factor, const std::vector<double>& jacobian,
                        const std::vector<double>& by_residual) {
     const int width = factor.num_columns();
     ForColumns(factor, layout(), [&](int column, int64_t at) {
       for (size_t row = 0; row < by_residual.size(); ++row) {
-        product[at] += jacobian[row * width + column] * by_residual[row];
+        found->product[at] += jacobian[row * width + column] * by_residual[row];
       }
     });
   };
-  ForFactors(here_, [&](size_t k, const ChartedFactor& factor, const double* rho,
-                        const std::vector<double>& r, const std::vector<double>& jacobian) {
-    const int width = factor.num_columns();
-    std::vector<double> v(r.size());
-    double along = 0;
-    for (size_t row = 0; row < r.size(); ++row) {
-      ForColumns(factor, layout(),
-                 [&](int column, int64_t at) { v[row] += jacobian[row * width + column] * a[at]; });
-      along += v[row] * r[row];
-    }
-    for (size_t row = 0; row < r.size(); ++row) {
-      v[row] = rho[1] * v[row] + 2 * rho[2] * along * r[row];
-      residuals[k].push_back(rho[1] * r[row]);
-    }
-    add(factor, jacobian, v);
-  });
+  ForFactors(system().evaluator(), all_.points,
+             [&](size_t k, const ChartedFactor& factor, const double* rho,
+                 const std::vector<double>& r, const std::vector<double>& jacobian) {
+               const double root = std::sqrt(rho[1]);
+               const int first = found->factor_begin[k], width = factor.num_columns();
+               std::vector<double> v(r.size());
+               double along = 0;
+               for (size_t row = 0; row < r.size(); ++row) {
+                 ForColumns(factor, layout(), [&](int column, int64_t at) {
+                   v[row] += jacobian[row * width + column] * a[at];
+                 });
+                 along += v[row] * r[row];
+                 found->factor_along[first + row] = root * v[row];
+                 found->factor_residuals[first + row] = root * r[row];
+               }
+               for (size_t row = 0; row < r.size(); ++row) {
+                 v[row] = rho[1] * v[row] + 2 * rho[2] * along * r[row];
+               }
+               found->factor_weights[k] = rho[1];
+               found->factor_bends[k] = rho[1] == 0 ? 0 : 2 * rho[2] / (rho[1] * rho[1]);
+               add(factor, jacobian, v);
+             });
   for (const Place* place : {&ahead_, &behind_}) {
     const double scale = 1 / (place == &ahead_ ? 2 * e : -2 * e);
-    ForFactors(*place, [&](size_t k, const ChartedFactor& factor, const double*,
-                           const std::vector<double>&, const std::vector<double>& jacobian) {
-      std::vector<double> scaled = residuals[k];
-      for (double& value : scaled) value *= scale;
-      add(factor, jacobian, scaled);
-    });
+    ForFactors(place->evaluator, place->points.data(),
+               [&](size_t k, const ChartedFactor& factor, const double*,
+                   const std::vector<double>& r, const std::vector<double>& jacobian) {
+                 std::vector<double> scaled(r.size());
+                 for (size_t row = 0; row < r.size(); ++row) {
+                   scaled[row] = scale * std::sqrt(found->factor_weights[k]) *
+                                 found->factor_residuals[found->factor_begin[k] + row];
+                 }
+                 add(factor, jacobian, scaled);
+               });
   }
-  ClearHeld(product);
-}
-
-AdjointRows AdjointComputation::Along(const double* a) {
-  const std::vector<double> none(size());
-  MoveTo(none.data(), 0, nullptr, &here_);
-  AdjointRows found;
-  const auto n = static_cast<size_t>(all_.num_observations);
-  found.along.assign(2 * n, 0.0);
-  found.residuals.assign(2 * n, 0.0);
-  found.weights.assign(n, 0.0);
-  found.bends.assign(n, 0.0);
-  ForObservations([&](int64_t i, int point, int) {
-    ObservationRows rows;
-    if (!here_.evaluator.Evaluate(i, &rows)) return;
-    for (int row = 0; row < 2; ++row) {
-      found.along[2 * i + row] = Dot(rows, row, point, a);
-      found.residuals[2 * i + row] = rows.residual[row];
-    }
-    found.weights[i] = rows.weight;
-    found.bends[i] = rows.bend;
-  });
-  found.factor_begin.push_back(0);
-  for (const ChartedFactor& factor : factors_) {
-    found.factor_begin.push_back(found.factor_begin.back() + factor.num_residuals());
-  }
-  found.factor_along.assign(found.factor_begin.back(), 0.0);
-  found.factor_residuals.assign(found.factor_begin.back(), 0.0);
-  found.factor_weights.assign(factors_.size(), 0.0);
-  found.factor_bends.assign(factors_.size(), 0.0);
-  ForFactors(here_, [&](size_t k, const ChartedFactor& factor, const double* rho,
-                        const std::vector<double>& r, const std::vector<double>& jacobian) {
-    const double root = std::sqrt(rho[1]);
-    const int first = found.factor_begin[k], width = factor.num_columns();
-    found.factor_weights[k] = rho[1];
-    found.factor_bends[k] = rho[1] == 0 ? 0 : 2 * rho[2] / (rho[1] * rho[1]);
-    for (size_t row = 0; row < r.size(); ++row) {
-      found.factor_residuals[first + row] = root * r[row];
-      ForColumns(factor, layout(), [&](int column, int64_t at) {
-        found.factor_along[first + row] += root * jacobian[row * width + column] * a[at];
-      });
-    }
-  });
-  return found;
 }
 
 }  // namespace bundle

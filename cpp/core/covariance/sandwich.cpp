@@ -5,6 +5,7 @@
 #include <cstddef>
 #include <vector>
 
+#include "core/covariance/symmetric_sum.h"
 #include "core/geometry/rotation.h"
 #include "core/linear/symmetric_product.h"
 #include "core/parallel/thread_pool.h"
@@ -15,46 +16,7 @@ namespace {
 /// Number of columns of D per solve.
 constexpr int kColumnsAtOnce = 256;
 
-/// Adds to block (row, column) of a symmetric matrix with the structure of S, at entry (r, c). Of
-/// the two symmetric blocks, uses the stored one.
-class SymmetricSum {
- public:
-  SymmetricSum(const BlockStructure& structure, BlockValues* values)
-      : structure_(structure), values_(*values) {}
-
-  /// block(r, c) += value(r, c), for the block on or below the diagonal.
-  template <typename Value>
-  void Add(int row, int column, const Value& value) {
-    const int64_t entry = structure_.Entry(column, row);
-    for (int c = 0; c < structure_.block_size(column); ++c) {
-      for (int r = 0; r < structure_.block_size(row); ++r) {
-        values_[structure_.ValueIndex(column, entry, r, c)] += value(r, c);
-      }
-    }
-  }
-
- private:
-  const BlockStructure& structure_;
-  BlockValues& values_;
-};
-
 double Dot3(const double* a, const double* b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
-
-/// of_rows J_i^T J_i + of_scores G_i G_i^T
-void AddOwn(const ObservationRows& rows, double of_rows, double of_scores, SymmetricSum* sum) {
-  double shares[ObservationRows::kMaxBlocks][BlockSystem::kMaxBlockSize];
-  for (int b = 0; b < rows.num_blocks; ++b) ShareOf(rows, b, shares[b]);
-  for (int a = 0; a < rows.num_blocks; ++a) {
-    for (int b = 0; b < rows.num_blocks; ++b) {
-      if (rows.block[a] < rows.block[b]) continue;
-      sum->Add(rows.block[a], rows.block[b], [&](int r, int c) {
-        const double *const x = rows.jacobian[a] + r, *const y = rows.jacobian[b] + c;
-        return of_rows * (x[0] * y[0] + x[rows.size[a]] * y[rows.size[b]]) +
-               of_scores * shares[a][r] * shares[b][c];
-      });
-    }
-  }
-}
 
 /// Y P Y^T - F Y^T - Y F^T
 void AddEliminated(const PointBlocks& blocks, const PointScores& scores, SymmetricSum* sum) {
@@ -86,7 +48,8 @@ void AddFactorRow(const BlockStructure& s, const std::vector<uint8_t>& held,
   }
 }
 
-/// J^T J of the factors of camera parameters.
+}  // namespace
+
 void AddFactors(const ReducedSystem& system, BlockValues* values) {
   system.ForFactors([&](const ReducedSystem::FactorRows& rows) {
     if (!rows.points.empty()) return;  // included in V or P of the point
@@ -96,8 +59,6 @@ void AddFactors(const ReducedSystem& system, BlockValues* values) {
     }
   });
 }
-
-}  // namespace
 
 void SumScores(const PointBlocks& blocks, const PointAssembler& assembler, const double* prior,
                PointScores* scores) {
@@ -125,18 +86,10 @@ BlockValues SumBread(const ReducedSystem& system) {
   BlockValues bread(static_cast<size_t>(s.num_values), 0.0);
   SymmetricSum sum(s, &bread);
   system.ForPoints(1, [&](int, const PointBlocks& blocks, const PointAssembler& rows, int) {
-    for (int i = 0; i < rows.num_rows(); ++i) AddOwn(rows.row(i), 1, 0, &sum);
-    for (size_t a = 0; a < blocks.blocks.size(); ++a) {
-      for (size_t b = 0; b <= a; ++b) {
-        sum.Add(blocks.blocks[a], blocks.blocks[b], [&](int r, int c) {
-          return -Dot3(&blocks.y[3 * size_t(blocks.begin[a] + r)],
-                       &blocks.w[3 * size_t(blocks.begin[b] + c)]);
-        });
-      }
-    }
+    for (int i = 0; i < rows.num_rows(); ++i) sum.AddOwn(rows.row(i), 1, 0);
+    sum.SubtractEliminated(blocks);
   });
-  system.ForObservationsOfFixedPoints(
-      [&](const ObservationRows& rows) { AddOwn(rows, 1, 0, &sum); });
+  system.ForObservationsOfFixedPoints([&](const ObservationRows& rows) { sum.AddOwn(rows, 1, 0); });
   AddFactors(system, &bread);
   return bread;
 }
@@ -166,15 +119,14 @@ BlockValues SumMeat(const ReducedSystem& system, double variance, ScatterGauge* 
     const double* const of_prior = prior.empty() ? nullptr : &prior[9 * size_t(point)];
     PointScores scores;
     SumScores(blocks, rows, of_prior, &scores);
-    for (int i = 0; i < rows.num_rows(); ++i) AddOwn(rows.row(i), 0, 1, &sum);
+    for (int i = 0; i < rows.num_rows(); ++i) sum.AddOwn(rows.row(i), 0, 1);
     AddEliminated(blocks, scores, &sum);
     if (gauge == nullptr) return;
     double expected[9];
     ExpectScatter(rows, variance, of_prior, expected);
     gauge->AddPoint(point, blocks, expected);
   });
-  system.ForObservationsOfFixedPoints(
-      [&](const ObservationRows& rows) { AddOwn(rows, 0, 1, &sum); });
+  system.ForObservationsOfFixedPoints([&](const ObservationRows& rows) { sum.AddOwn(rows, 0, 1); });
   AddFactors(system, &meat);
   return meat;
 }

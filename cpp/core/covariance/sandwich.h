@@ -51,6 +51,9 @@ struct PointScores {
 void SumScores(const PointBlocks& blocks, const PointAssembler& assembler, const double* prior,
                PointScores* scores);
 
+/// Adds J^T J of the factors of camera parameters, with the structure of S.
+void AddFactors(const ReducedSystem& system, BlockValues* values);
+
 /// Returns H with the points eliminated, with the structure of S.
 BlockValues SumBread(const ReducedSystem& system);
 

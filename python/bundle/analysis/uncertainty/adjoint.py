@@ -21,21 +21,21 @@ A prior on numbers m with the information L L^T has r = L^T (m - mean). With u =
 A constant camera parameter k has the derivative dL/dk - d/de F_k(x + e a).
 
 Solution of H a = y. J~^T J~ lacks r d2r and the second derivative of the loss: a few percent of H
-without a loss, most of it with one, so that Gauss-Newton alone may have wrong signs. Conjugate
-gradients with the inverse G of J~^T J~ as preconditioner need four to twenty products H p. Their
-r d2r is a central difference of J~ along e p (``core/covariance/adjoint.h``). As |J~ p|^2 = p^T
-J~^T J~ p is known from the iteration, e moves the residuals by ``REACH`` sigmas: even directions
-that are hardly determined, which bend over a hundredth of a sigma, are then exact to 1e-7, and
-rounding is as small. G leaves out factors that couple points, such as scale bars; each costs an
-iteration.
+without a loss, most of it with one, so that Gauss-Newton alone may have wrong signs. The core
+factorises H itself, with the points eliminated, and one product H p shows the solution. What the
+factor lacks, second derivatives of factors, rigs and ties, and factors that couple points, such as
+scale bars, follows by conjugate gradients with it as preconditioner. The r d2r of a product is a
+central difference of J~ along e p (``core/covariance/adjoint.h``). The residuals move by about
+``REACH`` sigmas: even directions that are hardly determined, which bend over a hundredth of a
+sigma, are then exact to 1e-7, and rounding is as small.
 
 Gauge. H has the free motions N of the world as null space, y must not change along them. The part
 of y that does is removed, y - E N N^T y (``core/covariance/free_gauge.h``), with a warning. The
 products are projected, too: off its minimum H has no null space.
 
 Polish. A solve stops some thousandths of a sigma off the minimum, which is an error of 1e-4 of the
-derivatives. Newton steps with the same H continue until the next one has sqrt(F^T G F) below
-``POLISHED`` sigmas. |F| itself has no meaning: its units differ by parameter.
+derivatives. Newton steps with a factor continue until the next one has sqrt(F^T G F), with the
+inverse G of the factor, below ``POLISHED`` sigmas. |F| has no meaning: its units differ.
 """
 
 from __future__ import annotations
@@ -80,11 +80,11 @@ REACH = 3e-6
 
 POLISHED, CONVERGED, NEWTON_STEPS = 1e-10, 1e-7, 20
 """Length of the next step, in sigmas, at which Newton steps end, and that counts as a minimum if
-they end earlier; largest number of these steps."""
+they end earlier; largest number of factors on the way."""
 
-TOLERANCE, ROUGH, PRODUCTS = 1e-10, 1e-3, 300
-"""Relative residual at which conjugate gradients stop, of derivatives and of Newton steps; largest
-number of their products."""
+VERIFIED, TOLERANCE, PRODUCTS = 3e-7, 1e-8, 300
+"""Relative residual up to which the factor's own solution is taken, as differences in products are
+wrong by a third of it; that at which conjugate gradients stop; largest number of products."""
 
 GAUGE_SHARE = 1e-6
 """Share of a cotangent along free motions of the world that is taken for rounding."""
@@ -144,13 +144,14 @@ class Derivatives(FrozenArrays, Displayed):
         return Display(title=f"Derivatives, {kind}", facts=tuple(facts))
 
 
+_LINEAR = ("vector", "along", "factor_along", "by_params")
+"""Rows of a product that are linear in its vector."""
+
+
 class _System:
-    """Core, gauge and products at one problem; vectors are those of ``core/covariance/adjoint.h``.
+    """Core, gauge and factor at one problem; vectors are those of ``core/covariance/adjoint.h``."""
 
-    ``step``: displacement from the problem at which gradients are taken.
-    """
-
-    def __init__(self, prepared: Prepared) -> None:
+    def __init__(self, prepared: Prepared, exact: bool) -> None:
         start, layout = prepared.start, prepared.layout
         self.factors: tuple[Factor, ...] = () if layout.known is None else layout.known.factors
         apart = [_is_apart(factor) for factor in self.factors]
@@ -162,19 +163,18 @@ class _System:
             kept = list(filter(_is_apart, self.factors))
             eliminated = ProblemFactors(start, kept).core() if kept else None
         options = layout.options.asdict()
-        self.core = _core.Adjoint(start, options, layout.limits, core, eliminated)
+        self.core = _core.Adjoint(start, options, layout.limits, core, eliminated, exact)
         self.directions, self.sums = self.core.directions()  # N and E N, (d, size)
         if len(self.directions) and not all(apart):
             self._keep_free(apart)
         self.size = self.directions.shape[1]
-        self.step = np.zeros(self.size)
 
     def _keep_free(self, apart: list[bool]) -> None:
         """Leave out the motions that the factors outside the preconditioner determine."""
         random = np.random.default_rng(0).standard_normal(self.directions.shape[1])
         columns = []
         for vector in (*self.directions, random / np.linalg.norm(random)):
-            rows = self.core.along(vector)
+            rows = self.core.product(vector, REACH)
             begin = rows["factor_begin"]
             ends = zip(apart, begin, begin[1:], strict=False)
             outside = [rows["factor_along"][a:b] for is_apart, a, b in ends if not is_apart]
@@ -195,39 +195,54 @@ class _System:
         found: _Floats = a - (self.sums @ a) @ self.directions
         return found
 
-    def product(self, p: _Floats, length: float) -> tuple[_Floats, _Floats]:
-        """Return H p, and the same derivative by all parameters of cameras; ``length``: |J~ p|."""
-        found: tuple[_Floats, _Floats] = self.core.product(self.step, p, REACH / length)
-        return found
+    def rows_along(self, a: _Floats, length: float) -> dict[str, Any]:
+        """Return a as ``vector``, H a, and the rows along a; ``length``: about |J~ a|."""
+        return {"vector": a, **self.core.product(a, REACH / length)}
 
-    def solve(self, y: _Floats, *, rough: bool = False) -> tuple[_Floats | None, int]:
-        """Return a with H a = y, y projected, by conjugate gradients, and the number of products.
+    def rows_of(self, value: float) -> dict[str, Any]:
+        """Return the rows along a vector of which all derivatives are 0 or NaN."""
+        rows = self.rows_along(np.zeros(self.size), 1.0)
+        return {**rows, **{name: np.full_like(rows[name], value) for name in _LINEAR}}
+
+    def solve(self, y: _Floats) -> tuple[dict[str, Any] | None, int]:
+        """Return the rows along a with H a = y, y projected, and the number of products.
 
         None: a direction without curvature, or no convergence.
         """
-        tolerance = ROUGH if rough else TOLERANCE
-        a, rest = np.zeros(self.size), y
-        z = self.preconditioned(rest)
-        square = first = float(rest @ z)
-        p, length = z, np.sqrt(square)
-        for count in range(PRODUCTS):
-            if not square > tolerance**2 * first:
-                return (a if np.isfinite(square) else None), count
-            along = self.projected(self.product(p, length)[0])
+        rest, p, found = y, self.preconditioned(y), None
+        square = first = float(y @ p)
+        length = float(np.sqrt(first))
+        if length == 0:
+            return self.rows_of(0.0), 0
+        for count in range(1, PRODUCTS + 1):
+            rows = self.rows_along(p, length)
+            along = self.projected(rows["product"])
             curvature = float(p @ along)
             if not curvature > 0:
                 return None, count
-            a = a + (square / curvature) * p
-            rest = rest - (square / curvature) * along
+            if found is None:
+                share, limit, found = 1.0, VERIFIED, rows
+            else:
+                share, limit = square / curvature, TOLERANCE
+                for name in _LINEAR:
+                    found[name] = found[name] + share * rows[name]
+            rest = rest - share * along
             z = self.preconditioned(rest)
             last, square = square, float(rest @ z)
-            p = z + (square / last) * p
-            length = float(np.hypot(np.sqrt(max(square, 0)), square / last * length))
+            if not square > limit**2 * first:
+                return (found if np.isfinite(square) else None), count
+            ratio = 0.0 if found is rows else square / last
+            p, length = z + ratio * p, float(np.hypot(np.sqrt(square), ratio * length))
         return None, PRODUCTS
 
-    def next_step(self) -> tuple[_Floats, float]:
-        """Return the projected gradient, and the length of a step in sigmas."""
-        gradient = self.projected(self.core.gradient(self.step))
+    def is_minimum(self) -> bool:
+        """Return whether the Hessian is positive definite, by a random vector if not factorised."""
+        random = np.random.default_rng(0).standard_normal((self.size,))
+        return self.core.is_exact or self.solve(self.projected(random))[0] is not None
+
+    def gradient(self, step: _Floats) -> tuple[_Floats, float]:
+        """Return the projected gradient at a displacement, and the length of the next step."""
+        gradient = self.projected(self.core.gradient(step))
         square = float(gradient @ self.preconditioned(gradient))
         return gradient, float(np.sqrt(max(square, 0.0)))
 
@@ -266,8 +281,8 @@ def adjoint(
 ) -> Adjoint:
     """Prepare the derivatives of a minimum by pixels, sigmas, priors and constant intrinsics.
 
-    The problem is polished by Newton steps, and factorised as for :func:`bundle.covariance`. Each
-    :meth:`Adjoint.vjp` then takes about the time of twenty steps of a solve.
+    The problem is polished by Newton steps, and its Hessian factorised. Each :meth:`Adjoint.vjp`
+    takes about three steps of a solve; with free rigs, ties, bars or robust priors, up to ten.
 
     Args:
         problem: problem, its path, or a pycolmap.Reconstruction, at a minimum. For a
@@ -328,7 +343,7 @@ class Adjoint(Displayed):
     def __init__(self, prepared: Prepared, exact: bool) -> None:
         self.exact = exact
         self._prepared = prepared
-        self._system = _System(prepared)
+        self._system = _System(prepared, True)
         self.factors = self._system.factors
         if not exact and not all(map(_is_apart, self.factors)):
             raise InputError(
@@ -336,34 +351,35 @@ class Adjoint(Displayed):
                 "such as scale bars, found False"
             )
         self.next_step = self._polish()
-        self.is_converged = self.next_step <= CONVERGED
+        self.is_converged = self.next_step <= CONVERGED and self._system.is_minimum()
+        if not exact:
+            self._system = _System(self._prepared, False)
         self.problem: Problem = self._prepared.placed.taken_from(self._prepared.start)
 
     def _polish(self) -> float:
         """Move the problem to its minimum, and factorise there; return the next step."""
-        system = self._system
-        gradient, length = system.next_step()
         for _ in range(NEWTON_STEPS):
-            if not length > POLISHED:
-                break
-            start = system.step
-            newton, plain = system.solve(gradient, rough=True)[0], system.preconditioned(gradient)
-            for step in (newton, plain):  # Gauss-Newton's goes downhill
-                if step is None:
-                    continue
-                system.step = start - step
-                ahead, next_length = system.next_step()
-                if next_length < length:
+            system, moved = self._system, np.zeros(self._system.size)
+            gradient, length = system.gradient(moved)
+            before, is_fast = length, True
+            while is_fast and length > POLISHED:
+                rows = system.solve(gradient)[0]
+                newton = system.preconditioned(gradient) if rows is None else rows["vector"]
+                for share in (1, 1 / 4, 1 / 16, 1 / 64):
+                    ahead, next_length = system.gradient(moved - share * newton)
+                    if next_length < length:
+                        break
+                else:
                     break
-            else:
-                system.step = start
+                is_fast = next_length < length / 2
+                moved, gradient, length = moved - share * newton, ahead, next_length
+            if not moved.any() or length > max(CONVERGED, before / 2):
                 break
-            gradient, length = ahead, next_length
-        if system.step.any() and length <= CONVERGED:
-            moved = with_estimates(self._prepared.start, system.core.moved(system.step))
-            self._prepared = self._prepared.at(moved)
-            self._system = _System(self._prepared)
-            length = min(length, self._system.next_step()[1])
+            arrays = system.core.moved(moved)
+            self._prepared = self._prepared.at(with_estimates(self._prepared.start, arrays))
+            self._system = _System(self._prepared, True)
+            if length <= CONVERGED:
+                return min(length, self._system.gradient(np.zeros(system.size))[1])
         return length
 
     def vjp(
@@ -417,53 +433,45 @@ class Adjoint(Displayed):
                 GaugeWarning,
                 stacklevel=2,
             )
-        a, count = None, 0
-        failure = (
-            f"No minimum: the next step has {number(self.next_step)} sigmas. Solve first, with "
-            "smaller tolerances."
-        )
-        if self.is_converged and self.exact:
-            a, count = system.solve(rest)
-            failure = (
-                f"No solution of the adjoint equations after {plural(count, 'product')}: the "
-                "Hessian is not positive definite."
-            )
+        rows, count = None, 0
+        failure = "No minimum: the Hessian is not positive definite."
+        if self.next_step > CONVERGED:
+            failure = f"The next step has {number(self.next_step)} sigmas: use smaller tolerances."
+        elif self.is_converged and self.exact:
+            rows, count = system.solve(rest)
+            failure = f"No solution of the adjoint equations after {plural(count, 'product')}."
         elif self.is_converged:
             a = system.preconditioned(rest)
-        if a is None:
+            length = float(np.sqrt(rest @ a))
+            rows = system.rows_along(a, length) if length > 0 else system.rows_of(0.0)
+        is_converged = rows is not None
+        if rows is None:
             text = f"{failure} All derivatives are NaN."
             warnings.warn(text, NotConvergedWarning, stacklevel=2)
-        found = self._derivatives(np.full(len(y), np.nan) if a is None else a, parts["cameras"])
+            rows = system.rows_of(np.nan)
         return Derivatives(
-            **found,
+            **self._derivatives(rows, parts["cameras"]),
             gauge_share=share,
             num_products=count,
             exact=self.exact,
-            is_converged=a is not None,
+            is_converged=is_converged,
         )
 
-    def _derivatives(self, a: _Floats, of_cameras: _Floats) -> dict[str, Any]:
+    def _derivatives(self, rows: Mapping[str, Any], of_cameras: _Floats) -> dict[str, Any]:
         system, start, n = self._system, self._prepared.start, self.problem.num_observations
-        rows = system.core.along(a)
         along, r, bend = rows["along"], rows["residuals"], rows["bends"]
         product = (along * r).sum(axis=1)
         spread = np.ones(len(r)) if start.observation_sigma is None else start.observation_sigma
         root = np.sqrt(rows["weights"]) / spread
         pixels = root[:, None] * (along + (bend * product)[:, None] * r)
         sigmas = 2 / spread * (1 + 0.5 * bend * (r**2).sum(axis=1)) * product
-        held = np.zeros(of_cameras.shape)
-        is_held = system.core.held.astype(bool)
-        if np.isnan(a).any():
-            held[:] = pixels[:] = sigmas[:] = product[:] = np.nan
-        elif is_held.any():
-            length = float(np.sqrt((along**2).sum() + (rows["factor_along"] ** 2).sum()))
-            slope = system.product(a, length)[1] if length > 0 else held
-            held = np.where(is_held, of_cameras - slope, 0.0)
-            for factor in filter(_couples_parameters, self.factors):
-                keys: Any = factor.keys
-                cameras = [key for kind, key in keys if kind == "camera"]
-                rows_of = np.isin(start.camera_ids, cameras)[:, None]
-                held[rows_of & is_held] = np.nan
+        is_held, slope = system.core.held.astype(bool), rows["by_params"]
+        held = np.where(is_held, of_cameras, slope) - slope  # NaN with it
+        for factor in filter(_couples_parameters, self.factors):
+            keys: Any = factor.keys
+            cameras = [key for kind, key in keys if kind == "camera"]
+            rows_of = np.isin(start.camera_ids, cameras)[:, None]
+            held[rows_of & is_held] = np.nan
         begin = rows["factor_begin"]
         priors = [
             _of_prior(
