@@ -76,7 +76,7 @@ def _of_keyframes(result: OdometryResult) -> list[Figure]:
         _contradiction(frames),
         _bias(frames, "gyro", "gyroscope", "rad/s"),
         _bias(frames, "accel", "accelerometer", "m/s²"),
-        _yaw_sigma(frames),
+        *_yaw_sigma(frames),
         *_departures(frames),
     ]
 
@@ -216,16 +216,17 @@ def _entry(record: KeyframeRecord, field: str, axis: int) -> float | None:
     return None if values is None else float(values[axis])
 
 
-def _yaw_sigma(frames: _Keyframes) -> Figure:
+def _yaw_sigma(frames: _Keyframes) -> list[Figure]:
     sigma = np.degrees(frames.values(lambda r: r.yaw_sigma))
     rotation = np.degrees(frames.values(lambda r: r.accumulated_rotation))
-    missing = "Known with --covariance, --start-yaw-sigma and --start-position-sigma."
-    return line_figure(
+    if not np.isfinite(sigma).any():  # unknown without --covariance and the sigmas of the start
+        return []
+    return [line_figure(
         name="yaw_sigma", title="Sigma of yaw against rotation",
         x_label="rotation since the start, degrees", y_label="sigma of yaw, degrees",
         lines=(Line("sigma of yaw", rotation, sigma),),
-        note="No sensor measures yaw: it must not fall." if np.isfinite(sigma).any() else missing,
-    )  # fmt: skip
+        note="No sensor measures yaw: it must not fall.",
+    )]  # fmt: skip
 
 
 def _departures(frames: _Keyframes) -> list[Figure]:
@@ -264,7 +265,7 @@ def _departures(frames: _Keyframes) -> list[Figure]:
 
 def _paths(result: OdometryResult, truth: Trajectory | None) -> list[Figure]:
     labels: dict[str, Any] = {
-        "name": "path", "title": "Path from above", "x_label": "x, m", "y_label": "y, m",
+        "name": "path", "title": "Path from above", "x_label": "x [m]", "y_label": "y [m]",
         "is_plan": True,
     }  # fmt: skip
     if truth is None:
@@ -285,7 +286,7 @@ def _paths(result: OdometryResult, truth: Trajectory | None) -> list[Figure]:
     return [
         line_figure(lines=lines, note=note, **labels),
         line_figure(
-            name="error", title="Error of the position", x_label=TIME, y_label="m", lines=errors,
-            note=note,
+            name="error", title="Error of the position", x_label=TIME, y_label="error [m]",
+            lines=errors, note=note,
         ),
     ]  # fmt: skip

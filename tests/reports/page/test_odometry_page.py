@@ -1,5 +1,6 @@
 """The page of an odometry: what is drawn is what the records say, in Matplotlib's figures too."""
 
+import dataclasses
 import json
 import re
 
@@ -11,7 +12,7 @@ import bundle
 from bundle import InputError, figures, pictures
 from bundle.cli.main import main
 from bundle.inertial.vio.odometry import run_odometry
-from bundle.inertial.vio.trajectory_comparison import aligned_in_yaw
+from bundle.inertial.vio.trajectory_comparison import aligned_in_yaw, compare_trajectories
 from bundle.io.sequences.sequence_folder import save_sequence
 from bundle.io.sequences.trajectory_files import Trajectory
 from bundle.reports.page.result_pages import write_odometry
@@ -71,6 +72,21 @@ def test_the_page_stands_alone_and_escapes_names(page):
 def test_the_page_begins_with_the_headline_of_the_report(page, told):
     headline, *_ = odometry_headline(told, None)
     assert f"<h1>{headline}</h1>" in page[1].source
+
+
+def test_the_error_is_the_title_and_what_is_unknown_has_no_figure(told, truth, tmp_path):
+    unknown = [dataclasses.replace(record, yaw_sigma=None) for record in told.keyframes]
+    blind = dataclasses.replace(told, keyframes=tuple(unknown))
+    error = compare_trajectories(told.trajectory, truth)
+    write_odometry(blind, tmp_path / "page.html", truth=truth, error=error)
+    page = Page(tmp_path / "page.html")
+    title = re.search("<h1>(.*?)</h1>", page.source)[1]
+    assert title.startswith("Position error") and f"{error.ate:.4g} m" in title
+    assert set(NAMES) - set(numbers((None, page))) == {"yaw_sigma"}
+    # The path comes before the table of facts, and an interruption before its error.
+    assert page.source.index('data-figure="path"') < page.source.index("<table")
+    early = odometry_headline(dataclasses.replace(told, interrupted=True), error)
+    assert early[0].startswith("Interrupted") and early[1] == title
 
 
 FIELDS = {

@@ -127,11 +127,12 @@ def write_odometry(
     check_type("name", name, str)
     figures = {figure.name: figure for figure in odometry_figures(result, truth)}
     facts = [("result", result.message), *odometry_facts(name, result, error)]
-    sections = [Section(facts=facts), _alarms(result)]
     headline, *more = odometry_headline(result, error)
-    for title, names in SECTIONS.items():
-        drawn = [figures[key] for key in names if key in figures]
-        sections.append(Section(title=title, figures=drawn))
+    sections = [
+        Section(title=title, figures=[figures[key] for key in names if key in figures])
+        for title, names in SECTIONS.items()
+    ]
+    sections[1:1] = [Section(facts=facts), _alarms(result)]
     title = f"Odometry of {name}" if name else "Odometry"
     names = ("label", "x", "y", "sigma")
     lines = {
@@ -199,17 +200,17 @@ def write_check(
         first = [Section(text=[checked])]
     else:
         raise InputError(f"report: expected the result of a check, found {brief(report)}")
-    said = [*(found.sentence for found in report.findings), *points]
-    kind = {"correct": "recommended", "wrong": "finding problem"}.get(report.verdict, "finding")
+    kind = "finding problem" if report.verdict == "wrong" else "finding"
+    said = [found.sentence for found in report.findings] + points
     worst = [entry for entry in report.worst if entry.error > 0]
     sections: list[Section | str] = [
-        tag("div", tag("p", escape(words.outcome(report))), class_=kind),
-        tag("ul", *(tag("li", escape(sentence)) for sentence in said)) if said else "",
+        *(tag("div", tag("p", escape(sentence)), class_=kind) for sentence in said),
         *first,
         *([Section(title="Worst entries", tables=[Table(WORST, worst, left=2)])] if worst else []),
         *(section for key, one in parts.items() for section in _details(one, key)),
     ]
-    write_page(as_path(path), f"Jacobians: {name}", rendered(sections))
+    title = f"Jacobians: {name}"
+    write_page(as_path(path), title, rendered(sections), headline=words.outcome(report))
 
 
 KINDS = ("factors", "verdict", "largest error", "checked", "wrong", "undecided")

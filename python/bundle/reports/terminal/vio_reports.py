@@ -107,7 +107,7 @@ def odometry_report(
 
 
 def odometry_headline(result: OdometryResult, error: TrajectoryError | None) -> list[str]:
-    """Return whether the odometry is usable, its pace, uncertain scale and errors."""
+    """Return whether the odometry is usable, its errors, pace and uncertain scale."""
     if not result.is_usable:
         return [f"Not usable: {result.message}. The trajectory ends there or is wrong."]
     end = "Interrupted: the trajectory ends early; " if result.interrupted else ""
@@ -127,9 +127,10 @@ def odometry_headline(result: OdometryResult, error: TrajectoryError | None) -> 
             f"{100 * max(uncertain):.2g} %."
         )
     if error is not None:
-        said.append(
+        said.insert(
+            bool(end),
             f"Position error {number(error.ate)} m rms (ATE) along {number(error.path_length)} m, "
-            f"rotation {number(error.rotation_rms)} degrees, scale {error.scale:.4f}."
+            f"rotation {number(error.rotation_rms)} degrees, scale {error.scale:.4f}.",
         )
     return said
 
