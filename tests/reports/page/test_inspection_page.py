@@ -158,7 +158,7 @@ def test_rows_beyond_five_are_folded_away(written):
         for i in range(9)
     )  # fmt: skip
     _, page = written(inspection=dataclasses.replace(INSPECTION, methods=many, recommended=8))
-    shown, folded = page.source.split("<details", 1)
+    shown, folded = page.source.replace("<wbr>", "").split("<details", 1)
     names = [f"fused SPARSE_SCHUR order{i}" for i in reversed(range(9))]
     assert [name for name in names if name in shown] == names[:5]
     assert [name for name in names if f">{name}</th>" in folded] == names[5:]

@@ -187,7 +187,9 @@ def _errors(facts: GraphFacts) -> list[Section]:
             tables=[Table(kinds, error_kinds(facts), legend=legend)],
             figures=[figure] if figure is not None else [],
         ),
-        Section(title=f"Worst {noun}s", tables=[Table(edges, worst, left=2, legend=reading)]),
+        Section(
+            title=f"Worst {noun}s", tables=[Table(edges, worst, left=2, most=5, legend=reading)]
+        ),
     ]
 
 

@@ -52,7 +52,7 @@ def table(
     lines = []
     for index, row in enumerate(rows):
         number = head[0] if row[0].isdigit() else None
-        name = tag("th", escape(row[0]), scope="row", data_label=number)
+        name = tag("th", escape(row[0]).replace("_", "_<wbr>"), scope="row", data_label=number)
         cells = [
             tag("td", escape(cell), class_=kind, data_label=label)
             for cell, kind, label in zip(row[1:], kinds[1:], head[1:], strict=True)
@@ -129,7 +129,7 @@ def _section(section: Section) -> str:
     given = section.figures() if callable(section.figures) else section.figures
     figures = [draw(figure, "h4") for figure in given]
     if len(figures) == len(tables) == 1:  # the table has room beside the figure
-        tables, figures = [], [*figures, *tables]
+        tables, figures = [], [*figures, tag("div", *tables, class_="beside")]
     parts = [
         *(tag("p", escape(str(words)), class_="quiet") for words in section.text),
         *(tag("p", escape(words), class_=kind) for words in section.notes),
