@@ -48,11 +48,11 @@ WIDE = 20.0
 def lens_figure(curves: Mapping[str, LensCurve], title: str = "", note: str = "") -> Figure:
     """Return the figure of distortion against the distance from the principal point, by label.
 
-    The curve "before" is grey and dashed. The others have sigma bands, and marks at the farthest
-    observation and at the farthest image corner. More than 6 curves are faint, without labels and
-    bands, and have the marks of all together.
+    The curve "before" is grey and dashed. The others have sigma bands; marks are at the farthest
+    observation and the farthest image corner of all. More than 6 curves are faint, without labels
+    and bands.
     """
-    lines, places = [], []
+    lines = []
     now = [label for label in curves if label != "before"]
     many = len(now) > MOST_NAMED
     for label, curve in curves.items():
@@ -63,10 +63,12 @@ def lens_figure(curves: Mapping[str, LensCurve], title: str = "", note: str = ""
             Line("" if many else label, curve.radius, curve.distortion, sigma, colour=colour,
                  dash=int(before), opacity=0.45 if many else 1.0)
         )  # fmt: skip
-        if not before and not many:
-            places.append(_places([curve], colour if len(now) > 1 else GREY))
-    if many:
-        places.append(_places([*curves.values()], GREY))
+    marked = [curves[label] for label in now or curves]
+    found = {
+        "observed": max(curve.observed_radius for curve in marked),
+        "corner": max(curve.corner_radius for curve in marked),
+    }
+    places = {name: value for name, value in found.items() if math.isfinite(value)}
     spread = [0.0 if line.sigma is None else line.sigma for line in lines]
     ends = [line.y + sign * s for line, s in zip(lines, spread, strict=True) for sign in (-1, 1)]
     heights = np.concatenate([np.zeros(0), *ends])
@@ -74,23 +76,15 @@ def lens_figure(curves: Mapping[str, LensCurve], title: str = "", note: str = ""
     if (np.abs(heights) < NONE).all():
         heights = np.array([-1.0, 1.0])
     reach = [x for line in lines for x in line.x.tolist()]
-    reach += [x for mark in places for x in mark.at.values()]
+    reach += places.values()
     return Figure(
         name="distortion",
         title=title,
         x=linear([0.0, *reach], "distance from the principal point [px]"),
         y=linear([*heights.tolist(), 0.0], "distortion [px]", low=None),
-        marks=(*lines, *places),
+        marks=(*lines, Places(places)),
         note=note,
     )
-
-
-def _places(curves: Sequence[LensCurve], colour: int) -> Places:
-    found = {
-        "observed": max(curve.observed_radius for curve in curves),
-        "corner": max(curve.corner_radius for curve in curves),
-    }
-    return Places({name: value for name, value in found.items() if math.isfinite(value)}, colour)
 
 
 def focal_figure(
@@ -103,9 +97,11 @@ def focal_figure(
         words.append(f"{name}: spread {number(float(np.std(value)))} px")
         if len(typical):
             words[-1] += f", median sigma {number(float(np.median(typical)))} px"
-    # Bars of focal lengths that are not determined would hide the spread of the others.
-    every = np.concatenate([*values.values()])
-    margin = 0.25 * float(np.ptp(every)) or 0.01 * float(every.mean())
+    # Half of the bars are inside. Those of undetermined focal lengths would hide the others.
+    every, known = (np.concatenate([*of.values()]) for of in (values, sigmas))
+    bar = float(np.nanmedian(known)) if np.isfinite(known).any() else 0.0
+    margin = max(0.25 * float(np.ptp(every)), min(1.2 * bar, 0.5 * float(every.mean())))
+    margin = margin or 0.01 * float(every.mean())
     ends = [float(every.min()) - margin, float(every.max()) + margin]
     marks = [
         Line(name if len(values) > 1 else "", ids, value, colour=colour, is_dotted=True,

@@ -69,7 +69,6 @@ class Places:
     """Vertical lines at named positions on the x axis."""
 
     at: Mapping[str, float]
-    colour: int = GREY
 
 
 @dataclass(frozen=True, eq=False)

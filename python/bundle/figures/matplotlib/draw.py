@@ -10,6 +10,7 @@ import numpy as np
 
 from bundle.errors import InputError
 from bundle.figures.marks import (
+    GREY,
     Bars,
     Cells,
     Dots,
@@ -137,7 +138,7 @@ def _steps(ax: Axes, steps: Steps) -> None:
 def _places(ax: Axes, mark: Places) -> None:
     low, high = ax.get_xlim()
     for level, (label, value) in enumerate(mark.at.items()):
-        ax.axvline(value, color=_paint(mark.colour), linestyle=":", linewidth=1)
+        ax.axvline(value, color=_paint(GREY), linestyle=":", linewidth=1)
         side = "right" if value > (low + high) / 2 else "left"
         shift = (-3 if side == "right" else 3, -3 - 8 * level)
         ax.annotate(
