@@ -52,7 +52,7 @@ def test_what_is_unknown_is_left_out():
 
 def target(name, role, residual, left_out):
     triples = (np.array(one, float) for one in (residual, left_out, (0.02, 0.02, 0.02)))
-    return PlacedTarget(name, role, 3, *triples, 0.5, suspect=False)
+    return PlacedTarget(name, role, 3, *triples, 0.5, False, np.full(3, np.nan))
 
 
 def test_accuracy_comes_before_precision():
@@ -60,7 +60,7 @@ def test_accuracy_comes_before_precision():
         target("a", "control", (0.1, 0, 0), (0.3, 0.4, 1.0)),
         target("b", "check", (3, 4, 10), (3, 4, 10)),
     ))  # fmt: skip
-    table = placement_sections(place, None)[0].tables[0]
+    table, _ = placement_sections(place, flight([]).truth)[0].tables
     names = [row[0] for row in table.rows]
     assert names == ["check points", "control points, each left out", "control points"]
     # The 90 % quantiles of 200,000 errors with these RMS.
@@ -72,3 +72,14 @@ def test_accuracy_comes_before_precision():
         [np.quantile(plan, 0.9), np.quantile(up, 0.9)],
         rtol=0.01,
     )
+
+
+def test_a_shift_stands_beside_its_spread():
+    ups = [0.10, 0.13, 0.16]
+    checks = [target(f"c{k}", "check", (0, 0, up), (0, 0, up)) for k, up in enumerate(ups)]
+    unknown = target("d", "check", (0, 0, math.nan), (0, 0, math.nan))
+    place = Placement(None, (), (*checks, unknown, target("e", "control", (1, 1, 1), (2, 2, 2))))
+    _, table = placement_sections(place, flight([]).truth)[0].tables
+    assert table.rows[0] == ["check points", "4", "+0.0000 ± 0.0000", "+0.0000 ± 0.0000",
+                             f"+{np.mean(ups):.4f} ± {np.std(ups, ddof=1):.4f}"]  # fmt: skip
+    assert table.rows[1][0] == "control points, each left out" and set(table.rows[1][2:]) == {"-"}

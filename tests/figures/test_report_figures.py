@@ -9,7 +9,13 @@ import numpy as np
 import pytest
 
 from bundle.figures.cost_figures import column_figure, iteration_figure
-from bundle.figures.lens_figures import distance_figure, lens_curve, lens_figure, sigma_figure
+from bundle.figures.lens_figures import (
+    distance_figure,
+    focal_figure,
+    lens_curve,
+    lens_figure,
+    sigma_figure,
+)
 from bundle.figures.marks import GREY, Dots, Ellipses, Line, Places, Vectors
 from bundle.figures.placement_figures import placement, plan_figure, position_figure, target_figure
 from bundle.figures.projection_uncertainty import projection_uncertainty
@@ -44,7 +50,7 @@ def test_a_lens_before_a_solve_is_grey_and_dashed_and_has_no_band(problem):
 
 def test_the_plan_points_from_the_camera_to_the_measured_position(problem):
     place = placement(problem, RECORD)
-    figure = plan_figure(place)
+    figure = plan_figure(place, problem.projection_centers)
     (lines,) = marks(figure, Vectors)
     factor = float(figure.note.split(", ")[1].split()[0])
     known = [i for i in place.images if np.isfinite([*i.residual[:2], *i.position]).all()]
@@ -67,7 +73,42 @@ def test_errors_reach_no_farther_than_the_axes(problem):
     residuals = marks(position_figure(place), Dots)[0].xy
     np.testing.assert_allclose(moment.covariances[0], residuals.T @ residuals / len(residuals))
     nothing = dataclasses.replace(place, images=(), targets=())
-    assert target_figure(nothing) is position_figure(nothing) is plan_figure(nothing) is None
+    assert target_figure(nothing) is position_figure(nothing) is None
+    assert plan_figure(nothing, problem.projection_centers) is None
+
+
+def surveyed():
+    """Three points with a position, one of them with a gross error, and one without."""
+    places = ([0.0, 0.0, 5.0], [10.0, 0.0, 5.0], [0.0, 9.0, 5.0], [None] * 3)
+    gcps = [
+        {**point, "position_enu": at}
+        for point, at in zip([*RECORD["gcps"], RECORD["gcps"][0]], places, strict=True)
+    ]
+    return {**RECORD, "gcps": gcps}
+
+
+def test_the_plan_points_from_the_model_to_the_survey_and_says_the_error_of_height(problem):
+    figure = plan_figure(placement(problem, surveyed()), problem.projection_centers)
+    _, images, cameras, lines, points = figure.marks
+    assert len(images.at) == len(cameras.xy) == 1 and len(points.xy) == 3
+    assert points.names == ("a +0.300 m", "b", "c +2.000 m") and points.is_labelled
+    assert points.colours == (0, 0, 1)
+    np.testing.assert_allclose(points.xy, [[0.1, -0.2], [10.3, 0.2], [1.0, 11.0]])
+    factor = float(figure.note.split(", ")[2].split()[0])
+    np.testing.assert_allclose(lines.at + lines.step / factor, [[0, 0], [10, 0], [0, 9]])
+    # The largest error that counts has 0.36 m: the gross one of 2.2 m does not hide it.
+    height = figure.y.high - figure.y.low
+    assert 0.03 < factor * math.hypot(0.3, 0.2) / height <= 0.1
+
+
+def test_cameras_without_a_measured_position_are_drawn_beside_control_points(problem):
+    alone = placement(problem, {**surveyed(), "gps": []})
+    figure = plan_figure(alone, problem.projection_centers)
+    np.testing.assert_array_equal(figure.marks[0].xy, problem.projection_centers[:, :2])
+    assert "images" not in figure.note
+    both = plan_figure(placement(problem, surveyed()), problem.projection_centers)
+    assert len(both.marks[0].xy) == 0
+    assert "check" not in plan_figure(placement(problem, RECORD), problem.projection_centers).note
 
 
 def test_a_cost_that_hardly_falls_is_drawn_above_the_last_one():
@@ -110,3 +151,19 @@ def test_classes_of_tracks_are_named(problem):
     names = [*length_figure(tracks, 4).marks[0].values]
     assert names[-1] == f"{len(tracks.lengths) - 1}"
     assert [*length_figure(tracks).marks[0].values][-1].endswith(" or more")
+
+
+@pytest.mark.parametrize(("sigma", "reach"), [(0.1, 1.0), (8.0, 9.0), (math.nan, 1.0)])
+def test_the_typical_bar_of_a_focal_length_is_inside(sigma, reach):
+    """Four cameras that spread over 4 px; the focal length of the last is not determined."""
+    values, sigmas = np.array([1000.0, 1002, 1004, 1001]), np.array([sigma, sigma, sigma, 1e4])
+    figure = focal_figure(np.arange(4.0), {"f": values}, {"f": sigmas}, "")
+    assert figure.y.low <= 1000 - reach and figure.y.high >= 1004 + reach
+    assert figure.y.high - figure.y.low < 1100
+
+
+def test_the_marks_of_several_lenses_are_those_of_all(problem):
+    near = lens_curve(problem, 0)
+    far = dataclasses.replace(near, corner_radius=near.corner_radius + 5)
+    (places,) = marks(lens_figure({"camera 1": near, "camera 2": far}), Places)
+    assert places.at == {"observed": near.observed_radius, "corner": far.corner_radius}

@@ -135,6 +135,9 @@ def test_an_exact_block_returns_to_its_place():
     assert max(aligned.rms()) < 1e-8 and aligned.suspects == ()
     assert aligned.origin is None and aligned.reference_system is None
     assert all(p.pixels < 1e-6 and p.num_images == 9 for p in aligned.control_points)
+    assert [p.position for p in aligned.control_points] == [p.position for p in flight.gcps]
+    written = [point["position_enu"] for point in aligned.asdict()["gcps"]]
+    assert written == [list(point.position) for point in flight.gcps]
 
 
 def test_a_clean_block_has_no_suspect_and_a_wrong_target_is_one():

@@ -233,6 +233,7 @@ def test_check_points_never_influence():
         found.control_points[4:], moved.control_points[:2], check, strict=True
     ):
         assert np.abs(point.residual).max() < 0.2
+        assert (point.position, wrong.position) == (gcp.position, (900.0, 0.0, 5.0))
         shift = np.subtract(point.residual, wrong.residual)
         np.testing.assert_allclose(shift, np.subtract((900.0, 0, 5), gcp.position), atol=1e-6)
 

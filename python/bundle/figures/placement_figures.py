@@ -22,12 +22,13 @@ from bundle.figures.marks import (
     round_down,
     square,
 )
+from bundle.georeference.alignment_result import root_mean_square
 from bundle.model.cameras import param_kinds, project
 from bundle.model.problem import Problem
 from bundle.model.rigid_motions import rotation_matrices
 
-ROLES = {"control": 0, "check": 1}
-"""Colour indices of targets by role; other targets are grey."""
+ROLES = {"control": 0, "check": 1, "image": 5}
+"""Colour indices by role; others are grey."""
 
 ERRORS = ("error east [m]", "error north [m]")
 MOST_BOUNDED = 10_000
@@ -51,19 +52,13 @@ def target_figure(place: Placement) -> Figure | None:
     if len(controls):
         ellipses.append(Ellipses(_moment(controls)[None], 0))
     x, y = square((0.0, 0.0), max(reach, 1e-9), ERRORS)
-    dots = Dots(
-        residuals,
-        tuple(ROLES.get(target.role, GREY) for target in known),
-        tuple(target.name for target in known),
-        is_labelled=True,
-    )
     note = (
         "Blue: control points, with the ellipse of their root mean square; orange: check points; "
-        "green: one standard deviation of the survey. Names where there is room."
+        "green: one standard deviation of the survey. Names with errors of height."
     )
     return Figure(
         name="target_errors", title="Errors of control and check points", x=x, y=y,
-        marks=(dots, *ellipses), note=note, is_plan=True,
+        marks=(_dots(known, residuals, True), *ellipses), note=note, is_plan=True,
     )  # fmt: skip
 
 
@@ -80,42 +75,55 @@ def position_figure(place: Placement) -> Figure | None:
         title="Errors of positions",
         x=x,
         y=y,
-        marks=(_dots(known, residuals), Ellipses(_moment(residuals)[None], 1)),
+        marks=(_dots(known, residuals, False), Ellipses(_moment(residuals)[None], 1)),
         note="Ellipse: the RMS in each direction. Grey: without influence.",
         is_plan=True,
     )
 
 
-def plan_figure(place: Placement) -> Figure | None:
-    """Return positions from above with enlarged errors; None without positions."""
-    placed = [i for i in place.images if _is_known(i) and np.isfinite(i.position).all()]
-    if not placed:
+def plan_figure(place: Placement, centers: Array) -> Figure | None:
+    """Return cameras and points from above with enlarged errors; None without measurements.
+
+    The (n, 3) centers of all images are drawn where no image has a measured position.
+    """
+    groups: dict[str, list[PlacedImage | PlacedTarget]] = {
+        noun: [one for one in all_ if _is_known(one) and np.isfinite(one.position[:2]).all()]
+        for noun, all_ in (("images", place.images), ("points", place.targets))
+    }
+    if not any(groups.values()):
         return None
-    positions = np.array([image.position[:2] for image in placed])
-    low, high = positions.min(axis=0), positions.max(axis=0)
+    others = centers[: 0 if groups["images"] else None, :2]
+    every = np.vstack([others, *(one.position[:2] for group in groups.values() for one in group)])
+    low, high = every.min(axis=0), every.max(axis=0)
     half, middle = (high - low) / 2, (low + high) / 2
     reach = 1.1 * max(float(half[0]) / SHAPE, float(half[1]), 1e-6)
     x, y = square((float(middle[0]), float(middle[1])), reach, ("east [m]", "north [m]"))
-    residuals = np.array([image.residual[:2] for image in placed])
-    lengths = np.hypot(*residuals.T)
-    factor = round_down(0.2 * reach / float(lengths.max())) if lengths.max() > 0 else 1.0
-    shown = np.array([image.used for image in placed])
-    shown |= factor * lengths < 2 * reach * FARTHEST
-    lines = Vectors(positions[shown], -factor * residuals[shown])
+    marks: list[Any] = [Dots(others, (GREY,) * len(others), radius=2.0)]
+    note = "Lines go towards the measurement"
+    for noun, group in groups.items():
+        if not group:
+            continue
+        at = np.array([one.position[:2] for one in group])
+        residuals = np.array([one.residual[:2] for one in group])
+        lengths = np.hypot(*residuals.T)
+        used = np.array([one.used for one in group])
+        longest = float(lengths[used if used.any() else ...].max())
+        factor = round_down(0.2 * reach / longest) if longest > 0 else 1.0
+        shown = factor * lengths < 2 * reach * FARTHEST
+        lines = Vectors(at[shown], -factor * residuals[shown], ROLES["image"])
+        marks += [lines, _dots(group, at, noun == "points")]
+        note += f", {factor:g} times as long for {noun}"
+    if groups["points"]:
+        note += ". Blue: control points; orange: check points; with errors of height"
     return Figure(
-        name="plan",
-        title="Plan",
-        x=x,
-        y=y,
-        marks=(lines, _dots(placed, positions)),
-        note=f"Lines go from the camera towards the measured position, {factor:g} times as long.",
-        is_plan=True,
+        name="plan", title="Plan", x=x, y=y, marks=tuple(marks), note=f"{note}.", is_plan=True
     )
 
 
-def _dots(images: Sequence[PlacedImage], at: Array) -> Dots:
-    colours = tuple(0 if image.used else GREY for image in images)
-    return Dots(at, colours, tuple(image.name for image in images))
+def _dots(group: Sequence[PlacedImage | PlacedTarget], at: Array, is_labelled: bool) -> Dots:
+    names = (f"{one.name} {one.residual[2]:+.3f} m".removesuffix(" +nan m") for one in group)
+    colours = tuple(ROLES.get(one.role, GREY) for one in group)
+    return Dots(at, colours, tuple(names), is_labelled, radius=5.0 if is_labelled else 3.4)
 
 
 def _is_known(one: PlacedImage | PlacedTarget) -> bool:
@@ -141,14 +149,19 @@ class PlacedImage:
     sigmas: float
     used: bool
 
+    @property
+    def role(self) -> str:
+        """Role: "image", or "unused"."""
+        return "image" if self.used else "unused"
+
 
 @dataclass(frozen=True, eq=False)
 class PlacedTarget:
     """Control or check point, or an unused one.
 
     All are east, north, up [m], NaN if unknown: the residual (model minus survey), the residual of
-    a model that only the other points georeference, and the sigma of the survey. ``pixels`` is the
-    root mean square of its reprojection errors.
+    a model that only the other points georeference, the sigma of the survey, and the position in
+    the model. ``pixels`` is the root mean square of its reprojection errors.
     """
 
     name: str
@@ -159,6 +172,12 @@ class PlacedTarget:
     sigma: NDArray[np.float64]
     pixels: float
     suspect: bool
+    position: NDArray[np.float64]
+
+    @property
+    def used(self) -> bool:
+        """True if its error counts: without a gross error, in two images or more."""
+        return self.role != "unused" and not self.suspect
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,8 +194,8 @@ class Placement:
     images: tuple[PlacedImage, ...]
     targets: tuple[PlacedTarget, ...]
 
-    def rms(self, kind: str) -> NDArray[np.float64]:
-        """Return (5,) root mean squares: east, north, up, horizontal and total [m]; NaN if unknown.
+    def errors(self, kind: str) -> NDArray[np.float64]:
+        """Return (n, 3) errors: east, north, up [m]; NaN where unknown.
 
         The kind is "control", "check", "left out" or "gps": "left out" has the errors of control
         points without their own influence; "gps" includes only used positions.
@@ -187,16 +206,13 @@ class Placement:
             rows = [target.left_out for target in self.targets if target.role == "control"]
         else:
             rows = [target.residual for target in self.targets if target.role == kind]
-        table = np.array(rows, float).reshape(-1, 3)
-        squares = np.full(3, math.nan)
-        for axis in range(3):
-            known = table[np.isfinite(table[:, axis]), axis]
-            if len(known):
-                squares[axis] = (known**2).mean()
-        horizontal = squares[0] + squares[1]
-        every = horizontal + (squares[2] if np.isfinite(squares[2]) else 0.0)
-        result: NDArray[np.float64] = np.sqrt(np.array([*squares, horizontal, every]))
-        return result
+        return np.array(rows, float).reshape(-1, 3)
+
+    def rms(self, kind: str) -> NDArray[np.float64]:
+        """Return (5,) root mean squares: east, north, up, horizontal, total [m]; NaN if unknown."""
+        east, north, up = root_mean_square(self.errors(kind).tolist())
+        horizontal = math.hypot(east, north)
+        return np.array([east, north, up, horizontal, math.hypot(horizontal, np.nan_to_num(up))])
 
 
 @dataclass(frozen=True)
@@ -316,6 +332,8 @@ def placement(problem: Problem, record: Mapping[str, Any]) -> Placement:
                 sigma=_triple(entry["sigma"]),
                 pixels=_number(entry["residual_px"]),
                 suspect=bool(entry["suspect"]),
+                position=_triple(entry.get("position_enu", [None] * 3))
+                + _triple(entry["residual_enu"]),
             )
             for entry in record["gcps"]
         )

@@ -131,6 +131,7 @@ def align(
     errors = tuple(
         control_point_error(
             target,
+            survey.surveyed.target[row],
             residual[row],
             survey.surveyed.target_covariance[row],
             left_out[row],

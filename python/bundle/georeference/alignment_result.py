@@ -40,8 +40,8 @@ class ControlPointError:
         images: name, and error in x and y [pixels], of each measurement.
         suspect: True if a gross error is likely; see ``bundle.georeference.survey``.
         reason: reason why the point is unused; "" if it is used.
-        redundancy: share of an error of its coordinates that its residual shows after a solve; nan
-            if unknown.
+        redundancy: share of its error that the residual shows after a solve; nan if unknown.
+        position: (3,) position of the survey, east, north, up [m]; nan if unknown.
     """
 
     name: str
@@ -55,6 +55,7 @@ class ControlPointError:
     suspect: bool
     reason: str = ""
     redundancy: float = float("nan")
+    position: Triple = (float("nan"),) * 3
 
     @property
     def is_unchecked(self) -> bool:
@@ -75,6 +76,7 @@ class ControlPointError:
         return {
             "name": self.name,
             "role": self.role,
+            "position_enu": list(self.position),
             "residual_enu": list(self.residual),
             "residual_leave_one_out_enu": list(self.leave_one_out),
             "residual_px": self.pixels,
@@ -213,13 +215,8 @@ def as_triple(values: NDArray[np.float64]) -> Triple:
 def root_mean_square(residuals: Iterable[Triple]) -> Triple:
     """Return the root mean square of each column, ignoring nan; nan without numbers."""
     rows = np.array(list(residuals), dtype=float).reshape(-1, 3)
-    known = ~np.isnan(rows)
-    total = np.where(known, rows**2, 0.0).sum(axis=0)
-    count = known.sum(axis=0)
-    east, north, up = (
-        float(np.sqrt(t / c)) if c else float("nan") for t, c in zip(total, count, strict=True)
-    )
-    return east, north, up
+    squares = [column[~np.isnan(column)] ** 2 for column in rows.T]
+    return as_triple(np.sqrt([one.mean() if len(one) else np.nan for one in squares]))
 
 
 def _image(image: ImageError) -> dict[str, Any]:

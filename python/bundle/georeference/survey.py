@@ -223,6 +223,7 @@ def surveyed(targets: tuple[Triangulated, ...], target: Array, sigma: Sigma) -> 
 
 def control_point_error(
     target: Triangulated,
+    position: Array,
     residual: Array,
     covariance: Array,
     left_out: Array | None = None,
@@ -231,6 +232,7 @@ def control_point_error(
     """Return the result record of a target.
 
     Args:
+        position: (3,) position of the survey, east, north, up.
         residual: (3,) model minus survey.
         covariance: (3, 3) covariance of the survey.
         left_out: (3,) residual of a model without the target, if known.
@@ -254,6 +256,7 @@ def control_point_error(
         ),
         suspect=suspect,
         reason=target.reason,
+        position=as_triple(position),
     )
 
 

@@ -160,7 +160,7 @@ class TargetPriors(FoundPriors):
         survey = np.array([point.position for point in self.points]).reshape(-1, 3)
         covariance = surveyed(targets, survey, GCP_SIGMA).target_covariance
         return tuple(
-            control_point_error(target, target.position - place, matrix)
+            control_point_error(target, place, target.position - place, matrix)
             for target, place, matrix in zip(targets, survey, covariance, strict=True)
         )
 

@@ -17,8 +17,8 @@ from bundle.figures.cost_figures import iteration_figure
 from bundle.figures.lens_figures import LensCurve, focal_figure, lens_figure, most_observed_cameras
 from bundle.figures.marks import Figure
 from bundle.figures.placement_figures import (
-    Block,
     Placement,
+    block,
     plan_figure,
     position_figure,
     target_figure,
@@ -151,19 +151,20 @@ CE90, LE90 = 1.5175, 1.6449
 """90 % quantiles of normal errors over their RMS: of the horizontal length, and of a height."""
 
 
-def placement_sections(place: Placement, dimensions: Block | None) -> list[Section]:
+def placement_sections(place: Placement, problem: Problem) -> list[Section]:
     """Return tables and figures; all lengths are in metres (east, north, up)."""
+    dimensions = block(problem)
     system = place.reference_system
     words = "Metres east, north, up: model minus measurement."
     words += f" Coordinates were read in {system}." if system else ""
-    targets = [target_figure(place)] if place.targets else []
-    images = [position_figure(place), plan_figure(place)] if place.images else []
+    plan = plan_figure(place, problem.projection_centers)
+    figures = (plan, target_figure(place), position_figure(place))
     return [
         Section(
             title="Control points and positions",
             text=[*([] if dimensions is None else [dimensions.sentence]), words],
             tables=_rms(place),
-            figures=[figure for figure in [*targets, *images] if figure is not None],
+            figures=[figure for figure in figures if figure is not None],
         ),
         *([_targets(place)] if place.targets else []),
         *([_positions(place)] if place.images else []),
@@ -171,27 +172,37 @@ def placement_sections(place: Placement, dimensions: Block | None) -> list[Secti
 
 
 def _rms(place: Placement) -> list[Table]:
-    """Return the table of RMS errors, those that measure accuracy first."""
+    """Return RMS errors, those that measure accuracy first, and their means and deviations."""
     head = ["RMS error", "count", "east [m]", "north [m]", "up [m]", "horizontal [m]", "total [m]",
             "CE90 [m]", "LE90 [m]"]  # fmt: skip
-    controls = sum(target.role == "control" for target in place.targets)
-    counts = {
-        "check": ("check points", sum(target.role == "check" for target in place.targets)),
-        "left out": ("control points, each left out", controls),
-        "control": ("control points", controls),
-        "gps": ("positions of images", sum(image.used for image in place.images)),
+    names = {
+        "check": "check points",
+        "left out": "control points, each left out",
+        "control": "control points",
+        "gps": "positions of images",
     }
-    rows = []
-    for kind, (name, count) in counts.items():
-        rms = place.rms(kind)
-        if count and np.isfinite(rms).any():
-            errors = [*rms, CE90 * rms[3], LE90 * rms[2]]
-            rows.append([name, f"{count}", *map(_metres, errors)])
+    rows, means = [], []
+    for kind, name in names.items():
+        errors, rms = place.errors(kind), place.rms(kind)
+        if np.isfinite(rms).any():
+            of_90 = [CE90 * rms[3], LE90 * rms[2]]
+            rows.append([name, f"{len(errors)}", *map(_metres, [*rms, *of_90])])
+            means.append([name, f"{len(errors)}", *map(_spread, errors.T)])
     legend = (
         "CE90, LE90: horizontal and vertical errors that 90 % of points do not exceed, if errors "
+        "are normal and equal in east and north."
     )
-    legend += "are normal and equal in east and north."
-    return [Table.of(head, rows, legend=legend)] if rows else []
+    shift = (
+        "A mean far from 0 beside its deviation is systematic, such as a wrong datum of heights."
+    )
+    head_of_means = ["mean ± standard deviation", *head[1:5]]
+    tables = [Table.of(head, rows, legend=legend), Table.of(head_of_means, means, legend=shift)]
+    return tables if rows else []
+
+
+def _spread(errors: NDArray[np.float64]) -> str:
+    known = errors[np.isfinite(errors)]
+    return f"{known.mean():+.4f} ± {known.std(ddof=1):.4f}" if len(known) > 1 else "-"
 
 
 def _targets(place: Placement) -> Section:

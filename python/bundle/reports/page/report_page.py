@@ -17,7 +17,7 @@ from bundle.base.arrays import check_type
 from bundle.base.paths import as_path, is_path
 from bundle.errors import InputError, shown
 from bundle.figures.lens_figures import lens_curves, most_observed_cameras
-from bundle.figures.placement_figures import Placement, block, placement
+from bundle.figures.placement_figures import Placement, placement
 from bundle.figures.projection_uncertainty import projection_uncertainty
 from bundle.figures.residual_field import residual_fields, rows_of_sets
 from bundle.figures.residual_figures import residual_histogram, worst_residuals
@@ -206,7 +206,7 @@ class _Page:
         self.data["rows"] = rows
         self.data |= shutter_data(problem, result, self.readout_sigmas)
         sections = [
-            *([] if self.place is None else placement_sections(self.place, block(problem))),
+            *([] if self.place is None else placement_sections(self.place, problem)),
             *self._residuals(sets, found, description),
             *(field_sections(planes, observed, rows) if planes else []),
             *(worst_section(images, photographs) if images else []),
