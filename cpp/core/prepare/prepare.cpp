@@ -38,8 +38,8 @@ std::string FindSuperfluousGauge(const AdjustmentProblem& problem, const FreePar
   const bool is_held = before.pose != after.pose || before.point != after.point ||
                        before.frame != after.frame || before.sensor != after.sensor;
   if (!is_held || !MayFixGauge(problem)) return "";
-  return "The gauge is fixed although factors determine the world: the fixed numbers do not follow "
-         "the factors. Use gauge none to let the factors decide.";
+  return "The gauge is fixed although factors may determine the world: the fixed numbers do not "
+         "follow the factors. Use gauge none if factors hold all of the world, with its scale.";
 }
 
 }  // namespace
