@@ -84,7 +84,7 @@ def as_graph(table, ids):
 
 @pytest.mark.parametrize("with_ids", [True, False])
 def test_errors_of_pose_graphs_are_those_of_evo(with_ids):
-    """Of twelve ids, 10 comes after 9, not after 1: the errors of motion show it."""
+    """The errors of motion show that id 10 comes after 9, not after 1."""
     truth, ids = example.path(12), np.arange(12)
     estimate = example.noisy(truth, 0.01)
     reference = as_graph(truth, ids) if with_ids else PoseTable(truth.poses)

@@ -12,8 +12,7 @@ Order, without names and stamps: line k of a KITTI file is frame k, and names th
 such as 000012.png, are frames. Otherwise, both inputs must have the same number of poses; images
 with names are sorted by them.
 
-Pairs are sorted by name (numbers by size) or by time, so that the order of the input has no
-influence on any result.
+Pairs are sorted by name (numbers by size) or by time: the order of the input changes no result.
 """
 
 from __future__ import annotations
