@@ -14,7 +14,7 @@ import bundle
 from bundle.base.words import contents, plural
 from bundle.interface.option_class import spellings
 from bundle.interface.planning_options import COMPARED
-from bundle.model.reprojection import reprojection_error
+from bundle.model.residuals import reprojection_error
 from tests import scenes
 
 LAZY = (

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 import bundle
 from bundle import pictures
-from bundle.model.reprojection import linearize, reprojection_errors
+from bundle.model.residuals import linearize, reprojection_errors
 
 ROOT = Path(__file__).resolve().parent.parent
 MODEL = ROOT / "data" / "street_colmap"

@@ -92,7 +92,7 @@ _DEFERRED = {
     "model.pose_graph_arrays": "PoseGraph",
     "model.pose_table": "PoseTable",
     "model.problem": "Problem",
-    "model.reprojection": "ReprojectionError",
+    "model.residuals": "ReprojectionError",
     "model.rolling_shutter": "RollingShutter",
     "model.selection": "Selection",
     "model.sequence.calibration": "Calibration ImuNoise",

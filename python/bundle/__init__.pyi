@@ -147,7 +147,7 @@ from bundle.model.cameras import project as project
 from bundle.model.pose_graph_arrays import PoseGraph as PoseGraph
 from bundle.model.pose_table import PoseTable as PoseTable
 from bundle.model.problem import Problem as Problem
-from bundle.model.reprojection import ReprojectionError as ReprojectionError
+from bundle.model.residuals import ReprojectionError as ReprojectionError
 from bundle.model.rolling_shutter import RollingShutter as RollingShutter
 from bundle.model.selection import Selection as Selection
 from bundle.model.sequence.calibration import Calibration as Calibration

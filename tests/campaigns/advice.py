@@ -40,7 +40,7 @@ from bundle.cli.main import command_parser
 from bundle.cli.main import main as run_bundle
 from bundle.cli.run import DROPPED
 from bundle.model.problem import Problem
-from bundle.model.reprojection import errors_or_nan, summarize_clipped
+from bundle.model.residuals import errors_or_nan, summarize_clipped
 from tests.campaigns import findings
 
 WORSE = 1.05

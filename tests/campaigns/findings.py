@@ -23,7 +23,7 @@ import numpy as np
 import bundle
 from bundle.interface.finding import Finding
 from bundle.judging.findings.find import find
-from bundle.model.reprojection import residuals
+from bundle.model.residuals import residuals
 
 KINDS = (
     *("outliers", "lens_model", "motion", "image_residuals", "shared_lens"),

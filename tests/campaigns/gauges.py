@@ -154,7 +154,7 @@ def _hold_points(case: Case, rng: np.random.Generator, rules: list[str]) -> None
         else:  # at one place
             points[rows[1]] = points[rows[0]]
         moved = problem.replace(points=points)
-        errors = bundle.model.reprojection.linearize(moved).residual  # seen where they are now
+        errors = bundle.model.residuals.linearize(moved).residual  # seen where they are now
         seen = np.isin(moved.observation_point, rows)
         xy = moved.observation_xy + np.where(seen[:, None], errors, 0.0)
         noise = 0.3 * rng.standard_normal(xy.shape)

@@ -37,7 +37,7 @@ from bundle.judging.validation import judgement
 from bundle.judging.validation import validate_problem as validation_module
 from bundle.judging.validation.validation_result import Cameras, DecisionRule, decide
 from bundle.model.folds import are_repeated, folds_of
-from bundle.model.reprojection import residuals
+from bundle.model.residuals import residuals
 from tests.campaigns import judge_scenes
 
 EQUIVALENT = 1.05

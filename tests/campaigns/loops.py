@@ -13,7 +13,7 @@ import sys
 from time import perf_counter
 
 import bundle
-from bundle.model.reprojection import reprojection_error
+from bundle.model.residuals import reprojection_error
 from tests.graphs.loops.drift import ate, closures_of, drifted_street, pairs_along
 
 ROBUST = {"loss": "cauchy", "loss_scale": 2.0, "max_num_iterations": 100, "num_rounds": 2}

@@ -27,7 +27,7 @@ import numpy as np
 
 import bundle
 from bundle.interface.scene_options import SceneOptions
-from bundle.model.reprojection import linearize
+from bundle.model.residuals import linearize
 from bundle.synthetic.video_scene import FilmedScene, film
 from tests.rolling import matrices, still
 

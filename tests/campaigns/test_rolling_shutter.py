@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import bundle
-from bundle.model.reprojection import linearize
+from bundle.model.residuals import linearize
 from tests.campaigns import rolling_shutter as campaign
 from tests.rolling import Rows
 

@@ -103,7 +103,7 @@ def test_interrupted_solve_saves_and_exits_1(tmp_path, backend):
     assert report["summary"]["interrupted"]
     assert report["summary"]["final_cost"] < report["summary"]["initial_cost"]
     refined = bundle.load(output)
-    errors, _ = bundle.model.reprojection.reprojection_errors(refined)
+    errors, _ = bundle.model.residuals.reprojection_errors(refined)
     rho = evaluate_loss("tukey", 1.0, errors**2)
     assert 0.5 * rho[:, 0].sum() == pytest.approx(report["summary"]["final_cost"], rel=1e-9)
 

@@ -46,7 +46,7 @@ def test_refines_and_reports(run, model, tmp_path, backend):
     assert lines[-2:] == [f"writing {output} ...", "measuring reprojection errors ..."]
     assert len({len(line) for line in lines[2:-2]}) == 1  # columns
     refined = bundle.load(output)
-    errors, _ = bundle.model.reprojection.reprojection_errors(refined)
+    errors, _ = bundle.model.residuals.reprojection_errors(refined)
     assert np.sqrt(np.mean(errors**2)) < 0.7  # the noise is 0.5 px in x and in y, less the fit
 
 

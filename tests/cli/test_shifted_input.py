@@ -8,7 +8,7 @@ import pytest
 import bundle
 from bundle import InputError
 from bundle.io.formats import nvm
-from bundle.model.reprojection import residuals
+from bundle.model.residuals import residuals
 from tests.io.formats import foreign_files as foreign
 from tests.io.formats.foreign_files import small
 from tests.scenes import make_problem

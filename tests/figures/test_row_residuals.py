@@ -6,7 +6,7 @@ import pytest
 import bundle
 from bundle.figures.marks import GREY, Line
 from bundle.figures.residual_field import NUM_BANDS, row_figure, row_residuals, rows_of_sets
-from bundle.model.reprojection import Residuals
+from bundle.model.residuals import Residuals
 from bundle.synthetic.video_scene import film
 
 IMAGES, PER_IMAGE = 40, 600

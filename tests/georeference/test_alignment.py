@@ -23,7 +23,7 @@ from bundle.georeference.similarity_fit import Correspondences, fit_similarity
 from bundle.georeference.text_lines import ImageIndex
 from bundle.georeference.triangulated_targets import triangulate
 from bundle.model.lenses.exact_image import pixel_rays
-from bundle.model.reprojection import reprojection_errors
+from bundle.model.residuals import reprojection_errors
 from bundle.model.rigid_motions import quaternion_from_matrix, rotation_matrices
 from tests.formulas import PARAMS as MODELS
 from tests.georeference.blocks import MODEL, PARAMS, TRUTH, block

@@ -11,7 +11,7 @@ from bundle import _core
 from bundle.georeference import target_priors
 from bundle.georeference.alignment_result import root_mean_square
 from bundle.georeference.target_priors import LARGEST_ID, TargetPriors
-from bundle.model.reprojection import linearize
+from bundle.model.residuals import linearize
 from tests.georeference.flights import flight
 
 CORNERS = [(-22, -20, 0.5), (21, -22, -0.4), (-20, 23, 0.2), (22, 21, -0.6)]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bundle.model.reprojection import errors_or_nan, summarize_clipped
+from bundle.model.residuals import errors_or_nan, summarize_clipped
 from tests.scenes import make_problem
 
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import bundle
-from bundle.model import reprojection as module
-from bundle.model.reprojection import reprojection_error, reprojection_errors, worst_images
+from bundle.model import residuals as module
+from bundle.model.residuals import reprojection_error, reprojection_errors, worst_images
 from tests.scenes import make_problem, scene
 
 

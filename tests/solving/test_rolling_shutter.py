@@ -5,7 +5,7 @@ import pytest
 
 import bundle
 from bundle import _core
-from bundle.model.reprojection import linearize
+from bundle.model.residuals import linearize
 from tests import rolling, scenes
 
 MODELS = ("SIMPLE_RADIAL", "PINHOLE", "OPENCV", "OPENCV_FISHEYE", "FOV", "EUCM")

@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 import bundle
 from bundle import InputError, SceneOptions, _core
 from bundle.base.components import component_roots
-from bundle.model.reprojection import reprojection_error
+from bundle.model.residuals import reprojection_error
 from bundle.synthetic import blocks
 from bundle.synthetic.blocks import ErrorTally, SceneInBlocks, SceneTally, write_bal_scene
 from tests.scenes import make_problem

@@ -32,7 +32,7 @@ from bundle.interface.option_fields import number
 from bundle.io.files import Source, as_problem
 from bundle.model.cameras import camera_models, param_kinds, project
 from bundle.model.problem import Problem
-from bundle.model.reprojection import resolve_cheirality
+from bundle.model.residuals import resolve_cheirality
 from bundle.model.rigid_motions import (
     quaternion_from_matrix,
     quaternion_from_vector,

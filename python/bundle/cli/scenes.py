@@ -118,7 +118,7 @@ def _write_attitudes(
 
 
 def _tally(scene: SyntheticScene) -> SceneTally:
-    from bundle.model.reprojection import reprojection_error
+    from bundle.model.residuals import reprojection_error
     from bundle.synthetic.blocks import SceneTally
 
     problem = scene.problem

@@ -11,7 +11,7 @@ from bundle.editing.camera_sharing import cameras_by_size, share_cameras, split_
 from bundle.editing.model_change import CameraModelChange, change_camera_model
 from bundle.errors import InputError
 from bundle.model.problem import Problem
-from bundle.model.reprojection import ReprojectionError, reprojection_error
+from bundle.model.residuals import ReprojectionError, reprojection_error
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -22,7 +22,7 @@ from bundle.figures.residual_figures import (
 )
 from bundle.figures.scene_view import SceneView, scene_view
 from bundle.figures.structure_figures import TrackStatistics, track_statistics
-from bundle.model.reprojection import Residuals, residuals
+from bundle.model.residuals import Residuals, residuals
 
 __all__ = [
     "Certainty",

@@ -42,7 +42,7 @@ from bundle.model.cameras import camera_models, project
 from bundle.model.lenses.exact_image import pixel_rays
 from bundle.model.losses import evaluate_loss
 from bundle.model.problem import Problem
-from bundle.model.reprojection import Residuals, residuals
+from bundle.model.residuals import Residuals, residuals
 from bundle.model.rigid_motions import cross_matrices, rotation_matrices
 
 Array = NDArray[np.float64]

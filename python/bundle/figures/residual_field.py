@@ -22,7 +22,7 @@ from bundle.base.records import dataclass
 from bundle.figures.marks import GREY, Figure, Line, linear, round_down
 from bundle.model.cameras import param_kinds
 from bundle.model.problem import Problem
-from bundle.model.reprojection import Residuals
+from bundle.model.residuals import Residuals
 
 MOST_CAMERAS = 6
 """Number of cameras with their own fields."""

@@ -27,7 +27,7 @@ from bundle.figures.marks import (
 )
 from bundle.figures.residual_field import SIGNIFICANT, ResidualField, residual_fields
 from bundle.model.problem import Problem
-from bundle.model.reprojection import ImageError, Residuals, worst_of_errors
+from bundle.model.residuals import ImageError, Residuals, worst_of_errors
 
 MOST_IMAGES = 2000
 """Number of images with a dot each; of more images every k-th has one."""

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from bundle.base.records import dataclass
 from bundle.figures.placement_figures import focal_lengths
 from bundle.model.problem import Problem
-from bundle.model.reprojection import Residuals
+from bundle.model.residuals import Residuals
 from bundle.model.rigid_motions import rotation_matrices
 
 MOST_POINTS = 60_000

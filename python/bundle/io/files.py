@@ -14,7 +14,7 @@ from bundle.errors import InputError, brief
 from bundle.io import open as io
 from bundle.io.formats.read_options import ReadOptions
 from bundle.io.recognition import is_pose_graph_file
-from bundle.model import reprojection
+from bundle.model import residuals
 from bundle.model.problem import Problem
 
 if TYPE_CHECKING:
@@ -144,6 +144,6 @@ def reprojection_errors(
         >>> errors, behind = bundle.reprojection_errors(result.problem)
         >>> outliers = (errors > 4.0) | behind
     """
-    return reprojection.reprojection_errors(
+    return residuals.reprojection_errors(
         as_problem(problem), cheirality=cheirality, num_threads=num_threads
     )

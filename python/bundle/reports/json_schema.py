@@ -47,7 +47,7 @@ _INTEGER: Schema = {"type": "integer"}
 _DEFINED = {
     "summary": "interface.summary.Summary",
     "finding": "interface.finding.Finding",
-    "reprojection_error": "model.reprojection.ReprojectionError",
+    "reprojection_error": "model.residuals.ReprojectionError",
     "cause": "judging.triage.triage_result.TriageCause",
     "environment": "interface.environment.Environment",
     "tracking": "inertial.tracking.track_recording.Tracking",

@@ -25,7 +25,7 @@ from bundle.io.files import Source, as_problem
 from bundle.model.estimates import arrays_of, estimates, with_estimates
 from bundle.model.folds import folds_of, keys, mix
 from bundle.model.problem import Problem
-from bundle.model.reprojection import HeldOut, errors_or_nan, summarize_clipped
+from bundle.model.residuals import HeldOut, errors_or_nan, summarize_clipped
 from bundle.solving.executors import solve_prepared
 from bundle.solving.prepare import Prepared, prepare
 from bundle.solving.request import SolveRequest

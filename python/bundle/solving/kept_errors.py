@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from bundle.base.records import dataclass
 from bundle.interface.options import SolveOptions
 from bundle.model.problem import Problem
-from bundle.model.reprojection import (
+from bundle.model.residuals import (
     ReprojectionError,
     counted_errors,
     reprojection_errors,

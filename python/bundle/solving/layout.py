@@ -9,7 +9,7 @@ import bundle._core as _core
 from bundle.errors import InputError
 from bundle.interface.options import SolveOptions
 from bundle.model.problem import Problem
-from bundle.model.reprojection import resolve_cheirality
+from bundle.model.residuals import resolve_cheirality
 from bundle.solving.ranks.launch import threads_of_one_process
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ from bundle.interface.round_options import RoundRecords
 from bundle.interface.solve_record import SolveRecord
 from bundle.model.cameras import param_kinds
 from bundle.model.problem import Problem
-from bundle.model.reprojection import (
+from bundle.model.residuals import (
     ImageError,
     ReprojectionError,
     quantiles,
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from bundle.georeference.point_check import SurveyChecks
     from bundle.georeference.similarity import Similarity
     from bundle.graphs.factors.factors import Factor
-    from bundle.model.reprojection import HeldOut
+    from bundle.model.residuals import HeldOut
     from bundle.solving.constraints.ends import RuleEnd
     from bundle.solving.constraints.restrictions import ActiveBound
     from bundle.solving.gauge_freedom import GaugeFreedom

@@ -51,7 +51,7 @@ from bundle.io.database_images import DatabaseMatches, database_matches
 from bundle.io.files import Source, as_problem
 from bundle.model.estimates import estimates, with_estimates
 from bundle.model.problem_keys import touched_ids
-from bundle.model.reprojection import HeldOut, errors_or_nan, summarize_clipped
+from bundle.model.residuals import HeldOut, errors_or_nan, summarize_clipped
 from bundle.model.rolling_shutter import refuse
 from bundle.solving.executors import finished
 from bundle.solving.hold_out import choose, triangulated

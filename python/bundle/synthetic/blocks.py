@@ -27,7 +27,7 @@ from bundle.interface.scene_options import SceneOptions
 from bundle.io import bal
 from bundle.io.atomic import atomic_write as atomic
 from bundle.model.problem import Problem
-from bundle.model.reprojection import ReprojectionError, counted_errors, reprojection_errors
+from bundle.model.residuals import ReprojectionError, counted_errors, reprojection_errors
 from bundle.model.rigid_motions import quaternion_from_matrix, rotate
 from bundle.synthetic.observations import Visibility, measure, select_observations, wanted_lengths
 from bundle.synthetic.orbit import Orbit

@@ -27,7 +27,7 @@ def scene(distance, num_images=5, seed=1):
     far = problem.replace(points=points)
     mine = far.observation_point == FAR
     xy = far.observation_xy.copy()
-    errors = bundle.model.reprojection.linearize(far).residual
+    errors = bundle.model.residuals.linearize(far).residual
     xy[mine] += errors[mine] + 0.1 * np.random.default_rng(seed).standard_normal((mine.sum(), 2))
     return far.replace(observation_xy=xy)
 
@@ -47,7 +47,7 @@ def similarities(problem):
 
 def constrained_without(problem, out, *, sandwich):
     """P G P^T by dense matrices, P = I - N (E N)^T with (E N)^T N = I, E without point `out`."""
-    linear = bundle.model.reprojection.linearize(problem)
+    linear = bundle.model.residuals.linearize(problem)
     of_poses, count = 6 * problem.num_images, problem.num_observations
     jacobian = np.zeros((count, 2, of_poses + 3 * problem.num_points))
     for k in range(count):
@@ -100,7 +100,7 @@ def test_a_point_that_is_seen_once_says_nothing_of_the_world(robust):
     lonely = problem.replace(**{name: getattr(problem, name)[once] for name in names})
     xy = lonely.observation_xy.copy()
     mine = lonely.observation_point == FAR  # at the minimum, its residual is 0
-    xy[mine] += bundle.model.reprojection.linearize(lonely).residual[mine]
+    xy[mine] += bundle.model.residuals.linearize(lonely).residual[mine]
     lonely = lonely.replace(observation_xy=xy)
     cov = bundle.covariance(lonely, robust=robust)
     without = bundle.covariance(without_point(problem, FAR), robust=robust)

@@ -20,7 +20,7 @@ def test_points_do_not_lose_what_compensating_parameters_hide(seed):
 
 def leverages(problem):
     """J_i (J^T J)^+ J_i^T of every observation, with the focal lengths and k refined."""
-    linear = bundle.model.reprojection.linearize(problem)
+    linear = bundle.model.residuals.linearize(problem)
     parts = (
         (linear.d_pose, problem.observation_image),
         (linear.d_params[..., [0, 3]], problem.image_camera[problem.observation_image]),

@@ -5,7 +5,7 @@ import pytest
 
 from bundle.figures.lens_figures import lens_curve, most_observed_cameras
 from bundle.figures.scene_view import scene_view
-from bundle.model.reprojection import residuals
+from bundle.model.residuals import residuals
 from tests.formulas import PARAMS
 from tests.scenes import make_problem
 

@@ -8,7 +8,7 @@ import pytest
 from bundle.figures.residual_field import residual_fields
 from bundle.figures.residual_figures import residual_histogram, worst_residuals
 from bundle.figures.structure_figures import track_statistics
-from bundle.model.reprojection import reprojection_errors, residuals
+from bundle.model.residuals import reprojection_errors, residuals
 from tests.scenes import make_problem, scene
 from tests.scenes import residuals as by_formula
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import bundle
-from bundle.model.reprojection import reprojection_error
+from bundle.model.residuals import reprojection_error
 from tests.graphs.loops.drift import (
     ate,
     centers_and_rotations,

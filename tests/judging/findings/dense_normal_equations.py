@@ -3,7 +3,7 @@
 import numpy as np
 
 from bundle.model.cameras import param_kinds
-from bundle.model.reprojection import linearize
+from bundle.model.residuals import linearize
 
 
 class Dense:

@@ -7,7 +7,7 @@ import pytest
 
 from bundle.judging.findings.measured import Measured
 from bundle.judging.findings.next_command import NextCommand
-from bundle.model.reprojection import RAYLEIGH_MEDIAN
+from bundle.model.residuals import RAYLEIGH_MEDIAN
 
 WIDTH, HEIGHT = 800, 400
 NEAR, FAR = 5.0, 1.0

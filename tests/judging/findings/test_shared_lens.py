@@ -33,7 +33,7 @@ def solved(scene="orbit", *, differs=0.0, seed=1, images=8, points=90, share=Tru
 
 
 def pixels(problem):
-    from bundle.model.reprojection import residuals
+    from bundle.model.residuals import residuals
 
     return problem.observation_xy + residuals(problem, "algebraic").xy
 

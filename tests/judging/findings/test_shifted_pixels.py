@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bundle.judging.findings.find import find
-from bundle.model.reprojection import residuals
+from bundle.model.residuals import residuals
 from tests.scenes import make_problem
 
 

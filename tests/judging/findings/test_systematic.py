@@ -12,7 +12,7 @@ from bundle.judging.findings.images import between_images, image_fits
 from bundle.judging.findings.measured import Measured, median_by_group
 from bundle.judging.findings.next_command import NextCommand
 from bundle.judging.findings.systematic import SystematicResiduals
-from bundle.model.reprojection import linearize
+from bundle.model.residuals import linearize
 
 
 def measured(problem):

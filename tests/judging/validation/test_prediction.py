@@ -9,7 +9,7 @@ from bundle.judging.validation.candidate_fits import (
     squared_errors,
 )
 from bundle.model.folds import folds_of
-from bundle.model.reprojection import linearize
+from bundle.model.residuals import linearize
 from tests.scenes import make_problem, with_observations
 
 

@@ -8,7 +8,7 @@ from bundle.judging.validation import row_test as module
 from bundle.judging.validation.row_test import row_test, shear_score
 from bundle.model import point_elimination
 from bundle.model.cameras import param_kinds
-from bundle.model.reprojection import linearize, residuals
+from bundle.model.residuals import linearize, residuals
 from tests.scenes import make_problem
 
 

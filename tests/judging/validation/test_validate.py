@@ -10,7 +10,7 @@ import pytest
 import bundle
 from bundle.judging.validation.validation_result import decide
 from bundle.model.folds import folds_of
-from bundle.model.reprojection import summarize_clipped
+from bundle.model.residuals import summarize_clipped
 from bundle.solving.hold_out import with_values
 from tests.georeference.flights import flight
 from tests.rig_scenes import rig_problem

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import bundle
-from bundle.model.reprojection import linearize, reprojection_errors
+from bundle.model.residuals import linearize, reprojection_errors
 from tests import scenes
 
 

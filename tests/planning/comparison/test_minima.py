@@ -8,7 +8,7 @@ import pytest
 
 import bundle
 from bundle.interface.options import SolveOptions
-from bundle.model.reprojection import linearize
+from bundle.model.residuals import linearize
 from bundle.model.rigid_motions import quaternion_from_vector, quaternion_multiply
 from bundle.planning.comparison import process
 from bundle.planning.comparison.compare_methods import compare

@@ -13,7 +13,7 @@ from PIL import Image
 import bundle
 from bundle import InputError
 from bundle.figures.residual_field import residual_fields
-from bundle.model.reprojection import residuals
+from bundle.model.residuals import residuals
 from bundle.reports.page.page import photograph
 from bundle.reports.page.report_page import write_report
 from tests.figures.matplotlib.test_placement_numbers import RECORD, covariances

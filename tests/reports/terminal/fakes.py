@@ -10,7 +10,7 @@ import numpy as np
 from bundle.interface.options import SolveOptions
 from bundle.interface.summary import Summary
 from bundle.model.problem import Problem
-from bundle.model.reprojection import ReprojectionError, worst_images
+from bundle.model.residuals import ReprojectionError, worst_images
 from bundle.solving.kept_errors import KeptErrors
 from bundle.solving.result import Result
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import bundle
-from bundle.model.reprojection import summarize_clipped
+from bundle.model.residuals import summarize_clipped
 from bundle.solving.hold_out import choose, with_values
 from tests.georeference.flights import flight
 from tests.rig_scenes import rig_problem

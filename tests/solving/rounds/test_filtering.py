@@ -6,7 +6,7 @@ import pytest
 
 import bundle
 from bundle.model import ray_angles
-from bundle.model.reprojection import standardized_errors
+from bundle.model.residuals import standardized_errors
 from bundle.solving.layout import lay_out
 from bundle.solving.rounds.plan import _of_suspects
 from tests import scenes

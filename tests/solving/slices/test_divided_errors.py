@@ -6,7 +6,7 @@ import threading
 import numpy as np
 import pytest
 
-from bundle.model.reprojection import summarize_errors
+from bundle.model.residuals import summarize_errors
 from bundle.solving.slices.slice_process import divided_statistics
 from tests.solving.ranks.thread_crew import ThreadCrew
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from bundle import Problem
 from bundle.model.losses import evaluate_loss
-from bundle.model.reprojection import Linearization, linearize
+from bundle.model.residuals import Linearization, linearize
 
 SMALLEST_RADIUS, LARGEST_RADIUS = 1e-32, 1e16
 SMALLEST_DIAGONAL, LARGEST_DIAGONAL = 1e-6, 1e32

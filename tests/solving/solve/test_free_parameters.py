@@ -106,7 +106,7 @@ def test_everything_fixed_is_a_result():
 
 def gauge_rank_deficiency(problem, free):
     """Null directions of the Jacobian restricted to the free columns of poses and points."""
-    linear = bundle.model.reprojection.linearize(problem)
+    linear = bundle.model.residuals.linearize(problem)
     n, m = problem.num_images, problem.num_points
     jacobian = np.zeros((2 * problem.num_observations, 6 * n + 3 * m))
     for k, (i, p) in enumerate(

@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import bundle
-from bundle.model.reprojection import reprojection_error, reprojection_errors
+from bundle.model.residuals import reprojection_error, reprojection_errors
 from tests import scenes
 from tests.printed import figures, warning
 

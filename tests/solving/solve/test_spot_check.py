@@ -8,7 +8,7 @@ import pytest
 
 import bundle
 from bundle import _core
-from bundle.model.reprojection import Linearization
+from bundle.model.residuals import Linearization
 from tests import scenes
 from tests.printed import in_order
 from tests.solving.solve import levenberg_marquardt

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import bundle
-from bundle.model.reprojection import (
+from bundle.model.residuals import (
     linearize,
     reprojection_error,
     reprojection_errors,

@@ -22,7 +22,7 @@ from bundle.interface.tabular import Tabular
 from bundle.io.files import Source, as_problem
 from bundle.model.cameras import camera_models, param_kinds
 from bundle.model.problem import Problem
-from bundle.model.reprojection import (
+from bundle.model.residuals import (
     ImageError,
     ReprojectionError,
     reprojection_errors,

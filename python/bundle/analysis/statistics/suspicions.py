@@ -44,7 +44,7 @@ from bundle.base.words import plural
 from bundle.interface.finding import Finding
 from bundle.model.cameras import camera_models, param_kinds
 from bundle.model.problem import Problem
-from bundle.model.reprojection import linearize
+from bundle.model.residuals import linearize
 from bundle.model.unobserved import unobserved
 
 FEW_OBSERVATIONS = 10

@@ -36,7 +36,7 @@ from bundle.interface.option_fields import choice
 from bundle.interface.options import SolveOptions
 from bundle.interface.tabular import Tabular
 from bundle.io.files import Source
-from bundle.model.reprojection import directions_of
+from bundle.model.residuals import directions_of
 from bundle.solving.prepare import Prepared, prepare
 from bundle.solving.request import SolveRequest
 from bundle.solving.result import Result

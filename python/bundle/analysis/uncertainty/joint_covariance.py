@@ -43,7 +43,7 @@ from bundle.analysis.uncertainty.quantity import Quantity
 from bundle.base.records import dataclass
 from bundle.model.cameras import camera_models, project
 from bundle.model.problem import Problem
-from bundle.model.reprojection import linearize
+from bundle.model.residuals import linearize
 from bundle.model.rigid_motions import cross_matrices, rotation_matrices
 from bundle.solving.prepare import Prepared
 

@@ -56,7 +56,7 @@ from bundle.interface.option_fields import choice
 from bundle.interface.options import SolveOptions
 from bundle.io.files import Source
 from bundle.model.problem import Problem
-from bundle.model.reprojection import directions_of
+from bundle.model.residuals import directions_of
 from bundle.solving.prepare import Prepared, prepare
 from bundle.solving.result import Result
 

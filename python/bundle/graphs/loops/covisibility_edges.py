@@ -41,7 +41,7 @@ from bundle.base.records import dataclass
 from bundle.model.cameras import camera_models, param_kinds
 from bundle.model.lenses.exact_image import pixel_directions
 from bundle.model.problem import Problem
-from bundle.model.reprojection import reprojection_errors
+from bundle.model.residuals import reprojection_errors
 from bundle.model.rigid_motions import cross_matrices, dot, quaternion_inverse, quaternion_rotate
 
 Array = NDArray[np.float64]

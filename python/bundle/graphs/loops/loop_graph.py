@@ -59,7 +59,7 @@ from bundle.io.files import Source, as_problem
 from bundle.model.losses import evaluate_loss
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.model.problem import Problem
-from bundle.model.reprojection import reprojection_errors
+from bundle.model.residuals import reprojection_errors
 from bundle.model.rig_arrays import placed
 from bundle.model.rigid_motions import (
     cross_matrices,

@@ -26,7 +26,7 @@ from bundle.errors import InputError
 from bundle.interface.options import SolveOptions
 from bundle.judging.findings.next_command import NextCommand
 from bundle.model.problem import Problem
-from bundle.model.reprojection import RAYLEIGH_MEDIAN, Residuals, residuals, standardized_errors
+from bundle.model.residuals import RAYLEIGH_MEDIAN, Residuals, residuals, standardized_errors
 from bundle.solving.layout import lay_out
 
 if TYPE_CHECKING:

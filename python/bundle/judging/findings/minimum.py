@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from bundle.interface.finding import Finding
 from bundle.judging.findings.measured import SMALLEST_SCALE, Measured
 from bundle.model.losses import evaluate_loss
-from bundle.model.reprojection import linearize
+from bundle.model.residuals import linearize
 
 LEFT = 0.8
 SMALLEST_SHIFT, ALIKE = 10.0, 0.9

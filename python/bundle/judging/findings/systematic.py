@@ -42,7 +42,7 @@ from bundle.base.records import dataclass
 from bundle.judging.findings.measured import Measured
 from bundle.model.cameras import param_kinds
 from bundle.model.problem import Problem
-from bundle.model.reprojection import linearize
+from bundle.model.residuals import linearize
 
 LENS_TERMS = ("r2", "r4", "r6", "t1", "t2", "a")
 IMAGE_TERMS = ("s", "a", "h")

@@ -40,7 +40,7 @@ from bundle.judging.validation.candidates import (
 )
 from bundle.model.losses import evaluate_loss
 from bundle.model.problem import Problem
-from bundle.model.reprojection import errors_or_nan, linearize, residuals, summarize_clipped
+from bundle.model.residuals import errors_or_nan, linearize, residuals, summarize_clipped
 from bundle.planning.comparison.recommendation import command_line
 from bundle.solving.executors import ThisProcess, solve_prepared
 from bundle.solving.hold_out import with_values

@@ -51,7 +51,7 @@ from bundle.judging.validation.validation_result import (
 from bundle.model.cameras import param_kinds
 from bundle.model.folds import are_repeated
 from bundle.model.problem import Problem
-from bundle.model.reprojection import summarize_clipped
+from bundle.model.residuals import summarize_clipped
 
 MOST_REPEATED = 0.5
 """Share of repeated measurements from which they take part in the decision."""

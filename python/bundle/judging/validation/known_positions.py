@@ -17,7 +17,7 @@ from bundle.errors import InputError
 from bundle.judging.findings.larger_lens import Step
 from bundle.model.problem import Problem
 from bundle.model.problem_keys import touched_ids
-from bundle.model.reprojection import residuals
+from bundle.model.residuals import residuals
 from bundle.model.rigid_motions import center_jacobians
 from bundle.solving.prepare import Prepared
 from bundle.solving.result import Result

@@ -62,7 +62,7 @@ from bundle.model.cameras import param_kinds
 from bundle.model.folds import measurement_numbers
 from bundle.model.point_elimination import SINGULAR, eliminate_points, part_of_observations
 from bundle.model.problem import Problem
-from bundle.model.reprojection import linearize
+from bundle.model.residuals import linearize
 
 FEWEST_OF_IMAGE = 30
 """Number of observations that an image needs to take part."""

@@ -21,7 +21,7 @@ from bundle.judging.validation.validation_result import DecisionRule, Validation
 from bundle.model.cameras import camera_models as all_models
 from bundle.model.folds import folds_of
 from bundle.model.problem import Problem
-from bundle.model.reprojection import CLIP
+from bundle.model.residuals import CLIP
 
 if TYPE_CHECKING:
     from bundle.georeference.measurements import Prior

@@ -20,7 +20,7 @@ from bundle.interface.planning_options import COMPARED, CompareOptions
 from bundle.interface.pose_graph_options import PoseGraphOptions
 from bundle.model.losses import evaluate_loss
 from bundle.model.problem import Problem
-from bundle.model.reprojection import residuals
+from bundle.model.residuals import residuals
 from bundle.planning.comparison.comparison_result import Comparison, Recommendation
 from bundle.planning.comparison.measured_run import ITERATIVE, Method, Prediction, Run
 from bundle.planning.comparison.process import WorkerEnd, restore_solution

@@ -39,7 +39,7 @@ from bundle.figures.structure_figures import (
 from bundle.interface.options import SolveOptions
 from bundle.model.cameras import camera_models, param_kinds
 from bundle.model.problem import Problem
-from bundle.model.reprojection import Residuals
+from bundle.model.residuals import Residuals
 from bundle.reports.sections import Section, Table
 from bundle.reports.terminal.inputs import (
     about_shutter,

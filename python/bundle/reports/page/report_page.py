@@ -36,7 +36,7 @@ from bundle.judging.findings.measured import Measured
 from bundle.judging.findings.next_command import NextCommand
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.model.problem import Problem
-from bundle.model.reprojection import Residuals, residuals
+from bundle.model.residuals import Residuals, residuals
 from bundle.reports.page.graph_report import write_graph_report
 from bundle.reports.page.model_sections import (
     MOST_LENSES,

@@ -12,7 +12,7 @@ from bundle.errors import shown
 from bundle.interface.summary import Summary, sizes
 from bundle.model.content_digests import content_digests
 from bundle.model.problem import Problem
-from bundle.model.reprojection import ImageError
+from bundle.model.residuals import ImageError
 from bundle.reports.sections import Column, Report, Section, Table, displayed
 from bundle.reports.terminal.inputs import (
     about_input,

@@ -10,7 +10,7 @@ make a point look well triangulated:
 3. Remove a point if the largest angle between two of its remaining rays is below ``min_angle``
    degrees. An angle above 90 degrees counts as its supplement.
 
-Standardized errors (``model/reprojection.py``) have the size of the noise wherever they are. As
+Standardized errors (``model/residuals.py``) have the size of the noise wherever they are. As
 outliers bend the model, which makes the errors of its most important observations large, a round
 removes only the largest error of each point, and none below 6 times the noise of all errors.
 """
@@ -39,7 +39,7 @@ from bundle.interface.options import SolveOptions
 from bundle.interface.round_options import CHECKPOINT_INTERVAL, Round, RoundOptions
 from bundle.io.files import Source, as_problem
 from bundle.model.problem import Problem
-from bundle.model.reprojection import RAYLEIGH_MEDIAN, reprojection_errors, standardized_errors
+from bundle.model.residuals import RAYLEIGH_MEDIAN, reprojection_errors, standardized_errors
 from bundle.solving.layout import Layout, lay_out
 
 if TYPE_CHECKING:

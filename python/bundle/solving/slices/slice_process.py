@@ -15,7 +15,7 @@ from bundle.base.components import component_roots
 from bundle.io import colmap
 from bundle.model.estimates import with_estimates
 from bundle.model.problem import Problem
-from bundle.model.reprojection import (
+from bundle.model.residuals import (
     ReprojectionError,
     between,
     counted_errors,

@@ -24,7 +24,7 @@ from bundle.io.georeference_file import remove_georeference
 from bundle.io.open import save_model
 from bundle.model.estimates import estimates, with_estimates
 from bundle.model.problem import Problem
-from bundle.model.reprojection import worst_of_sums
+from bundle.model.residuals import worst_of_sums
 from bundle.solving.executors import solve_prepared
 from bundle.solving.gauge_freedom import gauge_freedom
 from bundle.solving.kept_errors import PixelErrors, outlier_limit
