@@ -226,6 +226,15 @@ def test_some_keys_pickles_and_files(tmp_path):
         assert data["relative_keys"].tolist() == [["x0", "x2"]]
 
 
+def test_the_result_of_a_graph_points_to_the_graph_with_its_values():
+    graph = landmarks()
+    result = graph.solve()
+    with pytest.raises(bundle.InputError, match=r"graph\.with_values"):
+        bundle.covariance(result)
+    found = bundle.covariance(graph.with_values(result.values))
+    assert found.variable("m").shape == (2, 2)
+
+
 @pytest.mark.parametrize(
     ("given", "words"),
     [

@@ -416,24 +416,22 @@ def covariance(
     trace (S-transformation of Baarda; Triggs et al. 2000, section 9); fixed parameters, priors and
     metric rigs reduce the gauge automatically. "two_cameras" and "three_points" hold the same
     parameters constant as a solve with that gauge. Poses and points that are then constant have
-    covariance 0.
-    "none": priors and fixed parameters determine the gauge. Angles, ratios of lengths and relative
-    poses, apart from their scale, do not depend on the gauge, with one exception: "three_points"
-    also fixes the shape of a triangle, two numbers too many. All covariances are then too small,
-    and a note says so.
+    covariance 0. "none": priors and fixed parameters determine the gauge. Angles, ratios of lengths
+    and relative poses, apart from their scale, do not depend on the gauge, with one exception:
+    "three_points" also fixes the shape of a triangle, two numbers too many. All covariances are
+    then too small, and a note says so.
 
     Points without parallax are left out along their undetermined direction, exactly and without
     damping. ``null_point_ids`` lists them. They take no part in the inner constraints.
 
     For a pose graph, the result of its solve, or a g2o file, the result has the covariance of each
     pose, as a right perturbation X Exp(d) in the frame of the body, from the information of the
-    edges. ``options`` are then
-    :class:`bundle.PoseGraphOptions`, of which error, information and loss have an effect. A loss
-    reduces the weight of edges and makes poses less certain. The result of a solve uses its own
-    options and the final weights of the solve. ``gauge`` is "first" (the default: as in a solve,
-    the first pose of each component without a fixed pose is constant), "inner" (the pseudo-inverse)
-    or "none" (fixed poses determine the gauge). ``relative`` has pairs of pose ids, for the
-    covariance of X_a^-1 X_b.
+    edges. ``options`` are then :class:`bundle.PoseGraphOptions`, of which error, information and
+    loss have an effect. A loss reduces the weight of edges and makes poses less certain. The result
+    of a solve uses its own options and the final weights of the solve. ``gauge`` is "first" (the
+    default: as in a solve, the first pose of each component without a fixed pose is constant),
+    "inner" (the pseudo-inverse) or "none" (fixed poses determine the gauge). ``relative`` has pairs
+    of pose ids, for the covariance of X_a^-1 X_b.
 
     For a :class:`FactorGraph` the result is a :class:`FactorGraphCovariance` at the values of the
     graph. ``of`` is a list of keys (by default all), ``relative`` a list of pairs of keys. Losses
@@ -476,9 +474,11 @@ def covariance(
         >>> cov.pose(7)[3:, 3:]
     """
     # Findings about a reconstruction need no graphs.
-    from bundle.graphs.factors.factor_graph import FactorGraph
+    from bundle.graphs.factors.factor_graph import FactorGraph, GraphResult
     from bundle.graphs.pose_graphs.edge_weights import is_graph, refuse_for_graphs
 
+    if isinstance(problem, GraphResult):  # does not know its factors
+        raise InputError("found the result of a graph: pass graph.with_values(result.values)")
     if isinstance(problem, FactorGraph) or is_graph(problem):
         refuse_for_graphs(
             robust=None if robust == "weights" else robust,
