@@ -66,7 +66,11 @@ TEST(ThreadPool, ThreadsKeepTheProcessorsOfTheCaller) {
     if (std::this_thread::get_id() == caller) {
       while (!is_known) std::this_thread::yield();
     } else {
-      sched_getaffinity(0, sizeof other, &other);
+      // The caller moves a woken thread off its own processor first, and then lets it go.
+      for (int tries = 0; tries < 10000 && !CPU_EQUAL(&own, &other); ++tries) {
+        sched_getaffinity(0, sizeof other, &other);
+        std::this_thread::yield();
+      }
       is_known = true;
     }
   });
