@@ -48,6 +48,7 @@ def test_a_shift_is_named_where_the_format_cannot_hold_the_bent_lenses(
     code, _, said = run("refine", tmp_path / "model", "-o", tmp_path / "x.nvm", "--quiet")
     assert code == 2 and said.count("\n") == 1
     assert ("All pixels are shifted alike" in said) == (shift > 0)
+    assert "`" not in said  # no command shifts the pixels of a COLMAP model
     assert ("an NVM file cannot hold them" in said) == (shift == 0)
     assert not (tmp_path / "x.nvm").exists()
 

@@ -67,8 +67,8 @@ def run(arguments: argparse.Namespace) -> int:
         try:
             written, lost = _write(opened, solved, measured, progress)
         except InputError as error:  # of a format that cannot hold a model that a shift has bent
-            for shift in () if opened.sliced else _shifted_input(asked, opened, solved):
-                raise InputError(f"{shift.sentence.rstrip('.')}: `{shift.command}`") from error
+            for one in _shifted_input(asked, opened, solved):
+                raise InputError(f"{one.sentence} `{one.command}`".removesuffix(" ``")) from error
             raise
         save_time = perf_counter() - begun
         statistics_time = _measure(opened, solved, progress)
@@ -337,7 +337,7 @@ def _shifted_input(asked: Refinement, opened: Opened, solved: Result) -> tuple[F
     shift: a small RMSE excludes a shift at no cost.
     """
     command = NextCommand(asked.source, asked.target, asked.given)
-    is_far = solved.reprojection_error_before.rmse >= SMALLEST_SHIFT
+    is_far = opened.sliced is None and solved.reprojection_error_before.rmse >= SMALLEST_SHIFT
     if not is_far or "principal_point" in opened.options.refine:
         return ()
     found = shifted_pixels(Measured(whole=opened.problem, command=command, options=opened.options))

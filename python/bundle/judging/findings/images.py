@@ -318,7 +318,7 @@ def certain_gain(moved: Floats, present: Floats, rolling: Floats) -> float:
 
 
 def _has_step(measured: Measured) -> bool:
-    return is_cheap(measured.whole) and "poses" in measured.options.refine
+    return is_cheap(measured) and "poses" in measured.options.refine
 
 
 def _rolling(measured: Measured, order: str) -> Step:

@@ -54,7 +54,7 @@ LARGEST_MODELS = ("OPENCV", "OPENCV_FISHEYE")
 BY_TERM = 4.0
 MOST_LENSES = 4
 MOST_WORK = 150_000
-"""Observations plus 20 times the square of the images, up to which a step takes milliseconds."""
+"""Work (``Measured.work``) up to which a step takes milliseconds."""
 
 Floats = NDArray[np.float64]
 
@@ -68,7 +68,7 @@ def absorbed_lens(measured: Measured, *, has_hint: bool = False) -> Finding | No
     problem = measured.whole
     names = _extensions(measured)
     has_many = len(distinct(problem.image_camera)) > MOST_LENSES
-    if not is_cheap(problem) or not names or (has_many and not has_hint):
+    if not is_cheap(measured) or not names or (has_many and not has_hint):
         return None
     if not measured.scale > SMALLEST_SCALE:  # exact observations
         return None
@@ -102,9 +102,9 @@ def explains_more(measured: Measured, other: Step) -> bool:
     return gains[0] >= gains[1]
 
 
-def is_cheap(problem: Problem) -> bool:
+def is_cheap(measured: Measured) -> bool:
     """Return True if a step takes milliseconds."""
-    return problem.num_observations + 20 * problem.num_images**2 <= MOST_WORK
+    return measured.work <= MOST_WORK
 
 
 def _found(measured: Measured, names: list[str]) -> Finding | None:

@@ -35,10 +35,9 @@ if TYPE_CHECKING:
 SMALLEST_SCALE = 0.01
 MOST_OBSERVATIONS = 200_000
 CHEAP_COVARIANCE = 100_000
-"""Observations plus 20 times the square of the images, up to which a covariance takes tens of
-milliseconds."""
+"""Work up to which a covariance takes tens of milliseconds."""
 CHEAP_ERRORS = 10_000
-"""The same, up to which standardized errors take 3 % of the time of a small `bundle refine`."""
+"""Work up to which standardized errors take 3 % of the time of a small `bundle refine`."""
 CLIP = 5.0
 """Errors in units of s beyond which an observation is not used for lenses and images."""
 CELLS = 8
@@ -167,7 +166,7 @@ class Measured:
 
     @property
     def work(self) -> int:
-        """Work of a covariance, in the unit of CHEAP_COVARIANCE."""
+        """Work of a covariance or a step: observations plus 20 times the square of the images."""
         return self.whole.num_observations + 20 * self.whole.num_images**2
 
     @cached_property
