@@ -54,8 +54,7 @@ def nearest(found: str, spellings: Mapping[str, str] | Iterable[str]) -> str:
 
     Case, hyphens and underscores are ignored.
 
-    Args:
-        spellings: valid names, or a table from other spellings to valid names.
+    ``spellings``: valid names, or a table from other spellings to valid names.
     """
     import difflib
 
@@ -72,11 +71,7 @@ def nearest(found: str, spellings: Mapping[str, str] | Iterable[str]) -> str:
 def check_keywords(caller: str, given: Iterable[str], spellings: Mapping[str, str]) -> None:
     """Raise an error for an unknown keyword, and suggest the most similar valid keyword.
 
-    Args:
-        spellings: table from every known spelling to the name of its option.
-
-    Raises:
-        InputError: a keyword is unknown.
+    ``spellings``: table from every known spelling to the name of its option.
     """
     names = dict.fromkeys(spellings.values())
     for keyword in given:

@@ -250,8 +250,7 @@ def check_arrays(
 ) -> Sizes:
     """Convert and check fields of a frozen record in the order of the table, shapes before numbers.
 
-    Args:
-        record: the record; its fields become immutable arrays.
+    ``record``: the record; its fields become immutable arrays.
     """
     found = {}
     for name, one in declared.items():

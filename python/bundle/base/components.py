@@ -19,9 +19,8 @@ def component_roots(
 ) -> NDArray[np.int64]:
     """Return, for each image, the smallest image index in its component, (num_images,).
 
-    Args:
-        images: (num_observations,) image of each observation, sorted by point.
-        num_images: number of images. An image without observations is its own component.
+    ``images``: (num_observations,) image of each observation, sorted by point. ``num_images``:
+    number of images. An image without observations is its own component.
     """
     root = np.arange(num_images)
     lengths = np.diff(starts, append=len(images))

@@ -105,8 +105,7 @@ _MEASURED_CORES = 2
 def require_memory(what: str, sizes: tuple[float, float]) -> None:
     """Raise MemoryError if the limits of this process leave less memory than ``sizes``.
 
-    Args:
-        sizes: bytes of address space and of data that the library takes.
+    ``sizes``: bytes of address space and of data that the library takes.
     """
     try:
         import resource

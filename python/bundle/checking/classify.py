@@ -185,8 +185,7 @@ def stale(
 ) -> Finding | None:
     """Return a finding if Jacobians equal those of points evaluated earlier (a stale cache).
 
-    Args:
-        repeated: deviations at the same points, each evaluated twice in a row.
+    ``repeated``: deviations at the same points, each evaluated twice in a row.
     """
     wrong = np.flatnonzero(np.any(deviations.error > tolerance, axis=(1, 2)))
     if not len(wrong):

@@ -167,9 +167,8 @@ class SamplePoint:
     ) -> Any:
         """Return the result of Richardson extrapolation.
 
-        Args:
-            minuends: size of the numbers whose difference is each residual, if known: their
-                rounding errors are also those of the residual.
+        ``minuends``: size of the numbers whose difference is each residual, if known: their
+        rounding errors are also those of the residual.
         """
         return _core.richardson_jacobian(
             self.user.core, self.user.num_residuals, self.blocks, manifolds, list(minuends)

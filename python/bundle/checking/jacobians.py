@@ -323,9 +323,8 @@ def _rounding_errors(jacobians: Array, rounding: Array) -> Array:
     Derivatives by rotation, translation and point are sums that may cancel. Their error is
     therefore relative to the largest column of the same kind.
 
-    Args:
-        jacobians: (K, 2, N) Jacobians.
-        rounding: (K,) relative rounding error of the derivatives by the point in the camera frame.
+    ``jacobians``: (K, 2, N) Jacobians. ``rounding``: (K,) relative rounding error of the
+    derivatives by the point in the camera frame.
     """
     size = np.linalg.norm(jacobians, axis=1, keepdims=True)
     for kind in (slice(0, 3), slice(3, 6), slice(-3, None)):

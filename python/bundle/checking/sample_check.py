@@ -358,9 +358,8 @@ def padded(
 ) -> list[Finding]:
     """Return one finding per padded block if no other mistake exists.
 
-    Args:
-        space: Jacobians by the parameters of the blocks.
-        tangent: Jacobians by the tangent coordinates, at the same points.
+    ``space``: Jacobians by the parameters of the blocks. ``tangent``: Jacobians by the tangent
+    coordinates, at the same points.
     """
     wrong = set(np.flatnonzero((space.error > tolerance).any(axis=(0, 1))).tolist())
     findings = []

@@ -33,44 +33,30 @@ class Way(Row):
     A way with ``call`` calls the API: ``call(input, options, **keywords)``. A command with ``run``
     does this itself. Words are names of attributes of :class:`bundle.cli.run.Run`, separated by
     blanks.
-
-    Attributes:
-        call: function of the API.
-        stage: what the progress calls it.
-        reads: arguments that are paths, which the API opens itself; otherwise INPUT is opened.
-        options: option class of ``options``; "": there is none.
-        names: options that can be given and are reported, or a name of them; None: all.
-        keywords: option class whose values are keywords.
-        gives: keywords that are attributes of the run, in the form "keyword" or
-            "keyword=attribute".
-        accepts: arguments of other kinds of INPUT that this kind has, too, beside ``names``; None:
-            ``run`` refuses the others.
-        judges: True to search for findings after the call.
-        saves: True to write the result to --output, if it is given, by its ``save``.
-        report: function that makes the report.
-        tells: attributes of the run that ``report`` gets.
-        code: exit code by the result; None: 0.
-        run: function of this room that gets the run and returns the report.
-        main: function of this room that gets the arguments and returns the exit code.
-        plan: function of this room that does the work of --dry-run: it gets the run, checks and
-            reads as ``run`` or ``main`` would, and returns sentences on the predicted cost.
     """
 
-    call: Name = ""
-    stage: str = ""
+    call: Name = ""  # function of the API
+    stage: str = ""  # what the progress calls it
+    # arguments that are paths, which the API opens itself; otherwise INPUT is opened
     reads: str = ""
-    options: str | type[Any] = ""
+    options: str | type[Any] = ""  # option class of ``options``; "": there is none
+    # options that can be given and are reported, or a name of them; None: all
     names: str | tuple[str, ...] | None = None
-    keywords: str | type[Any] = ""
+    keywords: str | type[Any] = ""  # option class whose values are keywords
+    # keywords that are attributes of the run, in the form "keyword" or "keyword=attribute"
     gives: str = ""
+    # arguments of other kinds of INPUT that this kind has, too, beside ``names``; None: ``run``
+    # refuses the others
     accepts: str | None = ""
-    judges: bool = False
-    saves: bool = False
-    report: Name = ""
-    tells: str = "source input found wall"
-    code: Callable[[Any], int] | None = None
-    run: Name = ""
-    main: Name = ""
+    judges: bool = False  # True to search for findings after the call
+    saves: bool = False  # True to write the result to --output, if it is given, by its ``save``
+    report: Name = ""  # function that makes the report
+    tells: str = "source input found wall"  # attributes of the run that ``report`` gets
+    code: Callable[[Any], int] | None = None  # exit code by the result; None: 0
+    run: Name = ""  # function of this room that gets the run and returns the report
+    main: Name = ""  # function of this room that gets the arguments and returns the exit code
+    # function of this room that does the work of --dry-run: it gets the run, checks and reads as
+    # ``run`` or ``main`` would, and returns sentences on the predicted cost
     plan: Name = ""
 
 
@@ -84,26 +70,19 @@ def _detected(arguments: argparse.Namespace) -> str:
 
 
 class Command(Row):
-    """Row of the table.
+    """Row of the table."""
 
-    Attributes:
-        help: what the command does.
-        usage: words after the name in the usage; "": argparse lists all flags.
-        arguments: function that gets ``bundle.cli.declarations`` and returns the declarations.
-        ways: its steps, by the kind of INPUT. Other kinds go to the reader of reconstructions,
-            whose error names the kind.
-        kind: function that returns the kind.
-        is_for_each: True to run on each of several inputs.
-        also: other words that users type for the command; its error suggests the command.
-    """
-
-    help: str
-    usage: str = ""
+    help: str  # what the command does
+    usage: str = ""  # words after the name in the usage; "": argparse lists all flags
+    # function that gets ``bundle.cli.declarations`` and returns the declarations
     arguments: Callable[[Any], tuple[Any, ...]]
+    # its steps, by the kind of INPUT. Other kinds go to the reader of reconstructions, whose error
+    # names the kind.
     ways: Mapping[str, Way]
+    # function that returns the kind
     kind: Callable[[argparse.Namespace], str] = staticmethod(_detected)
-    is_for_each: bool = False
-    also: str = ""
+    is_for_each: bool = False  # True to run on each of several inputs
+    also: str = ""  # other words that users type for the command; its error suggests the command
 
     def way(self, kind: str) -> Way:
         """Return the steps on a kind of INPUT."""

@@ -33,13 +33,8 @@ def georeference_given(
 ) -> GeoreferenceOptions:
     """Return the options of all measurements.
 
-    Args:
-        page: True if a report page is written, which shows the photographs of ``--images``.
-        beside: options that the command has by itself.
-
-    Raises:
-        InputError: a flag requires another flag or contradicts it, or the folder of images does
-            not exist.
+    ``page``: True if a report page is written, which shows the photographs of ``--images``.
+    ``beside``: options that the command has by itself.
     """
     if page and arguments.images is not None and not Path(arguments.images).is_dir():
         raise InputError(f"--images: there is no folder {shown(arguments.images)}")
@@ -88,12 +83,7 @@ def prior_flags(given: GeoreferenceOptions) -> dict[str, str]:
 def priors_of(given: GeoreferenceOptions, problem: Problem, *, kept: str = "") -> Measurements:
     """Return the priors that options give for a problem.
 
-    Args:
-        kept: reason why the model must not move, such as "with --only-images"; "": it may.
-
-    Raises:
-        InputError: a file or a flag is wrong; the message names the flag.
-        OSError: a file cannot be read.
+    ``kept``: reason why the model must not move, such as "with --only-images"; "": it may.
     """
     flags, found = prior_flags(given), []
     with naming_flags(**flags):

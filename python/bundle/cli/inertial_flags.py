@@ -36,21 +36,13 @@ ELSEWHERE = (
 
 @dataclass(frozen=True)
 class InertialFiles:
-    """Files of an adjustment with an IMU.
+    """Files of an adjustment with an IMU."""
 
-    Attributes:
-        imu: samples: timestamp in ns, three rates in rad/s, three forces in m/s^2.
-        frame_times: name and time in ns of each image.
-        calibration: calibration.yaml, or Kalibr's two files.
-        noise_scale: factor on the noise densities; None: by the rate of the images.
-        samples: kind of the samples: "auto", "instant" or "interval".
-    """
-
-    imu: str
-    frame_times: str
-    calibration: tuple[str, ...]
-    noise_scale: float | None
-    samples: str
+    imu: str  # samples: timestamp in ns, three rates in rad/s, three forces in m/s^2
+    frame_times: str  # name and time in ns of each image
+    calibration: tuple[str, ...]  # calibration.yaml, or Kalibr's two files
+    noise_scale: float | None  # factor on the noise densities; None: by the rate of the images
+    samples: str  # kind of the samples: "auto", "instant" or "interval"
 
 
 IMU = group(

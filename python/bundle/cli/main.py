@@ -99,9 +99,6 @@ class PrintCompletion(argparse.Action):
         """Print the script, which shtab generates from the parser.
 
         It is static, so a shell completes without starting Python.
-
-        Raises:
-            InputError: shtab is not installed.
         """
         # Only this flag needs these imports; shtab is an optional dependency.
         from bundle.cli.path_checks import PathArgument

@@ -229,17 +229,11 @@ class Parser(argparse.ArgumentParser):
 
 
 class Config(NamedTuple):
-    """Config file of a command line.
+    """Config file of a command line."""
 
-    Attributes:
-        path: path of the file.
-        lines: line of each flag that it gives.
-        replaced: flags of the file that the command line replaces.
-    """
-
-    path: str
-    lines: Mapping[str, int]
-    replaced: tuple[str, ...]
+    path: str  # path of the file
+    lines: Mapping[str, int]  # line of each flag that it gives
+    replaced: tuple[str, ...]  # flags of the file that the command line replaces
 
     @property
     def fact(self) -> str:

@@ -33,32 +33,19 @@ _OF_A_FOLDER = (
 
 @dataclass(frozen=True)
 class PathArgument:
-    """Type of an argument that is a path.
+    """Type of an argument that is a path."""
 
-    Attributes:
-        written: content that the command writes, such as "page"; empty: the path is read.
-        is_data: True for the file or folder of a model, pose graph or sequence.
-        replaces: destinations of arguments that may have the same path.
-        words: values that are not paths.
-        format: format for the check of the name by :func:`check_name`; empty: any name.
-        own: suffixes of that format.
-        otherwise: function that returns the path of a file that is written by default.
-    """
-
-    written: str = ""
-    is_data: bool = False
-    replaces: tuple[str, ...] = ()
-    words: tuple[str, ...] = ()
-    format: str = ""
-    own: str = ""
+    written: str = ""  # content that the command writes, such as "page"; empty: the path is read
+    is_data: bool = False  # True for the file or folder of a model, pose graph or sequence
+    replaces: tuple[str, ...] = ()  # destinations of arguments that may have the same path
+    words: tuple[str, ...] = ()  # values that are not paths
+    format: str = ""  # format for the check of the name by :func:`check_name`; empty: any name
+    own: str = ""  # suffixes of that format
+    # function that returns the path of a file that is written by default
     otherwise: Callable[[argparse.Namespace], str | None] | None = None
 
     def __call__(self, text: str) -> str:
-        """Return the path.
-
-        Raises:
-            argparse.ArgumentTypeError: the path is empty.
-        """
+        """Return the path."""
         if not text.strip():
             raise argparse.ArgumentTypeError("expected a path, found an empty string")
         return text

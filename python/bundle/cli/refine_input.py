@@ -36,31 +36,19 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Opened:
-    """INPUT as prepared for the solve, with everything that belongs to it.
+    """INPUT as prepared for the solve, with everything that belongs to it."""
 
-    Attributes:
-        loaded: problem as read from INPUT.
-        problem: problem with the requested cameras and rigs.
-        edits: changes of its cameras; None without any.
-        options: options of the solve, images by id.
-        output: path and format of OUTPUT.
-        known: priors of all measurements.
-        align: True to move the problem to its priors.
-        place: content of the georeference.json next to INPUT, or None.
-        sliced: refinement by processes that read one slice each; None: one process reads all.
-        load_time: seconds.
-    """
-
-    loaded: Problem
-    problem: Problem
-    edits: CameraEdits | None
-    options: SolveOptions
-    output: dict[str, str]
-    known: Measurements
-    align: bool | None
-    place: dict[str, Any] | None
+    loaded: Problem  # problem as read from INPUT
+    problem: Problem  # problem with the requested cameras and rigs
+    edits: CameraEdits | None  # changes of its cameras; None without any
+    options: SolveOptions  # options of the solve, images by id
+    output: dict[str, str]  # path and format of OUTPUT
+    known: Measurements  # priors of all measurements
+    align: bool | None  # True to move the problem to its priors
+    place: dict[str, Any] | None  # content of the georeference.json next to INPUT, or None
+    # refinement by processes that read one slice each; None: one process reads all
     sliced: SlicedRefinement | None
-    load_time: float
+    load_time: float  # seconds
 
 
 def open_input(asked: Refinement, progress: Progress) -> Opened:

@@ -54,72 +54,38 @@ OF_PLAIN |= {
 
 @dataclass(frozen=True, kw_only=True)
 class Refinement:
-    """All values of the command line.
+    """All values of the command line."""
 
-    Attributes:
-        source: path of INPUT.
-        reading: what the file of INPUT does not tell.
-        target: path of OUTPUT.
-        format: format of OUTPUT; None: determined by its name.
-        overwrite: True if OUTPUT may replace a model of other images.
-        rig_config: path of a rig configuration, or None.
-        page: path of the report page, or None.
-        json: path of the JSON report, or None.
-        verbose: True to print the details of the report.
-        check_gradients: True to check the Jacobians first.
-        options: options of the solve, without images given by name.
-        fixed_images: ids of constant images, or text with their names.
-        local: images to refine while all others are constant.
-        rounds: rounds of adjusting and filtering.
-        held_out: share of the observations that a second fit holds out.
-        georeference: options of positions and control points.
-        loops: loops to close before the solve.
-        lenses: cameras of the output.
-        shutters: rolling shutters.
-        rules: rules as given.
-        constraints: the parsed rules.
-        inertial: files of an IMU, or None.
-        checkpoints: checkpoint files, for a run that may be killed.
-        disk: folder for observations and points on disk.
-        given: flags that the next command of a finding repeats.
-        config: file of --config, or None.
-    """
-
-    source: str
-    reading: ReadOptions
-    target: str
-    format: str | None
-    overwrite: bool
-    rig_config: str | None
-    page: str | None
-    json: str | None
-    verbose: bool
-    check_gradients: bool
-    options: SolveOptions
-    fixed_images: tuple[int, ...] | str | None
-    local: LocalOptions
-    rounds: RoundOptions
-    held_out: HoldOutOptions
-    georeference: GeoreferenceOptions
-    loops: LoopOptions
-    lenses: LensOptions
-    shutters: ShutterOptions
-    rules: RuleOptions
-    constraints: Constraints | tuple[()]
-    inertial: InertialFiles | None
-    checkpoints: CheckpointOptions
-    disk: OutOfCoreOptions
-    given: tuple[str, ...]
-    config: Config | None
+    source: str  # path of INPUT
+    reading: ReadOptions  # what the file of INPUT does not tell
+    target: str  # path of OUTPUT
+    format: str | None  # format of OUTPUT; None: determined by its name
+    overwrite: bool  # True if OUTPUT may replace a model of other images
+    rig_config: str | None  # path of a rig configuration, or None
+    page: str | None  # path of the report page, or None
+    json: str | None  # path of the JSON report, or None
+    verbose: bool  # True to print the details of the report
+    check_gradients: bool  # True to check the Jacobians first
+    options: SolveOptions  # options of the solve, without images given by name
+    fixed_images: tuple[int, ...] | str | None  # ids of constant images, or text with their names
+    local: LocalOptions  # images to refine while all others are constant
+    rounds: RoundOptions  # rounds of adjusting and filtering
+    held_out: HoldOutOptions  # share of the observations that a second fit holds out
+    georeference: GeoreferenceOptions  # options of positions and control points
+    loops: LoopOptions  # loops to close before the solve
+    lenses: LensOptions  # cameras of the output
+    shutters: ShutterOptions  # rolling shutters
+    rules: RuleOptions  # rules as given
+    constraints: Constraints | tuple[()]  # the parsed rules
+    inertial: InertialFiles | None  # files of an IMU, or None
+    checkpoints: CheckpointOptions  # checkpoint files, for a run that may be killed
+    disk: OutOfCoreOptions  # folder for observations and points on disk
+    given: tuple[str, ...]  # flags that the next command of a finding repeats
+    config: Config | None  # file of --config, or None
 
     @staticmethod
     def of(arguments: argparse.Namespace) -> Refinement:
-        """Return the request, checked in the order of the help.
-
-        Raises:
-            InputError: a value is wrong, or an option has no effect; the message names the flag.
-            OSError: the file of the rules, or of COLMAP's options, cannot be read.
-        """
+        """Return the request, checked in the order of the help."""
         take_colmap_options(arguments)
         options = options_given(arguments, SolveOptions, names_follow=True)
         local = options_given(arguments, LocalOptions)
@@ -246,13 +212,7 @@ SHORTEST_TRACK = 2
 
 
 def take_colmap_options(arguments: argparse.Namespace) -> None:
-    """Set the options that the command line lacks from the file of --colmap-options, if given.
-
-    Raises:
-        InputError: the file is wrong, or has an option that no flag can express; the message names
-            its line.
-        OSError: the file cannot be read.
-    """
+    """Set the options that the command line lacks from the file of --colmap-options, if given."""
     path = arguments.colmap_options
     if path is None:
         return

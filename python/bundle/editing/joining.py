@@ -267,9 +267,8 @@ def added_images(
 ) -> AddedImages:
     """Return the images that B adds to A.
 
-    Args:
-        shared: (n, 2) positions in A and in B of each shared image.
-        cameras: table from cameras of B to cameras of A that replace them.
+    ``shared``: (n, 2) positions in A and in B of each shared image. ``cameras``: table from cameras
+    of B to cameras of A that replace them.
     """
     others = np.setdiff1d(np.arange(len(b.image_ids)), shared[:, 1])
     added = others[np.argsort(b.image_ids[others])]
@@ -357,9 +356,8 @@ class SharedKeypoints:
 def shared_keypoints(a: ModelRecords, b: ModelRecords, images: _Indices) -> SharedKeypoints:
     """Return A's keypoints that correspond to those that B observes in shared images.
 
-    Args:
-        b: records of the second model.
-        images: (n, 2) positions in A's and B's records of each shared image.
+    ``b``: records of the second model. ``images``: (n, 2) positions in A's and B's records of each
+    shared image.
     """
     first_a, first_b = (np.cumsum(r.num_keypoints) - r.num_keypoints for r in (a, b))
     found = []

@@ -47,9 +47,8 @@ Indices = NDArray[np.int64]
 def disagreements(a: Problem, b: Problem, pairs: Indices) -> Array:
     """Return the median distance of each pair in pixels.
 
-    Args:
-        b: the second model, in the frame of the first.
-        pairs: (n, 2) indices of a point of A and of a point of B.
+    ``b``: the second model, in the frame of the first. ``pairs``: (n, 2) indices of a point of A
+    and of a point of B.
     """
     first, second = a.points[pairs[:, 0]], b.points[pairs[:, 1]]
     rows, distances = [], []
@@ -284,8 +283,7 @@ def with_shutters(
 ) -> Problem:
     """Return the merged model with the rolling shutters of A and of what B adds.
 
-    Args:
-        b: model B in the frame of A.
+    ``b``: model B in the frame of A.
     """
     known = [one.rolling_shutter for one in (a, b) if one.rolling_shutter is not None]
     if not known:

@@ -231,9 +231,8 @@ def point_errors(
 ) -> tuple[Display, ...]:
     """Return the table of control and check points; empty without points.
 
-    Args:
-        adjusted: True after a solve: the table has sigmas, only the length of each leave-one-out
-            error, and the size of an error that would be found.
+    ``adjusted``: True after a solve: the table has sigmas, only the length of each leave-one-out
+    error, and the size of an error that would be found.
     """
     if not points:
         return ()

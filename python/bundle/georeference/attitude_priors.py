@@ -237,11 +237,7 @@ class HeadingPrior(AttitudePrior):
 
 
 def as_sigma(name: str, value: Any) -> float:
-    """Return a standard deviation in degrees.
-
-    Raises:
-        InputError: it is not a number, or out of range.
-    """
+    """Return a standard deviation in degrees."""
     return number(name, value, minimum=LEAST_SIGMA, maximum=MOST_SIGMA)
 
 
@@ -298,13 +294,7 @@ def read_gravity(
 ) -> list[GravityPrior]:
     """Read directions of gravity.
 
-    Args:
-        sigma: standard deviation in degrees for lines without it.
-
-    Raises:
-        InputError: the file has no line, a line has other words, an image is unknown or has two
-            lines, a direction is zero, or a standard deviation is not above 0.
-        OSError: the file cannot be read.
+    ``sigma``: standard deviation in degrees for lines without it.
     """
 
     def prior(place: str, image: int, words: Sequence[str]) -> GravityPrior:
@@ -323,12 +313,7 @@ def read_orientations(
 ) -> list[AttitudePrior]:
     """Read orientations or headings.
 
-    Args:
-        sigmas: standard deviations of heading and tilt in degrees for lines without them.
-
-    Raises:
-        InputError: the header is unknown, or as :func:`read_gravity`.
-        OSError: the file cannot be read.
+    ``sigmas``: standard deviations of heading and tilt in degrees for lines without them.
     """
     columns, names, rows = headed_rows(
         path, images, LAYOUTS, "name yaw pitch roll [sigma_heading [sigma_tilt]]"

@@ -105,12 +105,7 @@ class GroundControlPoint:
 
 
 def parse_sigma(name: str, value: Any, unit: str = "metres") -> Sigma:
-    """Return standard deviations from a number, a pair, "0.02" or "0.02/0.05".
-
-    Raises:
-        InputError: the value has another format, or a sigma is not positive; the message begins
-            with the name.
-    """
+    """Return standard deviations from a number, a pair, "0.02" or "0.02/0.05"."""
     parts: Any = value
     if isinstance(value, str):
         try:
@@ -131,11 +126,7 @@ def parse_sigma(name: str, value: Any, unit: str = "metres") -> Sigma:
 
 
 def parse_pixel_sigma(name: str, value: Any) -> float:
-    """Return the standard deviation of a measurement in pixels.
-
-    Raises:
-        InputError: the value is out of range; the message begins with the name.
-    """
+    """Return the standard deviation of a measurement in pixels."""
     return number(name, value, minimum=SMALLEST, maximum=LARGEST)
 
 

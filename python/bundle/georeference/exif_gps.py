@@ -83,11 +83,7 @@ def files_of_images(
 ) -> tuple[dict[str, Path], list[str]]:
     """Return the files of images by name, and the names without a file.
 
-    Args:
-        names: names of the images; see :func:`read_exif_gps`.
-
-    Raises:
-        InputError: the folder does not exist, or contains none of the images.
+    ``names``: names of the images; see :func:`read_exif_gps`.
     """
     root = Path(folder)
     if not root.is_dir():
@@ -243,11 +239,7 @@ class DjiRecord(NamedTuple):
 
 
 def read_dji(path: str | os.PathLike[str]) -> DjiRecord:
-    """Return DJI's values of a photograph; all NaN without a packet that can be read.
-
-    Raises:
-        OSError: the file cannot be read.
-    """
+    """Return DJI's values of a photograph; all NaN without a packet that can be read."""
     packet = xmp_packet(path)
     if packet is None:
         return DjiRecord()
@@ -279,11 +271,7 @@ def read_dji(path: str | os.PathLike[str]) -> DjiRecord:
 
 
 def xmp_packet(path: str | os.PathLike[str]) -> bytes | None:
-    """Return the XMP packet of a JPEG file; None without any, or for another format.
-
-    Raises:
-        OSError: the file cannot be read.
-    """
+    """Return the XMP packet of a JPEG file; None without any, or for another format."""
     with Path(path).open("rb") as file:
         if file.read(2) != bytes([0xFF, _START]):
             return None

@@ -181,12 +181,7 @@ def _name_targets(path: Path, targets: dict[tuple[str, ...], _Target]) -> None:
 def read_opensfm_gcps(path: Path, problem: Problem) -> tuple[GroundControlPoint, ...]:
     """Read ground_control_points.json; of a project's folder, this file and gcp_list.txt.
 
-    Args:
-        problem: problem with the sizes of the images. Other images are ignored, as in OpenSfM.
-
-    Raises:
-        InputError: a value is invalid, or the folder has neither file.
-        OSError: a file cannot be read.
+    ``problem``: problem with the sizes of the images. Other images are ignored, as in OpenSfM.
     """
     if not path.is_dir():
         return _control_points(read_json(path), problem)
@@ -241,12 +236,7 @@ def _control_points(node: Node, problem: Problem) -> tuple[GroundControlPoint, .
 
 
 def given_control_points(gcps: Any, problem: Problem) -> tuple[GroundControlPoint, ...]:
-    """Return control points from objects or from a file; an empty list for None.
-
-    Raises:
-        InputError: the argument does not contain control points, or names repeat.
-        OSError: the file cannot be read.
-    """
+    """Return control points from objects or from a file; an empty list for None."""
     if gcps is None:
         return ()
     if is_path(gcps):
@@ -267,11 +257,7 @@ def given_control_points(gcps: Any, problem: Problem) -> tuple[GroundControlPoin
 def with_check_points(
     points: tuple[GroundControlPoint, ...], names: Iterable[str]
 ) -> tuple[GroundControlPoint, ...]:
-    """Return the points with some of them changed to check points.
-
-    Raises:
-        InputError: a name is not the name of a point.
-    """
+    """Return the points with some of them changed to check points."""
     if isinstance(names, str):
         raise InputError(f"check_points: expected a sequence of names, found {brief(names)}")
     wanted = list(names)

@@ -111,11 +111,7 @@ def no_fix_notes(names: Sequence[str], source: str) -> tuple[str, ...]:
 
 
 def matched(index: ImageIndex, positions: GpsPositions) -> dict[int, int]:
-    """Return the position of each image that has one, by rows.
-
-    Raises:
-        InputError: two positions belong to one image, or a position's name fits several images.
-    """
+    """Return the position of each image that has one, by rows."""
     rows: dict[int, int] = {}
     for position, name in enumerate(positions.names):
         row = index.find(name, f"{positions.source}: ")
@@ -300,12 +296,7 @@ _CAMERA = 0
 
 
 def read_database_gps(path: Path) -> GpsPositions:
-    """Read the positions of the images of a COLMAP database.
-
-    Raises:
-        InputError: the database is damaged, or has no positions, or positions in several systems.
-        OSError: the file cannot be read.
-    """
+    """Read the positions of the images of a COLMAP database."""
     name = shown(path)
     with open_database(path) as database:
         columns = [row[1] for row in database.execute("PRAGMA table_info(pose_priors)")]
@@ -379,12 +370,7 @@ _NO_FIX = 1e5
 
 
 def read_opensfm_gps(path: Path) -> GpsPositions:
-    """Read the GPS positions of the shots of reconstruction.json, or of the project's folder.
-
-    Raises:
-        InputError: a value is invalid, or ``reference_lla`` is missing.
-        OSError: the file cannot be read.
-    """
+    """Read the GPS positions of the shots of reconstruction.json, or of the project's folder."""
     file = path / RECONSTRUCTION if path.is_dir() else path
     node = parsed(_core.read_opensfm(file, _NO_POINTS)["rest"], file)
     rows: dict[str, tuple[Any, float]] = {}

@@ -152,11 +152,7 @@ def is_opensfm(path: Path) -> bool:
 
 
 def frame_of(node: Node) -> LocalFrame:
-    """Return the frame about a reference_lla.
-
-    Raises:
-        InputError: a value is missing or invalid.
-    """
+    """Return the frame about a reference_lla."""
     values = (node.get(name).number() for name in ("latitude", "longitude", "altitude"))
     with at(node.place):
         return LocalFrame(*values)

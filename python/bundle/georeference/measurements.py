@@ -379,11 +379,7 @@ def place_of(measured: Sequence[MeasurementErrors]) -> Any:
 
 
 def find_priors(problem: Problem, priors: Sequence[Any]) -> tuple[FoundPriors, ...]:
-    """Return the priors of a solve in a problem, in the order of their factors.
-
-    Raises:
-        InputError: an entry is not a prior, or does not fit the problem.
-    """
+    """Return the priors of a solve in a problem, in the order of their factors."""
     groups: dict[str | type, list[Any]] = {row.found: [] for row in ROWS}
     for row, prior in zip(_kinds(priors), priors, strict=True):
         groups[row.found].append(prior)

@@ -261,11 +261,7 @@ class PositionOffset:
 
     @staticmethod
     def beside(problem: Problem, axes: str) -> PositionOffset:
-        """Return an offset whose pose has an unused id.
-
-        Raises:
-            InputError: the problem has the largest possible id.
-        """
+        """Return an offset whose pose has an unused id."""
         last = int(problem.image_ids.max(initial=0))
         if last >= LARGEST_ID:
             raise InputError(f"image_ids: expected ids below {LARGEST_ID} with an offset")

@@ -52,10 +52,6 @@ def align_centers(source: Array, target: Array, alignment: str = "similarity") -
         source: (n, 3) centres of the estimate.
         target: (n, 3) centres of the reference.
         alignment: "similarity", "rigid", "yaw" or "none".
-
-    Raises:
-        InputError: the centres lie on one line or at one place, so that they do not determine a
-            similarity or a rigid motion.
     """
     if alignment == "none":
         return Similarity(1.0, np.eye(3), np.zeros(3))
@@ -105,9 +101,8 @@ def moved_poses(poses: Array, similarity: Similarity) -> Array:
 def angle_about_line(target: Array, residuals: Array) -> tuple[float, float]:
     """Return the uncertainty of the rotation about the line nearest to centres.
 
-    Args:
-        target: (n, 3) centres of the reference.
-        residuals: (n,) lengths of the residuals after the alignment.
+    ``target``: (n, 3) centres of the reference. ``residuals``: (n,) lengths of the residuals after
+    the alignment.
 
     Returns:
         Standard deviation of the rotation in radians, and the ratio of width to length of the

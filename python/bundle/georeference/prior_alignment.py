@@ -50,12 +50,7 @@ class ProblemPriors(FoundPriors):
 
     @staticmethod
     def make(problem: Problem, priors: Iterable[PositionPrior]) -> ProblemPriors:
-        """Find the image of each prior.
-
-        Raises:
-            InputError: an entry is not a prior, an image is not in the problem, its name is not
-                unique, or two priors have the same image.
-        """
+        """Find the image of each prior."""
         given = _listed(priors)
         found_rows = rows_of_images(problem, given)
         ids = tuple(problem.image_ids[found_rows].tolist())
@@ -116,8 +111,7 @@ class ProblemPriors(FoundPriors):
     def residuals(self, problem: Problem, offset: Array | None = None) -> Array:
         """Return (n, 3) positions in the problem minus measured positions; nan if unknown.
 
-        Args:
-            offset: (3,) offset of the positions from the problem; None: 0.
+        ``offset``: (3,) offset of the positions from the problem; None: 0.
         """
         if not self.priors:
             return np.zeros((0, 3))
@@ -134,9 +128,6 @@ class ProblemPriors(FoundPriors):
         """Return the similarity from the frame of the problem to the frame of the priors.
 
         See :func:`robust_similarity`.
-
-        Raises:
-            InputError: there are fewer than three positions, or they lie on one line.
         """
         if len(self.priors) < FEWEST:
             raise InputError(
@@ -273,11 +264,7 @@ def robust_similarity(points: Correspondences, what: str) -> Similarity:
     Points that contradict the majority are ignored. With fewer than three known heights, or
     heights that do not determine the tilt, all points are assumed to have one height.
 
-    Args:
-        points: at least three points.
-
-    Raises:
-        InputError: the points lie on one line.
+    ``points``: at least three points.
     """
     target, covariance = points.target, points.target_covariance.copy()
     unknown = np.isnan(target[:, 2])
@@ -325,11 +312,7 @@ def _listed(priors: Any) -> tuple[PositionPrior, ...]:
 def level_similarity(points: Correspondences, upright: Array) -> Similarity:
     """Return the similarity whose rotation is a rotation about z after `upright`.
 
-    Args:
-        upright: (3, 3) rotation of the model to z up.
-
-    Raises:
-        InputError: no height is known, or the positions do not determine scale and heading.
+    ``upright``: (3, 3) rotation of the model to z up.
     """
     known = ~np.isnan(points.target[:, 2])
     if not known.any():

@@ -52,23 +52,16 @@ STEEPEST = 5.0
 
 @dataclass(frozen=True, eq=False)
 class AttitudesOfKind:
-    """Priors of one kind, and their images.
+    """Priors of one kind, and their images."""
 
-    Attributes:
-        kind: class of the priors.
-        priors: priors in the order given.
-        rows: (n,) index of each prior's image.
-    """
-
-    kind: type[AttitudePrior]
-    priors: tuple[Any, ...]
-    rows: NDArray[np.int64]
+    kind: type[AttitudePrior]  # class of the priors
+    priors: tuple[Any, ...]  # priors in the order given
+    rows: NDArray[np.int64]  # (n,) index of each prior's image
 
     def turns(self, problem: Problem, turn: Array | None = None) -> Array:
         """Return (n, 3) the further rotation of the world that fits each prior, in radians.
 
-        Args:
-            turn: (3, 3) rotation of its world; None: no rotation.
+        ``turn``: (3, 3) rotation of its world; None: no rotation.
         """
         rotations = rotation_matrices(problem.cam_from_world[self.rows, :4])
         if turn is not None:
@@ -95,8 +88,7 @@ class AttitudesOfKind:
     def agreement(self, problem: Problem, base: Array | None = None) -> Agreement:
         """Return the rotation of the world on which the priors agree.
 
-        Args:
-            base: (3, 3) rotation of its world before that turn; None: no rotation.
+        ``base``: (3, 3) rotation of its world before that turn; None: no rotation.
         """
         before = np.eye(3) if base is None else base
 
@@ -149,11 +141,7 @@ class AttitudesOfKind:
         return np.array([getattr(prior, name) for prior in self.priors], np.float64)
 
     def check(self, problem: Problem) -> None:
-        """Refuse headings of axes that are almost vertical.
-
-        Raises:
-            InputError: an axis has no clear heading; the message names its image.
-        """
+        """Refuse headings of axes that are almost vertical."""
         if self.kind is not HeadingPrior:
             return
         rotations = rotation_matrices(problem.cam_from_world[self.rows, :4])
@@ -170,28 +158,17 @@ class AttitudesOfKind:
 
 @dataclass(frozen=True, eq=False)
 class ProblemAttitudes(FoundPriors):
-    """Attitude priors, and their images in a problem.
+    """Attitude priors, and their images in a problem."""
 
-    Attributes:
-        priors: priors in the order given.
-        image_ids: ids of their images.
-        groups: priors by kind, in the order of KINDS.
-    """
-
-    priors: tuple[AttitudePrior, ...]
-    image_ids: tuple[int, ...]
-    groups: tuple[AttitudesOfKind, ...]
+    priors: tuple[AttitudePrior, ...]  # priors in the order given
+    image_ids: tuple[int, ...]  # ids of their images
+    groups: tuple[AttitudesOfKind, ...]  # priors by kind, in the order of KINDS
 
     moves = True
 
     @staticmethod
     def make(problem: Problem, priors: Iterable[AttitudePrior]) -> ProblemAttitudes:
-        """Find the image of each prior.
-
-        Raises:
-            InputError: an image is not in the problem, its name is not unique, or two priors of
-                one kind have the same image.
-        """
+        """Find the image of each prior."""
         given = tuple(priors)
         groups, image_ids = [], dict[int, int]()
         for kind in KINDS:
@@ -227,11 +204,7 @@ class ProblemAttitudes(FoundPriors):
         return any(group.kind is not HeadingPrior for group in self.groups)
 
     def check(self, problem: Problem, groups: Sequence[FoundPriors] = ()) -> None:  # noqa: ARG002
-        """Refuse priors without a meaning at the start of a solve.
-
-        Raises:
-            InputError: see :meth:`AttitudesOfKind.check`.
-        """
+        """Refuse priors without a meaning at the start of a solve."""
         for group in self.groups:
             group.check(problem)
 
@@ -280,17 +253,11 @@ STEP = 1e-13
 
 @dataclass(frozen=True)
 class Agreement:
-    """Rotation of the world on which the measurements agree.
+    """Rotation of the world on which the measurements agree."""
 
-    Attributes:
-        rotation: (3, 3) rotation Q of the world.
-        lengths: (n,) remaining rotation of each measurement in standard deviations.
-        weights: (n,) Tukey's weights between 0 and 1; 0: the measurement disagrees.
-    """
-
-    rotation: Array
-    lengths: Array
-    weights: Array
+    rotation: Array  # (3, 3) rotation Q of the world
+    lengths: Array  # (n,) remaining rotation of each measurement in standard deviations
+    weights: Array  # (n,) Tukey's weights between 0 and 1; 0: the measurement disagrees
 
 
 def agree(

@@ -289,11 +289,7 @@ _METRES = "The map {} is in feet, but has no heights: these are used as metres."
 
 
 def _definition(name: str) -> str:
-    """Return a definition for PROJ.
-
-    Raises:
-        InputError: the name has another form than those that files use.
-    """
+    """Return a definition for PROJ."""
     text = name.strip().strip("'\"").strip()
     if re.fullmatch(r"WGS\s*84", text, re.IGNORECASE):
         return WGS84

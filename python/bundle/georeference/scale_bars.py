@@ -182,11 +182,7 @@ class FoundBars(FoundPriors):
         return FoundBars(tuple(priors))
 
     def beside(self, problem: Problem, groups: Sequence[FoundPriors]) -> FoundBars:
-        """Return the bars with their control points, images and points.
-
-        Raises:
-            InputError: an end is none of these.
-        """
+        """Return the bars with their control points, images and points."""
         targets: Any = next((one for one in groups if one.adds_points), None)
         names: dict[End, Key] = {}
         for name, image_id in zip(problem.image_names, problem.image_ids.tolist(), strict=True):
@@ -238,11 +234,7 @@ class FoundBars(FoundPriors):
         return isinstance(getattr(factor, "function", None), _Residual)
 
     def lengths(self, problem: Problem) -> Array:
-        """Return the (n,) lengths in a problem.
-
-        Raises:
-            InputError: two ends are at one place.
-        """
+        """Return the (n,) lengths in a problem."""
         ends = _places(problem, self.keys)
         lengths: Array = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1)
         for bar, length in zip(self.priors, lengths, strict=True):
@@ -270,9 +262,8 @@ class FoundBars(FoundPriors):
     ) -> tuple[BarCheck, ...]:
         """Test all bars at a minimum.
 
-        Args:
-            covariance: (n, n) of the lengths by all other measurements; None: unknown.
-            is_free: True if nothing else fixes the scale.
+        ``covariance``: (n, n) of the lengths by all other measurements; None: unknown. ``is_free``:
+        True if nothing else fixes the scale.
         """
         lengths = self.lengths(problem)
         v = lengths - [bar.distance for bar in self.priors]

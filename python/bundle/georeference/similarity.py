@@ -83,9 +83,7 @@ class Similarity:
 def umeyama(source: Array, target: Array) -> Similarity:
     """Return the least-squares similarity, with the same weight for every point.
 
-    Args:
-        source: (n, 3) points of the model.
-        target: (n, 3) target positions of these points.
+    ``source``: (n, 3) points of the model. ``target``: (n, 3) target positions of these points.
     """
     center, goal = source.mean(axis=0), target.mean(axis=0)
     scale, rotation = scale_and_rotation(source - center, target - goal)

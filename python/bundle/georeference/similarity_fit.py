@@ -52,25 +52,19 @@ WORST_CONDITION = 1e10
 
 @dataclass(frozen=True)
 class SimilarityFit:
-    """Fitted similarity and its covariance.
+    """Fitted similarity and its covariance."""
 
-    Attributes:
-        similarity: the map.
-        covariance: (7, 7) of log scale, rotation (radians, left increment) and translation [m] at
-            ``center``, for the given covariances.
-        center: (3,) point of the model to which the translation of ``covariance`` belongs.
-        weight: (n,) rho' of each point; 1 without a loss.
-        whitened: (n, 3) residuals divided by the lower Cholesky factors of their covariances; 0 for
-            unknown heights.
-        redundancy: (n, 3) fraction of each whitened residual that the fit does not absorb, between
-            0 and 1; 0 for unknown heights.
-    """
-
-    similarity: Similarity
+    similarity: Similarity  # the map
+    # (7, 7) of log scale, rotation (radians, left increment) and translation [m] at ``center``, for
+    # the given covariances
     covariance: Array
-    center: Array
-    weight: Array
+    center: Array  # (3,) point of the model to which the translation of ``covariance`` belongs
+    weight: Array  # (n,) rho' of each point; 1 without a loss
+    # (n, 3) residuals divided by the lower Cholesky factors of their covariances; 0 for unknown
+    # heights
     whitened: Array
+    # (n, 3) fraction of each whitened residual that the fit does not absorb, between 0 and 1; 0 for
+    # unknown heights
     redundancy: Array
 
     @property
@@ -100,10 +94,6 @@ def fit_similarity(
         points: at least three points that are not on one line; enough of them must have a height.
         loss: robust loss of the residuals in sigmas.
         loss_scale: sigmas beyond which the loss is robust.
-
-    Raises:
-        InputError: the points do not determine all seven degrees of freedom; the message has the
-            reason.
     """
     try:
         return _fitted(points, loss, loss_scale, what)
@@ -349,21 +339,15 @@ def _length(step: Array, size: float) -> float:
 
 @dataclass(frozen=True)
 class Correspondences:
-    """Points of a model and their surveyed positions.
+    """Points of a model and their surveyed positions."""
 
-    Attributes:
-        source: (n, 3) in the model.
-        target: (n, 3) east, north, up [m]; up is nan if unknown.
-        target_covariance: (n, 3, 3) [m^2].
-        source_covariance: (n, 3, 3) in squared units of the model; zero by default.
-        offset: (n, 3) vector from the point of the model to the surveyed point, in metres along the
-            axes of the model; zero by default.
-    """
-
-    source: Array
-    target: Array
-    target_covariance: Array
+    source: Array  # (n, 3) in the model
+    target: Array  # (n, 3) east, north, up [m]; up is nan if unknown
+    target_covariance: Array  # (n, 3, 3) [m^2]
+    # (n, 3, 3) in squared units of the model; zero by default
     source_covariance: Array = field(default_factory=lambda: np.zeros(0))
+    # (n, 3) vector from the point of the model to the surveyed point, in metres along the axes of
+    # the model; zero by default
     offset: Array = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:

@@ -114,9 +114,6 @@ class Survey:
         measured: used targets, then cameras.
         decisive: mask of the entries of ``measured`` that may have an influence: all but check
             points.
-
-    Raises:
-        InputError: fewer than three entries are decisive.
     """
 
     def __init__(
@@ -374,18 +371,13 @@ LEVEL = 0.05
 
 @dataclass(frozen=True)
 class LeaveOneOut:
-    """Predictions of points from the other points.
+    """Predictions of points from the other points."""
 
-    Attributes:
-        residual: (n, 3) prediction from the others minus survey, east, north, up [m]; nan if the
-            others do not determine the model, and for unknown heights.
-        sigma: (n, 3) standard deviation of each residual, from the stated sigmas.
-        suspect: (n,) True if a gross error is likely.
-    """
-
+    # (n, 3) prediction from the others minus survey, east, north, up [m]; nan if the others do not
+    # determine the model, and for unknown heights
     residual: Array
-    sigma: Array
-    suspect: NDArray[np.bool_]
+    sigma: Array  # (n, 3) standard deviation of each residual, from the stated sigmas
+    suspect: NDArray[np.bool_]  # (n,) True if a gross error is likely
 
 
 def leave_one_out(

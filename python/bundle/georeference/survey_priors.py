@@ -277,8 +277,7 @@ class GcpPriors(KnownPriors, Displayed):
     def _judged(self, point: ControlPointError, checks: SurveyChecks | None) -> ControlPointError:
         """Return a point with its test in the adjusted model.
 
-        Args:
-            checks: tests after the solve; None if it did not converge.
+        ``checks``: tests after the solve; None if it did not converge.
         """
         check = None if checks is None else checks.points.get(point.name)
         if check is None:
@@ -415,12 +414,7 @@ def given_gps(
     images: str | os.PathLike[str] | None,
     problem: Problem,
 ) -> GpsPositions | None:
-    """Return positions from an object, a file or the images' EXIF tags; None for None.
-
-    Raises:
-        InputError: a file or an argument is wrong.
-        OSError: a path cannot be read.
-    """
+    """Return positions from an object, a file or the images' EXIF tags; None for None."""
     if gps == EXIF:
         if images is None:
             raise InputError('images: expected the folder of the images for "exif", found None')

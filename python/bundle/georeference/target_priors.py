@@ -51,12 +51,7 @@ class TargetPriors(FoundPriors):
 
     @staticmethod
     def make(problem: Problem, points: Iterable[GroundControlPoint]) -> TargetPriors:
-        """Triangulate the control points in a problem.
-
-        Raises:
-            InputError: the images have no names, coordinates are not in the frame of a solve, names
-                repeat, or no control point is measured in two images.
-        """
+        """Triangulate the control points in a problem."""
         given = tuple(points)
         check_distinct("priors: expected each control point once", (point.name for point in given))
         for point in given:
@@ -99,8 +94,7 @@ class TargetPriors(FoundPriors):
     def added_to(self, problem: Problem, moved: Similarity | None) -> Problem:
         """Return the problem with the used points as its last points and observations.
 
-        Args:
-            problem: problem of :meth:`make`, or the same problem moved.
+        ``problem``: problem of :meth:`make`, or the same problem moved.
         """
         if not self.used:
             return problem

@@ -48,11 +48,7 @@ class ImageIndex:
     def find(self, name: str, place: str = "") -> int | None:
         """Return the index of an image; None if the model has no image of this name.
 
-        Args:
-            place: beginning of messages; by default the argument of the constructor.
-
-        Raises:
-            InputError: several images match.
+        ``place``: beginning of messages; by default the argument of the constructor.
         """
         found = self._whole.get(name) or self._last.get(last_part(name), [])
         if len(found) > 1:
@@ -79,8 +75,7 @@ def last_part(name: str) -> str:
 class ImageFinder:
     """Finder of images by name, or by id if no image has this name.
 
-    Args:
-        problem: problem of the images, with or without names.
+    ``problem``: problem of the images, with or without names.
     """
 
     def __init__(self, problem: Problem) -> None:
@@ -89,11 +84,7 @@ class ImageFinder:
         self._ids = set(problem.image_ids.tolist())
 
     def find(self, word: str, place: str = "") -> int:
-        """Return the id of an image.
-
-        Raises:
-            InputError: no image or several images match.
-        """
+        """Return the id of an image."""
         row = None if self._index is None else self._index.find(word, place)
         if row is not None:
             return int(self._problem.image_ids[row])
@@ -114,12 +105,7 @@ class HasImage(Protocol):
 
 
 def rows_of_images(problem: Problem, priors: Sequence[HasImage]) -> NDArray[np.int64]:
-    """Return the index of each prior's image.
-
-    Raises:
-        InputError: an image is not in the problem, its name is not unique, or two priors have the
-            same image.
-    """
+    """Return the index of each prior's image."""
     names: dict[str, int] = {}
     twice: set[str] = set()
     for index, name in enumerate(problem.image_names):
@@ -168,10 +154,6 @@ def read_lines(
     """Return the reference system, and the words of every further line with its number from 1.
 
     The system is None after a first line LOCAL: coordinates are metres in a frame of their own.
-
-    Raises:
-        InputError: the file is not text, or its first line does not name a reference system.
-        OSError: the file cannot be read.
     """
     lines = [
         (number, line)
@@ -205,11 +187,7 @@ def split_words(line: str, name_at: int) -> list[str]:
 def parse_number(place: str, name: str, word: str, *, unknown: bool = False) -> float:
     """Return a word as a number.
 
-    Args:
-        unknown: allow nan for unknown values.
-
-    Raises:
-        InputError: the word is not numeric, or not finite.
+    ``unknown``: allow nan for unknown values.
     """
     try:
         value = float(word)
@@ -235,12 +213,7 @@ def headed_rows(
     layouts: Mapping[tuple[str, ...], Sequence[str]],
     example: str,
 ) -> tuple[tuple[str, ...], list[str], list[tuple[str, int, list[str]]]]:
-    """Return the columns of values that the header names, all columns after the name, and the rows.
-
-    Raises:
-        InputError: the header is unknown, or as :func:`image_rows`.
-        OSError: the file cannot be read.
-    """
+    """Return the columns of values in the header, all columns after the name, and the rows."""
     (number, header), *lines = content_lines(path) or [(0, [])]
     found = next(
         (
@@ -283,11 +256,7 @@ def image_rows(
     lines: list[tuple[int, list[str]]],
     layout: str,
 ) -> list[tuple[str, int, list[str]]]:
-    """Return place, id of the image and numbers of each line.
-
-    Raises:
-        InputError: there is no line, an image is unknown, or has two lines.
-    """
+    """Return place, id of the image and numbers of each line."""
     if not lines:
         raise InputError(f"{shown(path)}: expected lines of {layout}, found 0")
     seen: dict[int, int] = {}
@@ -312,11 +281,7 @@ def row_numbers(
     required: int,
     unknown: Collection[str] = (),
 ) -> list[float]:
-    """Return the numbers of a line; those named in ``unknown`` may be nan.
-
-    Raises:
-        InputError: a word is missing, superfluous or no number.
-    """
+    """Return the numbers of a line; those named in ``unknown`` may be nan."""
     if not required <= len(words) <= len(names):
         optional = "".join(f" [{name}]" for name in names[required:])
         raise InputError(

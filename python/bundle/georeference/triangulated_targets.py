@@ -51,8 +51,7 @@ def triangulate(
 ) -> tuple[Triangulated, ...]:
     """Triangulate every target; ``reason`` is the reason of a failure.
 
-    Args:
-        pixel_sigma: standard deviation in pixels of measurements without their own.
+    ``pixel_sigma``: standard deviation in pixels of measurements without their own.
     """
     return tuple(_triangulated(problem, point, images, pixel_sigma) for point in points)
 

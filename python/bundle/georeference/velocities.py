@@ -232,24 +232,14 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ProblemVelocities(FoundPriors):
-    """Velocity priors, and their images in a problem.
+    """Velocity priors, and their images in a problem."""
 
-    Attributes:
-        priors: priors in the order given.
-        rows: (n,) index of each prior's image.
-    """
-
-    priors: tuple[VelocityPrior, ...]
-    rows: NDArray[np.int64]
+    priors: tuple[VelocityPrior, ...]  # priors in the order given
+    rows: NDArray[np.int64]  # (n,) index of each prior's image
 
     @staticmethod
     def make(problem: Problem, priors: Sequence[VelocityPrior]) -> ProblemVelocities:
-        """Find the image of each prior, and check that its motion gives a velocity.
-
-        Raises:
-            InputError: an image is not in the problem or has two priors, its shutter is global, its
-                readout is unknown, or the frame rate is.
-        """
+        """Find the image of each prior, and check that its motion gives a velocity."""
         given = tuple(priors)
         rows = rows_of_images(problem, given)
         shutter = problem.rolling_shutter

@@ -175,12 +175,8 @@ def check_refined(
 ) -> None:
     """Raise the error that ``radial_params`` would raise after a solve with these options.
 
-    Args:
-        refined: kinds of refined parameters, "focal", "principal_point", "extra"; others have no
-            effect.
-
-    Raises:
-        InputError: a camera has, or may get in the solve, parameters that a BAL file cannot store.
+    ``refined``: kinds of refined parameters, "focal", "principal_point", "extra"; others have no
+    effect.
     """
     radial_params(problem)
     for image, camera in enumerate(problem.image_camera.tolist()):

@@ -308,11 +308,7 @@ _FIELDS = 10  # number of fields in the line of an image
 
 
 def check_is_model(folder: Path) -> None:
-    """Check that a folder has the files of a COLMAP model.
-
-    Raises:
-        InputError: files are missing; the message names them, and models below or just above.
-    """
+    """Check that a folder has the files of a COLMAP model."""
     missing = missing_model_files(folder)
     if not missing:
         return
@@ -327,11 +323,7 @@ def check_is_model(folder: Path) -> None:
 
 
 def check_rig_files(folder: Path) -> None:
-    """Check that a model has both the rigs file and the frames file, or neither.
-
-    Raises:
-        InputError: one of the two files is missing.
-    """
+    """Check that a model has both the rigs file and the frames file, or neither."""
     suffix = _suffix(folder)
     files = [folder / f"{stem}{suffix}" for stem in ("rigs", "frames")]
     there = [file.name for file in files if file.is_file()]
@@ -363,9 +355,8 @@ def lacks_keypoint_lines(folder: Path) -> str | None:
 def note_contradiction(folder: Path, image_poses: _Poses, poses: _Poses) -> None:
     """Warn about images whose own poses differ from those of frames and rigs.
 
-    Args:
-        image_poses: (num_images, 7) poses in the images file.
-        poses: (num_images, 7) poses by frames and rigs; these are used.
+    ``image_poses``: (num_images, 7) poses in the images file. ``poses``: (num_images, 7) poses by
+    frames and rigs; these are used.
     """
     angle, shift, spread = pose_differences(poses, image_poses)
     other = (angle > _ANGLE) | (shift > _SHIFT * spread)

@@ -18,14 +18,7 @@ _SUFFIXES = (".g2o", ".g2o.gz", ".g2o.bz2")
 
 
 def load_g2o(path: str | os.PathLike[str]) -> PoseGraph:
-    """Read a pose graph; compression by gzip or bzip2 is detected automatically.
-
-    Raises:
-        InputError: the content violates the format: unknown or duplicate vertices, a wrong
-            number of fields, numbers that are not finite, zero quaternions, or edges from a vertex
-            to itself; one line with file and line.
-        OSError: the file cannot be read.
-    """
+    """Read a pose graph; compression by gzip or bzip2 is detected automatically."""
     path = as_path(path)
     read = _core.read_g2o(path)
     graph = PoseGraph(
@@ -57,12 +50,7 @@ def save_g2o(graph: PoseGraph, path: str | os.PathLike[str]) -> tuple[str, ...]:
 
 
 def check_g2o_target(path: str | os.PathLike[str]) -> None:
-    """Raise the error that :func:`save_g2o` would raise.
-
-    Raises:
-        InputError: the path is a folder, or has the suffix of another format.
-        OSError: permission to write is missing.
-    """
+    """Raise the error that :func:`save_g2o` would raise."""
     path = as_path(path)
     check_name(path, f"a pose graph ({', '.join(_SUFFIXES)})", own=".g2o", compressed=".g2o")
     atomic.check_file(path)

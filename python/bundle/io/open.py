@@ -250,10 +250,6 @@ def check_target(
         refined: kinds of camera parameters that the solve will change: "focal",
             "principal_point", "extra". Other kinds have no effect.
         fixed_camera_ids: cameras that the solve will not change.
-
-    Raises:
-        InputError: the format cannot hold the problem, or the path cannot be replaced.
-        OSError: permission to write is missing.
     """
     recover(path)
     chosen = output_format(problem.format, path, format)

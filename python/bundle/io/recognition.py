@@ -40,8 +40,7 @@ def is_python_object(path: object) -> bool:
 def load_object(text: str) -> Any:
     """Run a Python file and return its object, or what its function returns.
 
-    Args:
-        text: FILE.py:NAME; without a name ``make_graph`` or ``graph``.
+    ``text``: FILE.py:NAME; without a name ``make_graph`` or ``graph``.
     """
     found = _PYTHON.match(text)
     if found is None:
@@ -74,8 +73,7 @@ def load_object(text: str) -> Any:
 def user_error(place: str, error: Exception, path: Path | None = None) -> InputError:
     """Return an exception of a user's code as one line, with the line of the file that raised it.
 
-    Args:
-        path: file whose last line in the traceback is named; None: that of the last frame.
+    ``path``: file whose last line in the traceback is named; None: that of the last frame.
     """
     if isinstance(error, InputError):
         return InputError(f"{place}: {error}")
@@ -403,9 +401,6 @@ def check_name(
         path: output path; with a trailing slash it is a folder, and any name is accepted.
         what: kind of the output, such as "a page (.html)".
         compressed: suffixes that are accepted before ".gz" or ".bz2".
-
-    Raises:
-        InputError: the suffix belongs to another format or to an unsupported compression.
     """
     name = os.fspath(path)
     if name.endswith("/"):

@@ -218,8 +218,7 @@ def read_frame_times(
 ) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
     """Return the time of each image in frames (NaN: not in the file), and its neighbours.
 
-    Args:
-        frame_rate: frames per second, for times in seconds; 0: unknown.
+    ``frame_rate``: frames per second, for times in seconds; 0: unknown.
     """
     with Path(path).open(newline="", encoding="utf-8", errors="replace") as file:
         rows = csv.DictReader(file)

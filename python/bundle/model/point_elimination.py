@@ -83,8 +83,7 @@ def part_of_observations(
 ) -> NDArray[np.int64]:
     """Return the places in ``rows`` of the observations that take part, ascending.
 
-    Args:
-        rows: (n,) observations to choose from.
+    ``rows``: (n,) observations to choose from.
     """
     image, point = problem.observation_image[rows], problem.observation_point[rows]
     chosen = np.arange(len(rows))

@@ -144,9 +144,8 @@ class ErrorStatistics:
 def absolute_errors(estimate: Array, reference: Array) -> tuple[Array, Array]:
     """Return position errors (n,) in length units, and rotation errors (n,) in degrees.
 
-    Args:
-        estimate: (n, 7) aligned poses world_from_camera.
-        reference: (n, 7) poses of the reference.
+    ``estimate``: (n, 7) aligned poses world_from_camera. ``reference``: (n, 7) poses of the
+    reference.
     """
     position = np.linalg.norm(estimate[:, 4:] - reference[:, 4:], axis=1)
     turn = quaternion_multiply(quaternion_inverse(reference[:, :4]), estimate[:, :4])

@@ -152,11 +152,7 @@ def _ids(argument: str, entry: Any) -> Iterable[int] | None:
 
 
 def id_range(text: str) -> range | None:
-    """Parse "5" or "5-9" to ids; return None for other text.
-
-    Raises:
-        ValueError: the range ends before it starts.
-    """
+    """Parse "5" or "5-9" to ids; return None for other text."""
     first, dash, last = (piece.strip() for piece in text.partition("-"))
     if not _is_number(first) or (dash and not _is_number(last)):
         return None

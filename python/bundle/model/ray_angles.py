@@ -35,9 +35,8 @@ _Vectors = tuple[_Array, _Array, _Array]
 def enclose_angle(problem: Problem, observations: _Indices, min_angle: float) -> _Mask:
     """Return a mask of the points with two rays at an angle of at least ``min_angle``.
 
-    Args:
-        observations: indices of the observations to use; a point with fewer than two fails.
-        min_angle: smallest accepted angle in degrees, above 0, at most 90.
+    ``observations``: indices of the observations to use; a point with fewer than two fails.
+    ``min_angle``: smallest accepted angle in degrees, above 0, at most 90.
 
     Returns:
         (num_points,)

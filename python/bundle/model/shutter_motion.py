@@ -51,9 +51,8 @@ def moved(twists: Array, times: Array, points: Array) -> Array:
 def project_each(problem: Problem, image: NDArray[np.integer], points: Array) -> Array:
     """Return pixels (N, 2) of points (N, 3) in the frames of cameras; NaN without a projection.
 
-    Args:
-        image: (N,) index of the image of each point.
-        points: (N, 3) coordinates in the frame of the camera at that time.
+    ``image``: (N,) index of the image of each point. ``points``: (N, 3) coordinates in the frame of
+    the camera at that time.
     """
     camera = problem.image_camera[image]
     order = np.argsort(camera, kind="stable")
@@ -125,8 +124,7 @@ def scaled(shutter: RollingShutter | None, scale: ArrayLike) -> RollingShutter |
 
     A twist is in the frame of its camera: rotations and translations of the world do not change it.
 
-    Args:
-        scale: new per old lengths, one number or (num_images,).
+    ``scale``: new per old lengths, one number or (num_images,).
     """
     if shutter is None:
         return None

@@ -86,9 +86,7 @@ def choose_lower(
 ) -> Start:
     """Return the chordal start or the file's poses, whichever has the lower cost.
 
-    Args:
-        held: (n,) mask of constant poses.
-        order: order of elimination of the relaxation.
+    ``held``: (n,) mask of constant poses. ``order``: order of elimination of the relaxation.
     """
     try:
         chordal = _core.initial_poses(graph, held, "chordal", num_threads, order)

@@ -56,8 +56,7 @@ def solve_prepared(
 ) -> Result:
     """Run an executor and return the result for the start.
 
-    Args:
-        executor: executor; None: all processes of mpirun, or this process if it is the only one.
+    ``executor``: executor; None: all processes of mpirun, or this process if it is the only one.
     """
     check_function("progress", progress)
     executor = _default_executor() if executor is None else executor

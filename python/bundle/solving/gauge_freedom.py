@@ -149,8 +149,7 @@ def can_shrink(
 
     A smaller world lies nearer to these, so that the other factors alone have to hold its scale.
 
-    Args:
-        factors: all factors of the solve, with those of the resolved rules.
+    ``factors``: all factors of the solve, with those of the resolved rules.
     """
     feet = {id(factor): one for one, factor in zip(applied.priors, applied.factors, strict=True)}
     feet = {key: one for key, one in feet.items() if one.normals or one.flatness}

@@ -87,9 +87,8 @@ def choose(
 ) -> NDArray[np.bool_]:
     """Return a mask of the observations to hold out.
 
-    Args:
-        percent: share of each image's observations, above 0 and at most 50.
-        among: mask of the observations that may be held out; None: all.
+    ``percent``: share of each image's observations, above 0 and at most 50. ``among``: mask of the
+    observations that may be held out; None: all.
     """
     percent = number(name, percent, above=0.0, maximum=MOST_PERCENT)
     seed = int(number("seed", seed, minimum=0, whole=True))
@@ -154,9 +153,7 @@ Fit = Callable[[Prepared], "tuple[Result, State]"]
 class HeldOutFit:
     """The observations that a solve holds out, chosen before it runs.
 
-    Args:
-        prepared: the solve of all observations.
-        options: share of the observations and seed.
+    ``prepared``: the solve of all observations. ``options``: share of the observations and seed.
     """
 
     def __init__(self, prepared: Prepared, options: HoldOutOptions) -> None:
@@ -220,9 +217,8 @@ def triangulated(
 def with_values(problem: Problem, refined: Problem, state: State | None = None) -> Problem:
     """Return a problem with the values of its refined version, from which points may be missing.
 
-    Args:
-        refined: the same cameras, images and points with other values; observations may differ.
-        state: state of a run that removed points of `refined`; these points keep their values.
+    ``refined``: the same cameras, images and points with other values; observations may differ.
+    ``state``: state of a run that removed points of `refined`; these points keep their values.
     """
     values = estimates(refined)
     if state is not None and refined.num_points != problem.num_points:

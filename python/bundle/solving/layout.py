@@ -111,11 +111,7 @@ def _with_twists(
 
 
 def refuse_shrinking(layout: Layout) -> None:
-    """Refuse a solve with tied twists in which nothing holds the scale of the world.
-
-    Raises:
-        InputError: the gauge is none, and neither factors nor constant images hold the scale.
-    """
+    """Refuse a solve with tied twists in which nothing holds the scale of the world."""
     options, known, _ = layout
     if options.twists != "tied" or options.gauge != "none" or options.fixed_image_ids:
         return

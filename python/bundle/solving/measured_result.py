@@ -242,9 +242,8 @@ class Movement:
 def movement(before: Problem, after: Problem, similarity: Similarity | None = None) -> Movement:
     """Return the changes between two problems with the same images in the same order.
 
-    Args:
-        before: the input, which may have other cameras.
-        similarity: motion of the input to its priors, or None.
+    ``before``: the input, which may have other cameras. ``similarity``: motion of the input to its
+    priors, or None.
     """
     centers, turns = before.projection_centers, rotation_matrices(before.cam_from_world[:, :4])
     moved = (before.cam_from_world != after.cam_from_world).any(axis=1)

@@ -108,8 +108,7 @@ class Prepared:
     def finished(self, result: Result, state: State | None = None) -> Result:
         """Convert the last result for the start to a result for the problem of the request.
 
-        Args:
-            state: state of the run before this result; None: nothing was filtered.
+        ``state``: state of the run before this result; None: nothing was filtered.
         """
         last, given, placed = result.problem, self.request.problem, self.placed
         ends = rule_ends(self.applied, placed.problem, last)

@@ -208,11 +208,7 @@ def run(
 
 
 def _check(request: SolveRequest, plan: RunPlan) -> None:
-    """Refuse options that a run with changing tracks does not support.
-
-    Raises:
-        InputError: the message names the option.
-    """
+    """Refuse options that a run with changing tracks does not support."""
     problem, limits = request.problem, plan.rounds
     number("num_rounds", limits.num_rounds, minimum=2)
     number("min_track_length", limits.min_track_length, minimum=2)
@@ -242,9 +238,8 @@ def _check(request: SolveRequest, plan: RunPlan) -> None:
 class _Tracks:
     """Rounds that extend tracks, adjust and filter.
 
-    Args:
-        each: function of the problem after the filter of each round.
-        are_counted: True if a round with few changes ends the run.
+    ``each``: function of the problem after the filter of each round. ``are_counted``: True if a
+    round with few changes ends the run.
     """
 
     def __init__(

@@ -156,10 +156,8 @@ def place_at_priors(
 ) -> PlacedProblem:
     """Move a problem to its priors, and add their factors, images and points.
 
-    Args:
-        problem: problem to move; not modified.
-        align: move the problem to the priors; None: move it if `factors` is empty and the priors
-            determine the similarity.
+    ``problem``: problem to move; not modified. ``align``: move the problem to the priors; None:
+    move it if `factors` is empty and the priors determine the similarity.
     """
     if align is not None:
         align = as_flag("align", align)

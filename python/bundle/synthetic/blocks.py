@@ -351,8 +351,7 @@ def write_bal_scene(
 ) -> SceneTally:
     """Write the start of a scene and its ground truth, as made by ``synthesize``.
 
-    Args:
-        progress: called after each block with the fraction of finished points.
+    ``progress``: called after each block with the fraction of finished points.
 
     Returns:
         Counts of the written scene.

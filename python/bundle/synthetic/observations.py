@@ -90,9 +90,8 @@ class Visibility:
     ) -> Pairs:
         """Return the possible observations.
 
-        Args:
-            lengths: (n,) wanted number of observations of each point.
-            num_threads: number of threads; 0: all cores. The pairs do not depend on it.
+        ``lengths``: (n,) wanted number of observations of each point. ``num_threads``: number of
+        threads; 0: all cores. The pairs do not depend on it.
         """
         cells = Cells(points.keys, self._cell_size)
         by_cell = points.take(cells.order)

@@ -63,8 +63,7 @@ def waypoints(
 ) -> tuple[Array, Array]:
     """Return positions and headings of a drive with rounded corners.
 
-    Args:
-        corner_radius: distance from the node at which a turn begins, at most half the pitch.
+    ``corner_radius``: distance from the node at which a turn begins, at most half the pitch.
 
     Returns:
         Positions (count, 2), and headings (count,) in radians from the x axis.

@@ -155,8 +155,7 @@ STREAM = 0x617474
 def measured_attitudes(truth: Problem, options: SceneOptions) -> tuple[AttitudePrior, ...]:
     """Return the priors of gravity, then of orientations, that the options request.
 
-    Args:
-        truth: images at their true poses, in a world with z up.
+    ``truth``: images at their true poses, in a world with z up.
     """
     gravity, orientation = np.random.SeedSequence([options.seed, STREAM]).spawn(2)
     found: list[AttitudePrior] = []

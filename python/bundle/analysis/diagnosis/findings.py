@@ -313,9 +313,7 @@ class CameraPart:
 class Unknowns:
     """Columns of the reduced camera system, and directions in them.
 
-    Args:
-        problem: problem with the cameras and images.
-        found: result of `_core.reduced_spectrum`.
+    ``problem``: problem with the cameras and images. ``found``: result of `_core.reduced_spectrum`.
     """
 
     def __init__(self, problem: Problem, found: dict[str, Any]) -> None:

@@ -203,11 +203,7 @@ def influence(
 
 
 def differentiate(request: SolveRequest, on: str) -> tuple[Prepared, Quantity, dict[str, Any]]:
-    """Return a prepared request, a quantity and the output of the core about it.
-
-    Raises:
-        InputError: the quantity is unknown, undetermined, constant or without a datum.
-    """
+    """Return a prepared request, a quantity and the output of the core about it."""
     prepared = at_control_points(prepare(request))
     if not prepared.request.problem.num_observations:
         raise InputError("problem: expected observations, found 0")

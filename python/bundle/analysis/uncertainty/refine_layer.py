@@ -55,9 +55,6 @@ class Layer:
         """Solve with these data, and return the polished minimum.
 
         The last one is kept, for the backward pass of jax, which has the data only.
-
-        Raises:
-            InputError: an array has another shape, is not finite, or a weight is not above 0.
         """
         if self._last is None or not all(map(np.array_equal, data, self._last[0])):
             xy, weights, params = arrays = [

@@ -106,8 +106,7 @@ class SimilarityGraph:
     def solve(self, nodes: Nodes, weigh: Weigh, tolerance: float) -> Nodes:
         """Return the nodes that minimise 1/2 sum rho(chi2) over the edges.
 
-        Args:
-            weigh: function from chi2 (m,) to rho and its derivative, both (m,).
+        ``weigh``: function from chi2 (m,) to rho and its derivative, both (m,).
         """
         free = np.flatnonzero(~self.held)
         active: NDArray[np.bool_] = ~np.all(self.held[self.edges], axis=1)

@@ -312,8 +312,7 @@ Flags = NDArray[np.bool_]
 def largest_set(conflicts: Flags) -> tuple[Flags, bool]:
     """Return the largest set of vertices without a conflict, and True if this is proven.
 
-    Args:
-        conflicts: (n, n) symmetric, its diagonal False.
+    ``conflicts``: (n, n) symmetric, its diagonal False.
 
     Returns:
         Mask (n,) of the set; and False if HiGHS reached the time limit, so that a larger set may

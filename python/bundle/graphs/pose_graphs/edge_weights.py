@@ -177,8 +177,7 @@ def pose_graph_chi2(graph: PoseGraph, error: str = "log") -> NDArray[np.float64]
 def densest_set(edges: NDArray[np.integer]) -> int:
     """Return the largest d for which d vertices have d - 1 neighbours or more.
 
-    Args:
-        edges: (m, 2) pairs of vertices; repeated and reversed pairs count once.
+    ``edges``: (m, 2) pairs of vertices; repeated and reversed pairs count once.
     """
     pairs = np.unique(np.sort(edges.astype(np.int64), axis=1), axis=0).reshape(-1, 2)
     degrees = np.sort(np.bincount(pairs.ravel()))[::-1]

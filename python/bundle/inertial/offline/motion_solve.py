@@ -121,9 +121,8 @@ class ImuBodies:
     def of(problem: Problem, image_times_ns: Any, camera_from_imu: Any) -> ImuBodies:
         """Return the bodies of a problem.
 
-        Args:
-            image_times_ns: (num_images,) times; equal for the images of a frame.
-            camera_from_imu: (7,) of each image, or of the images of the reference sensor.
+        ``image_times_ns``: (num_images,) times; equal for the images of a frame.
+        ``camera_from_imu``: (7,) of each image, or of the images of the reference sensor.
         """
         times = np.asarray(image_times_ns, np.int64)
         arm = np.asarray(camera_from_imu, np.float64)

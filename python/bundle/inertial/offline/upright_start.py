@@ -49,10 +49,8 @@ def upright_start(
 ) -> tuple[InertialStart, Similarity]:
     """Return the start in the model's world, and the similarity to metres with z up.
 
-    Args:
-        problem: problem in any frame and unit.
-        is_metric: True for a constant baseline between sensors of a rig, which is in metres; the
-            similarity then has scale 1.
+    ``problem``: problem in any frame and unit. ``is_metric``: True for a constant baseline between
+    sensors of a rig, which is in metres; the similarity then has scale 1.
     """
     start = solve_inertial_start(
         bodies.imu_rotations(problem),

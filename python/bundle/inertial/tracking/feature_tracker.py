@@ -78,9 +78,8 @@ class FeatureTracker:
     def add(self, image: Array, turn: Array) -> tuple[Array, Array]:
         """Track into the next image; return the ids (ascending) and pixels (n, 2) of its tracks.
 
-        Args:
-            image: (height, width) uint8.
-            turn: (3, 3) rotation of the camera since the previous image, by the gyroscope.
+        ``image``: (height, width) uint8. ``turn``: (3, 3) rotation of the camera since the previous
+        image, by the gyroscope.
         """
         if len(self._features.ids):
             self._features = self._tracked(image, turn)

@@ -124,9 +124,7 @@ EDGE_SHIFT, EDGE_SHARE = 2e-3, 0.01  # m; share of the length
 class WindowDriver:
     """Solver of a sequence's images on the thread of a :class:`WindowLoop`.
 
-    Args:
-        run: window that has started.
-        closures: closures sorted by the time of their later end.
+    ``run``: window that has started. ``closures``: closures sorted by the time of their later end.
     """
 
     def __init__(self, run: WindowRun, closures: tuple[Closure, ...]) -> None:

@@ -249,9 +249,8 @@ def steady_speed(
 ) -> MarginalPrior | None:
     """Return a prior on the changes of speed between consecutive frames.
 
-    Args:
-        frames: frames in ascending time.
-        sigma: standard deviation of the mean acceleration along the path between two frames, m/s^2.
+    ``frames``: frames in ascending time. ``sigma``: standard deviation of the mean acceleration
+    along the path between two frames, m/s^2.
 
     Returns:
         None if no two consecutive frames have first estimates faster than 0.5 m/s.

@@ -107,8 +107,7 @@ POINT = 3
 def window_sizes(table: LandmarkTable, window: dict[str, Any], fill_ratio: float) -> dict[str, Any]:
     """Return the sizes of a window's solve, as named in a :class:`KeyframeRecord`.
 
-    Args:
-        fill_ratio: nonzeros of the factor relative to the reduced matrix; 1 if it is dense.
+    ``fill_ratio``: nonzeros of the factor relative to the reduced matrix; 1 if it is dense.
     """
     states, points = len(window["states"]), len(table.ids)
     camera = np.array([6 * window["refine_camera"], int(window["refine_time_offset"])])

@@ -229,11 +229,7 @@ def read_json(path: Path) -> Node:
 
 
 def parsed(text: bytes, path: Path) -> Node:
-    """Return the value of a JSON text of a file.
-
-    Raises:
-        InputError: the text is not JSON; the message has the line.
-    """
+    """Return the value of a JSON text of a file."""
     try:
         return Node(json.loads(text), shown(path))
     except json.JSONDecodeError as error:

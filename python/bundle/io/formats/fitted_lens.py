@@ -61,9 +61,7 @@ def fitted_to_rays(
 ) -> FittedLens | None:
     """Fit any lens; return None if the model cannot project all its rays.
 
-    Args:
-        rays: (n, 3) directions.
-        xy: (n, 2) pixels of these rays.
+    ``rays``: (n, 3) directions. ``xy``: (n, 2) pixels of these rays.
     """
     fit = fit_lens(model, start, rays, xy)
     if fit is None:

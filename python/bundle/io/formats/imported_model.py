@@ -167,11 +167,7 @@ def pixels(measured: Array, image: NDArray[np.int32], scale: Any, center: Array)
 
 
 def checked_rotations(matrices: Array, place: Callable[[int], str]) -> Array:
-    """Return the rotations nearest to matrices (n, 3, 3) of a file, whose digits are rounded.
-
-    Raises:
-        InputError: a matrix is not a rotation.
-    """
+    """Return the rotations nearest to matrices (n, 3, 3) of a file, whose digits are rounded."""
     with np.errstate(all="ignore"):
         product = matrices @ matrices.transpose(0, 2, 1)
         off = np.abs(product - np.eye(3)).max(axis=(1, 2), initial=0.0)

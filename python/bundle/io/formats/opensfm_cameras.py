@@ -167,8 +167,7 @@ def project(camera: SfmCamera, inside: Array) -> Array:
 def _fisheye624(camera: SfmCamera, base: list[float], place: str) -> Camera:
     """Return the exact model of a fisheye62 or fisheye624 lens, or a fitted one.
 
-    Args:
-        base: focal lengths and principal point in pixels.
+    ``base``: focal lengths and principal point in pixels.
     """
     p = camera.params
     k = [p[name] for name in RADIAL]
@@ -262,9 +261,8 @@ def rig_fields(
 ) -> RigFields:
     """Return the rigs of a reconstruction.
 
-    Args:
-        image_camera: (num_images,) camera of each shot.
-        poses: (num_images, 7) poses of the shots.
+    ``image_camera``: (num_images,) camera of each shot. ``poses``: (num_images, 7) poses of the
+    shots.
     """
     num_cameras = int(image_camera.max(initial=-1)) + 1
     declared = len(node.get("cameras").value)

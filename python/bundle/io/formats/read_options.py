@@ -105,8 +105,7 @@ def image_sizes(
 ) -> NDArray[np.int64]:
     """Return (num_images, 2) width and height in pixels; 0 if unknown.
 
-    Args:
-        names: paths of the photographs; empty for an image without a name.
+    ``names``: paths of the photographs; empty for an image without a name.
     """
     if isinstance(options.image_size, Path):
         return database_sizes(options.image_size, names)

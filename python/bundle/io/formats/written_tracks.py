@@ -77,8 +77,7 @@ def camera_error(problem: Problem, camera: int, what: str, expected: str) -> Inp
 def common_losses(problem: Problem, *, keeps: Iterable[str] = ()) -> tuple[str, ...]:
     """Return one sentence for each kind of information that the formats lose.
 
-    Args:
-        keeps: what this format holds: "ids", "rigs", "colors", "sharing", "names", "sizes".
+    ``keeps``: what this format holds: "ids", "rigs", "colors", "sharing", "names", "sizes".
     """
     keeps = set(keeps)
     used = np.bincount(problem.image_camera, minlength=problem.num_cameras)

@@ -51,9 +51,8 @@ def read_bag(
 ) -> Recording:
     """Read samples and stamps of images; images are read when they are needed.
 
-    Args:
-        path: a ROS 1 bag, or the folder of a ROS 2 bag.
-        image_topic: topic; None: the rostopic of the calibration, or the only one.
+    ``path``: a ROS 1 bag, or the folder of a ROS 2 bag. ``image_topic``: topic; None: the rostopic
+    of the calibration, or the only one.
     """
     require_package("rosbags", "rosbags", f"{shown(path)}: a ROS bag")
     with _opened(path) as bag:

@@ -29,8 +29,7 @@ def require_opencv(purpose: str) -> None:
 def grey_images(paths: Sequence[Path], size: tuple[int, int] | None) -> Iterator[NDArray[np.uint8]]:
     """Yield the images of files; one at a time is in memory.
 
-    Args:
-        size: width and height of the calibration; None: unknown.
+    ``size``: width and height of the calibration; None: unknown.
     """
     scale = GreyScale()
     for path in paths:
@@ -56,11 +55,7 @@ def decoded(content: bytes, place: str) -> NDArray[Any]:
 
 
 def check_size(image: NDArray[Any], size: tuple[int, int] | None, place: str) -> tuple[int, int]:
-    """Check that an image has the size of the calibration or of the first image; return it.
-
-    Raises:
-        InputError: the sizes differ.
-    """
+    """Check that an image has the size of the calibration or of the first image; return it."""
     found = image.shape[1], image.shape[0]
     if size is not None and found != size:
         raise InputError(

@@ -47,9 +47,8 @@ def find_calibration(
 ) -> FoundCalibration:
     """Read a calibration from given files, and what they lack from the recording's.
 
-    Args:
-        given: files of ``--calibration``.
-        stamps: stamps of images and of samples, for rates that the files lack.
+    ``given``: files of ``--calibration``. ``stamps``: stamps of images and of samples, for rates
+    that the files lack.
     """
     contents = {path: read_yaml(path) for path in given}
     kinds = {path: kind_of_yaml(content) for path, content in contents.items()}

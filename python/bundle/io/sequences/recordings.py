@@ -88,8 +88,7 @@ def read_mav(
 ) -> Recording:
     """Read samples, calibration and list of images; images are read when they are needed.
 
-    Args:
-        path: ``mav0`` or its parent.
+    ``path``: ``mav0`` or its parent.
     """
     given = as_path(path)
     root = mav_root(given) or given
@@ -193,8 +192,7 @@ def read_video(
 ) -> Recording:
     """Read samples and times of frames; frames are decoded when they are needed.
 
-    Args:
-        frame_times: times of the frames; None: a constant rate from 0.
+    ``frame_times``: times of the frames; None: a constant rate from 0.
     """
     if imu is None:
         raise InputError(f"{shown(path)}: a video: expected --imu FILE with the IMU's samples")

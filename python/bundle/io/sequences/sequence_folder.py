@@ -64,11 +64,7 @@ def load_sequence(path: str | os.PathLike[str]) -> Sequence:
 
 
 def refuse_fatal(findings: Iterable[SequenceFinding]) -> None:
-    """Raise an error for a sequence on which odometry would fail.
-
-    Raises:
-        InputError: a finding is fatal.
-    """
+    """Raise an error for a sequence on which odometry would fail."""
     for finding in findings:
         if finding.is_fatal:
             raise InputError(finding.sentence)
@@ -139,12 +135,7 @@ def save_sequence(sequence: Sequence, path: str | os.PathLike[str]) -> None:
 
 
 def check_sequence_target(path: str | os.PathLike[str]) -> None:
-    """Raise the error that :func:`save_sequence` would raise.
-
-    Raises:
-        InputError: the path is a file or a folder with other content, it has the suffix of a file,
-            or a path above it is not a folder.
-    """
+    """Raise the error that :func:`save_sequence` would raise."""
     folder = Path(os.path.realpath(as_path(path)))
     if not folder.exists():
         check_name(path, "a folder")

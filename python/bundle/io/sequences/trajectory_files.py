@@ -172,8 +172,7 @@ def load_trajectory(path: str | os.PathLike[str]) -> Trajectory:
 def load_ground_truth(path: str | os.PathLike[str], *, in_order: bool = True) -> Trajectory:
     """Read EuRoC's ground truth; velocities and biases are nan in a file with poses only.
 
-    Args:
-        in_order: require ascending time stamps; otherwise, sort the poses.
+    ``in_order``: require ascending time stamps; otherwise, sort the poses.
     """
     path = as_path(path)
     first = [line for _, line in numbered_lines(path) if line.strip() and line[0] != "#"][:1]
@@ -188,8 +187,7 @@ def load_ground_truth(path: str | os.PathLike[str], *, in_order: bool = True) ->
 def load_tum(path: str | os.PathLike[str], *, in_order: bool = True) -> Trajectory:
     """Read a TUM trajectory; stamps keep their nanoseconds.
 
-    Args:
-        in_order: require ascending time stamps; otherwise, sort the poses.
+    ``in_order``: require ascending time stamps; otherwise, sort the poses.
     """
     names = ["timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw"]
     path = as_path(path)
@@ -209,9 +207,8 @@ def load_tum(path: str | os.PathLike[str], *, in_order: bool = True) -> Trajecto
 def save_tum(path: str | os.PathLike[str], timestamps_ns: ArrayLike, states: ArrayLike) -> None:
     """Write a TUM trajectory: stamps in seconds with nine decimals; numbers read back unchanged.
 
-    Args:
-        timestamps_ns: (n,) time stamps in nanoseconds.
-        states: (n, 7) or more columns: qx qy qz qw px py pz, world_from_imu.
+    ``timestamps_ns``: (n,) time stamps in nanoseconds. ``states``: (n, 7) or more columns: qx qy qz
+    qw px py pz, world_from_imu.
     """
     rows = np.asarray(states, np.float64)[:, [4, 5, 6, 0, 1, 2, 3]].tolist()
     stamps = np.asarray(timestamps_ns, np.int64).tolist()

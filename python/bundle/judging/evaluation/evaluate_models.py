@@ -107,8 +107,7 @@ def open_input(
 ) -> Problem | PoseTable:
     """Return a model or a table of poses from any form of input.
 
-    Args:
-        format: format of a path; None: by its content.
+    ``format``: format of a path; None: by its content.
     """
     if isinstance(given, PoseTable):
         return given

@@ -50,29 +50,21 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Measured:
-    """A model at its present values, with everything that findings are made of.
+    """A model at its present values, with everything that findings are made of."""
 
-    Attributes:
-        whole: the model.
-        start: the model before the solve, from which commands start; None: as ``whole``.
-        command: object that makes command lines.
-        options: options of the solve that made the model; the defaults if unknown.
-        lens_sigmas: :attr:`bundle.Covariance.lens_sigmas` of the model, or None.
-        priors: measured positions of images.
-        survey: tests of control points and positions after the solve, or None.
-        constraints: rules of the solve.
-        is_minimum: True if a solve with these options has just converged.
-    """
-
-    whole: Problem
-    command: NextCommand
+    whole: Problem  # the model
+    command: NextCommand  # object that makes command lines
+    # the model before the solve, from which commands start; None: as ``whole``
     start: Problem | None = None
+    # options of the solve that made the model; the defaults if unknown
     options: SolveOptions = field(default_factory=SolveOptions)
+    # :attr:`bundle.Covariance.lens_sigmas` of the model, or None
     lens_sigmas: tuple[NDArray[np.float64], float] | None = None
-    priors: Sequence[Any] = ()
+    priors: Sequence[Any] = ()  # measured positions of images
+    # tests of control points and positions after the solve, or None
     survey: SurveyChecks | None = None
-    constraints: Any = ()
-    is_minimum: bool = False
+    constraints: Any = ()  # rules of the solve
+    is_minimum: bool = False  # True if a solve with these options has just converged
 
     def of_command(self, command: NextCommand) -> Measured:
         """Return this model with another object that makes command lines."""

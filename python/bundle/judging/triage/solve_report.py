@@ -269,9 +269,8 @@ SHAPES = {
 def check_shape(value: Any, shape: Any, place: str, name: str = "") -> None:
     """Refuse a value that lacks entries of its shape.
 
-    Args:
-        shape: expected shape.
-        name: names of the entries that lead to the value, such as "summary.final_cost".
+    ``shape``: expected shape. ``name``: names of the entries that lead to the value, such as
+    "summary.final_cost".
     """
     if isinstance(shape, Maybe):
         if value is not None:

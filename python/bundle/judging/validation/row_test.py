@@ -113,11 +113,9 @@ class RowTest:
 def row_test(problem: Problem, residuals: _Floats) -> RowTest:
     """Return the test of one fit.
 
-    Args:
-        problem: the fitted problem: lenses shared as far as possible, with a robust loss. Images
-            with their own cameras do not take part.
-        residuals: (num_observations, 2) projection minus measurement [pixels]; NaN without a
-            projection.
+    ``problem``: the fitted problem: lenses shared as far as possible, with a robust loss. Images
+    with their own cameras do not take part. ``residuals``: (num_observations, 2) projection minus
+    measurement [pixels]; NaN without a projection.
     """
     rows, sigma = _used(problem, residuals)
     image, r = problem.observation_image[rows], residuals[rows]

@@ -95,9 +95,8 @@ def _checked(problem: ProblemArrays, source: Any) -> tuple[SourceRecords | None,
 def model_records(problem: ProblemArrays, source: Any) -> ModelRecords:
     """Return the COLMAP model to be written for a problem.
 
-    Args:
-        source: source in the form kept by the problem. If it is not a COLMAP model, images without
-            a name get names such as image_000007.
+    ``source``: source in the form kept by the problem. If it is not a COLMAP model, images without
+    a name get names such as image_000007.
     """
     records, numbers = _checked(problem, source)
     known = records or SourceRecords()

@@ -160,9 +160,8 @@ class KeypointNumbers:
 def number_keypoints(problem: ProblemArrays, num_keypoints: _Indices) -> KeypointNumbers:
     """Number the keypoints of a problem.
 
-    Args:
-        num_keypoints: (num_images,) number of keypoints of each image in the source; -1 for an
-            image that is not in the source.
+    ``num_keypoints``: (num_images,) number of keypoints of each image in the source; -1 for an
+    image that is not in the source.
     """
     capacity = num_keypoints[problem.observation_image]
     given = problem.observation_keypoint >= 0

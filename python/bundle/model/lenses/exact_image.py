@@ -164,8 +164,7 @@ def pixel_rays(
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Return the unit vectors of a camera at pixels.
 
-    Args:
-        xy: (N, 2) pixels.
+    ``xy``: (N, 2) pixels.
 
     Returns:
         Rays (N, 3), and the mask (N,) of pixels that have a ray; other rays are undefined.

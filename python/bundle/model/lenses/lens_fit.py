@@ -80,9 +80,8 @@ def lens_region(
 ) -> LensRegion:
     """Return the pixels at which a lens of another model must agree with the old one.
 
-    Args:
-        size: width and height of the image, 0 if unknown.
-        observed: (N, 2) pixels of the observations.
+    ``size``: width and height of the image, 0 if unknown. ``observed``: (N, 2) pixels of the
+    observations.
     """
     rays, seen = pixel_rays(old_model, old, observed)
     num_without_ray = int((~seen).sum())
@@ -178,9 +177,8 @@ def fit_lens(
 ) -> LensFit | None:
     """Fit a lens to pixels of rays.
 
-    Args:
-        rays: (N, 3) directions within the field of view of the model.
-        xy: (N, 2) pixels of these rays.
+    ``rays``: (N, 3) directions within the field of view of the model. ``xy``: (N, 2) pixels of
+    these rays.
 
     Returns:
         The fit; None if no start lens projects all rays.

@@ -159,8 +159,7 @@ def summary_of(
 ) -> pycolmap.CeresBundleAdjustmentSummary:
     """Return pycolmap's summary with the values of ours; fields without a value keep -1.
 
-    Args:
-        values: fields of :class:`bundle.Summary`, which have Ceres' names.
+    ``values``: fields of :class:`bundle.Summary`, which have Ceres' names.
     """
     summary = pycolmap.CeresBundleAdjustmentSummary()
     ceres = summary.ceres_summary

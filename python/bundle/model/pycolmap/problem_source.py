@@ -89,13 +89,7 @@ class DeferredSource:
         return self._model is not None and self._model.has_changed
 
     def reconstruction(self) -> pycolmap.Reconstruction:
-        """Return the model as a reconstruction; every call returns the same object.
-
-        Raises:
-            InputError: this version of pycolmap cannot read the model.
-            MemoryError: a memory limit leaves too little for pycolmap.
-            OSError: the disk has too little space for temporary files.
-        """
+        """Return the model as a reconstruction; every call returns the same object."""
         with self._lock:
             if self._reconstruction is None:
                 assert self._model is not None
@@ -279,9 +273,8 @@ def unpacked(source: Any) -> Any:
 def source_records(source: Any) -> SourceRecords | None:
     """Return the records that a source has and its problem lacks; None for BAL and no source.
 
-    Args:
-        source: source in the form kept by the problem; may be a model that is not yet converted to
-            a reconstruction.
+    ``source``: source in the form kept by the problem; may be a model that is not yet converted to
+    a reconstruction.
     """
     if isinstance(source, DeferredSource):
         if source.model is not None:

@@ -110,9 +110,8 @@ class TrackBuilder:
     def take(self, problem: Problem, kept: NDArray[np.bool_]) -> None:
         """Take values and remaining observations of the last problem after a solve.
 
-        Args:
-            problem: the last problem of :meth:`extend` with other values.
-            kept: mask of its observations that remain; at least two of each remaining point.
+        ``problem``: the last problem of :meth:`extend` with other values. ``kept``: mask of its
+        observations that remain; at least two of each remaining point.
         """
         every = np.ones(problem.num_images, bool), np.ones(problem.num_points, bool)
         set_values(self._reconstruction, problem, images=every[0], points=every[1])
@@ -149,8 +148,7 @@ def on_keypoints(problem: Problem, keypoints: Sequence[NDArray[np.float64]], pla
 
     A COLMAP model with these keypoints in this order stays as it is. Other models get them.
 
-    Args:
-        keypoints: for each image, (n, 2) pixels.
+    ``keypoints``: for each image, (n, 2) pixels.
     """
     indices = np.empty(problem.num_observations, np.int32)
     are_same = _num_keypoints(problem) == [len(xy) for xy in keypoints]

@@ -332,9 +332,8 @@ def check_stamp_unit(
 ) -> None:
     """Raise an error for stamps that are not nanoseconds.
 
-    Args:
-        stamps: (n,) stamps, not necessarily sorted; repeated stamps count once.
-        rate: rate of the sensor [Hz].
+    ``stamps``: (n,) stamps, not necessarily sorted; repeated stamps count once. ``rate``: rate of
+    the sensor [Hz].
     """
     times = np.unique(stamps)
     if len(times) < 2:

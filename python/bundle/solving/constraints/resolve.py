@@ -57,11 +57,6 @@ def apply(
         options: options; their fixed ids and ``refine`` make parameters constant, too.
         part: ids of the refined cameras, images and points; None: all. Rules have no effect on the
             others.
-
-    Raises:
-        InputError: an entry is not a rule, names something that the problem does not have,
-            contradicts another rule or the options, or excludes the start. The message begins with
-            the place of the rule.
     """
     rules = rules_of(constraints)
     if not rules:

@@ -85,10 +85,6 @@ class Restrictions:
         """Check that a problem starts within the restrictions.
 
         The problem must have the structure for which the restrictions were made.
-
-        Raises:
-            InputError: a parameter is not between its bounds, or tied parameters are not multiples
-                of one number.
         """
         if self.bounds is not None:
             self.bounds.check_start(problem)
@@ -148,9 +144,6 @@ class CameraBounds:
         """Check that a problem starts within the bounds.
 
         The problem must have the cameras for which the bounds were made.
-
-        Raises:
-            InputError: a parameter is not between its bounds.
         """
         params = problem.camera_params
         outside = np.argwhere((params < self.lower) | (params > self.upper))

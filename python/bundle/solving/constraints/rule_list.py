@@ -128,11 +128,7 @@ _CLAUSES = (
 
 
 def parse_rule(text: str, place: str) -> Rule:
-    """Parse the text of a rule.
-
-    Raises:
-        InputError: the text is not a rule; the message begins with the place.
-    """
+    """Parse the text of a rule."""
     try:
         return _Reader(without_comment(text), place).rule()
     except InputError as error:

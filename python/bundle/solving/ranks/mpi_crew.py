@@ -28,8 +28,7 @@ GRACE = 3.0
 class MpiCrew:
     """The first process of several; see ``divided_solve.Crew``.
 
-    Args:
-        comm: mpi4py's communicator of all processes.
+    ``comm``: mpi4py's communicator of all processes.
     """
 
     def __init__(self, comm: Any) -> None:
@@ -107,9 +106,8 @@ class MpiMeeting:
 def serve(comm: Any, complain: Callable[[str], None], describe: Callable[[Exception], str]) -> None:
     """Run the jobs of rank 0 until it sends None.
 
-    Args:
-        comm: mpi4py's communicator of all processes.
-        describe: function that returns the one-line error message of an exception.
+    ``comm``: mpi4py's communicator of all processes. ``describe``: function that returns the
+    one-line error message of an exception.
     """
     while True:
         while not comm.iprobe(source=0):

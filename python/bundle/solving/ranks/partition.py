@@ -141,9 +141,8 @@ def factors_of(core: Any, points: NDArray[np.int64]) -> tuple[Any, list[int]]:
 
     These are all factors except those on points of other parts.
 
-    Args:
-        core: variables, factors and places of the full problem, or None.
-        points: ascending indices of the points of the part.
+    ``core``: variables, factors and places of the full problem, or None. ``points``: ascending
+    indices of the points of the part.
     """
     if core is None:
         return None, []
@@ -194,9 +193,8 @@ def reason_in_options(options: dict[str, Any]) -> str:
 def reason_to_be_alone(options: dict[str, Any], core_factors: Any) -> str:
     """Return why a solve cannot be divided; "" if it can.
 
-    Args:
-        core_factors: variables, factors and places in the form of ``_core.solve``; None without
-            factors.
+    ``core_factors``: variables, factors and places in the form of ``_core.solve``; None without
+    factors.
     """
     reason = reason_in_options(options)
     if reason or core_factors is None:

@@ -69,13 +69,7 @@ class Checkpoint:
 
 
 def check_target(path: Path) -> None:
-    """Check that a checkpoint can be written to a path without overwriting another kind of file.
-
-    Raises:
-        InputError: the path is a folder or a device, its parent folder does not exist, or the file
-            exists and is not a checkpoint.
-        OSError: the user has no permission to write.
-    """
+    """Check that a checkpoint can be written to a path without overwriting another kind of file."""
     atomic.check_file(path)
     if path.exists() and path.stat().st_size > 0:
         _open(path)
@@ -279,9 +273,8 @@ def solve_in_segments(
 ) -> Result:
     """Adjust a problem in segments.
 
-    Args:
-        so_far: result of the previous segments; None without any.
-        progress: function called after each iteration; iteration numbers continue across segments.
+    ``so_far``: result of the previous segments; None without any. ``progress``: function called
+    after each iteration; iteration numbers continue across segments.
     """
     while True:
         done = 0 if so_far is None else so_far.num_steps

@@ -151,9 +151,8 @@ def _joined(name: str, parts: Iterable[hashlib._Hash]) -> hashlib._Hash:
 def sums_of_rows(part: Any, places: NDArray[np.int64]) -> _Sums:
     """Return sums over points, then over observations: count, hashes, and hashes mixed again.
 
-    Args:
-        part: a problem, or a part of a problem (``ranks.partition.ProblemPart``).
-        places: (num_points,) index in the problem of each point of the part.
+    ``part``: a problem, or a part of a problem (``ranks.partition.ProblemPart``). ``places``:
+    (num_points,) index in the problem of each point of the part.
     """
     ids, point = part.point_ids, part.observation_point
     sigma = () if part.observation_sigma is None else (part.observation_sigma,)

@@ -220,8 +220,7 @@ class LocalPart:
     def merge(self, refined: Problem, state: State | None = None) -> Problem:
         """Return the full problem with the refined values of the part.
 
-        Args:
-            state: state of the rounds, with masks of the remaining rows; None: nothing was removed.
+        ``state``: state of the rounds, with masks of the remaining rows; None: nothing was removed.
         """
         whole, part = self._whole, self.selection
         left = self.observation_mask(state)

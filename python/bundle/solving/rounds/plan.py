@@ -305,9 +305,8 @@ class State:
     ) -> State:
         """Return the state of a record.
 
-        Args:
-            record: record of :meth:`record`.
-            masks: masks of the observations and of the points that remain.
+        ``record``: record of :meth:`record`. ``masks``: masks of the observations and of the points
+        that remain.
         """
         return State(
             problem=problem,

@@ -85,8 +85,7 @@ def marginalize_rest(
 ) -> RestPrior:
     """Marginalize the rest of the problem in a local adjustment.
 
-    Args:
-        bounds: bounds of camera parameters, as in :func:`bundle.solve`.
+    ``bounds``: bounds of camera parameters, as in :func:`bundle.solve`.
     """
     _refuse_far_origins(whole)
     options = part.whole_frames_fixed(options).replace(

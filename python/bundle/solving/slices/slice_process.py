@@ -48,8 +48,7 @@ from bundle.solving.slices.slice_reading import Meeting, Slice, Survey, blocks, 
 def measure_on_disk(before: PixelErrors, after: PixelErrors, limit: float | None) -> Measured:
     """Return all statistics; the errors are overwritten.
 
-    Args:
-        limit: error of an outlier in pixels; None: do not separate outliers.
+    ``limit``: error of an outlier in pixels; None: do not separate outliers.
     """
     num_observations = len(after.errors)
     behind = int(before.behind.sum()), int(after.behind.sum())
@@ -206,9 +205,8 @@ def order_statistics(
 ) -> NDArray[np.float64]:
     """Return, on all ranks, the values at some positions of the sorted values of all processes.
 
-    Args:
-        own: values of this process, at least 0 and ascending.
-        positions: positions from 0, the same in all processes.
+    ``own``: values of this process, at least 0 and ascending. ``positions``: positions from 0, the
+    same in all processes.
     """
     bits = own.view(np.int64)
     low = np.zeros(len(positions), np.int64)
@@ -250,8 +248,7 @@ class Process:
     def run_on_all(self, name: str, *given: Any, **own: Any) -> Any:
         """Run a method on all ranks and return rank 0's result.
 
-        Args:
-            own: arguments on rank 0 only.
+        ``own``: arguments on rank 0 only.
         """
         self._meeting.broadcast((name, given))
         return getattr(self, name)(*given, **own)
@@ -265,8 +262,7 @@ class Process:
     def restart(self, state: dict[str, Any], points: NDArray[np.float64] | None = None) -> None:
         """Continue from other values.
 
-        Args:
-            points: (num_points, 3) points of the model, on rank 0 only.
+        ``points``: (num_points, 3) points of the model, on rank 0 only.
         """
         survey, own = self.slice.survey, self._part.points
         for rank in range(self._meeting.num_ranks):  # one part at a time
@@ -301,8 +297,7 @@ class Process:
 
         The gauge problem is None without rigs, and with gauge "none".
 
-        Args:
-            limit: error of an outlier in pixels, or None.
+        ``limit``: error of an outlier in pixels, or None.
         """
         own, meeting = self.slice, self._meeting
         threads, cheirality = options["num_threads"], options["cheirality"]

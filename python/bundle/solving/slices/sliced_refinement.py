@@ -102,9 +102,8 @@ class AllSlices:
 class SlicedRefinement:
     """Refinement as seen by rank 0. Call the methods in the order of definition.
 
-    Args:
-        crew: the other ranks, which wait for a job.
-        path: path of a BAL file, or of the folder of a binary COLMAP model.
+    ``crew``: the other ranks, which wait for a job. ``path``: path of a BAL file, or of the folder
+    of a binary COLMAP model.
     """
 
     def __init__(self, crew: SliceCrew, path: Path) -> None:
@@ -137,9 +136,8 @@ class SlicedRefinement:
     ) -> Result:
         """Refine the model. The initial problem of the result has cameras only.
 
-        Args:
-            plan: checkpoints, which hold the entire model and can be resumed with any number of
-                processes; rounds and held-out observations are not served. None: no checkpoint.
+        ``plan``: checkpoints, which hold the entire model and can be resumed with any number of
+        processes; rounds and held-out observations are not served. None: no checkpoint.
         """
         prepared = prepare(SolveRequest(problem=self._model, options=options))
         settled = prepared.layout.options
