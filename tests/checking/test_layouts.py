@@ -107,6 +107,20 @@ def test_a_padded_quaternion_hides_no_mistake_of_another_block():
     assert "sign" in report.kinds
 
 
+@pytest.mark.parametrize(
+    ("manifold", "wxyz"), [("quaternion_wxyz", True), ("quaternion_xyzw", False)]
+)
+def test_a_quaternion_in_the_order_of_the_other_library_is_named(manifold, wxyz):
+    def function(blocks):
+        residual, (by_q, by_point) = rotate(blocks, wxyz)
+        return residual, [np.roll(by_q, -1 if wxyz else 1, axis=1), by_point]
+
+    report = check_few(function, [UNIT, POINT], [manifold, None])
+    assert report.kinds == {"quaternion_order"}
+    found = "first column last" if wxyz else "last column first"
+    assert found in report.findings[0].sentence
+
+
 def curve(blocks):
     a, b, c = blocks[0]
     times = np.array([0.0, 0.5, 1.0, 2.0])

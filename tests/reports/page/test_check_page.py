@@ -37,6 +37,9 @@ def test_the_page_of_a_wrong_function(tmp_path):
     assert details.errors[:, 0].max() < 1e-7
     assert details.errors[:, 1].min() > 0.1
     assert [entry.is_wrong for entry in details.curves] == [True, False]
+    wrong = details.curves[0]
+    assert wrong.residual == details.errors[:, 1].argmax()
+    assert wrong.analytic == pytest.approx(2 * wrong.reference, rel=1e-6)
     text = page_of(report, tmp_path)
     assert "&lt;b&gt;curve&lt;/b&gt;" in text
     assert "<b>curve" not in text
