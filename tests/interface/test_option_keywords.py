@@ -1,4 +1,7 @@
-"""Typed keywords and signatures: the same names, types and defaults as the option classes."""
+"""Typed keywords and signatures: the same names, types and defaults as the option classes.
+
+The stub of the keywords is for type checkers; here it runs as a module.
+"""
 
 from __future__ import annotations
 
@@ -7,12 +10,12 @@ import inspect
 import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from types import ModuleType
 from typing import get_args, get_origin, get_type_hints
 
 import pytest
 
 import bundle
-from bundle.interface import option_keywords
 from bundle.interface.option_class import takes_options
 from bundle.interface.options import SolveOptions
 from bundle.interface.pose_graph_options import PoseGraphOptions
@@ -20,7 +23,9 @@ from bundle.interface.scene_options import FlightOptions, SceneOptions
 from bundle.interface.window_options import WindowOptions
 
 CLASSES = (SolveOptions, PoseGraphOptions, SceneOptions, FlightOptions, WindowOptions)
-SOURCE = Path(option_keywords.__file__).read_text()
+SOURCE = Path(bundle.interface.__path__[0], "option_keywords.pyi").read_text()
+option_keywords = ModuleType("option_keywords")
+exec(compile(SOURCE, "option_keywords.pyi", "exec", dont_inherit=True), vars(option_keywords))
 
 
 def keywords(kind):

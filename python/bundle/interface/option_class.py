@@ -161,7 +161,7 @@ def takes_options(kind: type[Options]) -> Callable[[Function], Function]:
     """Show the options of a class in the signature of a function that takes them by name.
 
     IPython and notebooks complete keywords from this signature; editors do from the types in
-    ``bundle.interface.option_keywords``.
+    ``bundle/interface/option_keywords.pyi``.
     """
 
     def decorate(function: Function) -> Function:

@@ -14,7 +14,6 @@ from bundle.base.display import Display, Displayed
 from bundle.base.words import contents, plural
 from bundle.errors import InputError, brief, first_line
 from bundle.interface.option_class import takes_options
-from bundle.interface.option_keywords import SolveKeywords
 from bundle.interface.options import SolveOptions
 from bundle.interface.solve_record import Progress
 from bundle.io.files import Source, as_problem
@@ -26,6 +25,7 @@ from bundle.solving.result import Result
 
 if TYPE_CHECKING:
     from bundle.graphs.factors.factors import Factor
+    from bundle.interface.option_keywords import SolveKeywords
     from bundle.solving.constraints.ends import Applied
     from bundle.solving.constraints.rule_list import Constraints
     from bundle.solving.constraints.rules import Rule

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Unpack
+from typing import TYPE_CHECKING, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,6 @@ from bundle.base.records import dataclass
 from bundle.base.words import contents, plural
 from bundle.georeference.attitude_priors import AttitudePrior, GravityPrior, OrientationPrior
 from bundle.interface.option_class import takes_options
-from bundle.interface.option_keywords import SceneKeywords
 from bundle.interface.scene_options import SceneOptions
 from bundle.model.problem import Problem
 from bundle.model.rigid_motions import (
@@ -24,6 +23,9 @@ from bundle.model.rigid_motions import (
 from bundle.synthetic.blocks import SceneInBlocks
 from bundle.synthetic.scene import Start, median_distance
 from bundle.synthetic.video_scene import film
+
+if TYPE_CHECKING:
+    from bundle.interface.option_keywords import SceneKeywords
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)

@@ -12,14 +12,13 @@ another id, as in a real tracker.
 from __future__ import annotations
 
 import os
-from typing import NamedTuple, Unpack
+from typing import TYPE_CHECKING, NamedTuple, Unpack
 
 import numpy as np
 from numpy.polynomial import polynomial
 from numpy.typing import NDArray
 
 from bundle.interface.option_class import takes_options
-from bundle.interface.option_keywords import FlightKeywords
 from bundle.interface.scene_options import FlightOptions
 from bundle.io.sequences.sequence_folder import save_sequence
 from bundle.io.sequences.trajectory_files import Trajectory, save_ground_truth
@@ -35,6 +34,9 @@ from bundle.model.rigid_motions import (
 )
 from bundle.model.sequence.calibration import Calibration, ImuNoise
 from bundle.model.sequence.sequence import Sequence
+
+if TYPE_CHECKING:
+    from bundle.interface.option_keywords import FlightKeywords
 
 # Motions of a flight: splines of position and of yaw, pitch, roll, and exact IMU samples.
 #

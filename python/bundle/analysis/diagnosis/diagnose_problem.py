@@ -35,7 +35,6 @@ from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
 from bundle.interface.analysis_options import DELTA0
 from bundle.interface.finding import one_list
 from bundle.interface.option_class import takes_options
-from bundle.interface.option_keywords import PoseGraphKeywords, SolveKeywords
 from bundle.interface.options import SolveOptions
 from bundle.interface.pose_graph_options import PoseGraphOptions
 from bundle.io.files import Source, as_problem
@@ -49,6 +48,7 @@ from bundle.solving.result import Result
 if TYPE_CHECKING:
     from bundle.georeference.measurements import Prior
     from bundle.graphs.factors.factors import Factor
+    from bundle.interface.option_keywords import PoseGraphKeywords, SolveKeywords
     from bundle.solving.constraints.ends import Applied
     from bundle.solving.constraints.rule_list import Constraints
     from bundle.solving.constraints.rules import Rule

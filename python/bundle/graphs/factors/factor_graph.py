@@ -31,12 +31,14 @@ from bundle.graphs.factors.marginals import GraphMarginals
 from bundle.graphs.factors.same_problem import pose_graph_of, problem_of
 from bundle.graphs.factors.variables import Array, Key, Variable, as_list
 from bundle.interface.option_class import takes_options
-from bundle.interface.option_keywords import SolveKeywords
 from bundle.interface.options import CERES_ONLY, GraphOptions, SolveOptions
 from bundle.interface.ordering_alarm import BestOrder, with_ordering_alarm
 from bundle.interface.solve_record import Progress, SolveRecord, record_fields
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.model.problem import Problem
+
+if TYPE_CHECKING:
+    from bundle.interface.option_keywords import SolveKeywords
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)

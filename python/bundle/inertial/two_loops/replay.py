@@ -16,7 +16,7 @@ import time
 from collections.abc import Callable, Iterable
 from contextlib import ExitStack
 from dataclasses import asdict
-from typing import Any, Unpack
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,11 +33,13 @@ from bundle.inertial.vio.odometry import OdometryResult
 from bundle.inertial.vio.window_run import WindowRun
 from bundle.interface.option_class import takes_options
 from bundle.interface.option_fields import number
-from bundle.interface.option_keywords import WindowKeywords
 from bundle.interface.window_options import WindowOptions
 from bundle.io.sequences.trajectory_files import Trajectory
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.model.sequence.sequence import Sequence
+
+if TYPE_CHECKING:
+    from bundle.interface.option_keywords import WindowKeywords
 
 # Solver of pose graphs in a separate process, at a lower priority.
 #

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from typing import Unpack
+from typing import TYPE_CHECKING, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,12 +17,14 @@ from bundle.inertial.vio.keyframe_record import KeyframeRecord
 from bundle.inertial.vio.sequence_images import SequenceImages
 from bundle.inertial.vio.window_run import WindowRun
 from bundle.interface.option_class import takes_options
-from bundle.interface.option_keywords import WindowKeywords
 from bundle.interface.tabular import Tabular
 from bundle.interface.window_options import WindowOptions
 from bundle.io.sequences.trajectory_files import Trajectory
 from bundle.model.sequence.sequence import Sequence
 from bundle.model.sequence.sequence_findings import GAP
+
+if TYPE_CHECKING:
+    from bundle.interface.option_keywords import WindowKeywords
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from typing import Any, Unpack
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 
@@ -32,9 +32,11 @@ from bundle.inertial.vio.marginal_prior import MarginalPrior, start_prior, stead
 from bundle.inertial.vio.window_frame import ImuInterval, WindowFrame, repropagate
 from bundle.inertial.vio.window_telemetry import WindowTelemetry, window_arrays
 from bundle.interface.option_class import takes_options
-from bundle.interface.option_keywords import WindowKeywords
 from bundle.interface.window_options import WindowOptions
 from bundle.model.sequence.calibration import ImuNoise
+
+if TYPE_CHECKING:
+    from bundle.interface.option_keywords import WindowKeywords
 
 Array = np.ndarray[Any, Any]
 

@@ -7,7 +7,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Unpack, overload
+from typing import TYPE_CHECKING, Any, Unpack, overload
 
 from bundle.base.arrays import check_function
 from bundle.errors import InputError, check_keywords
@@ -18,7 +18,6 @@ from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
 from bundle.interface.environment import Environment
 from bundle.interface.option_class import spellings, takes_options
 from bundle.interface.option_fields import number
-from bundle.interface.option_keywords import PoseGraphKeywords, SolveKeywords
 from bundle.interface.options import SolveOptions
 from bundle.interface.planning_options import (
     BACKENDS,
@@ -51,6 +50,9 @@ from bundle.planning.comparison.graph_comparison import (
 from bundle.planning.comparison.measured_run import expand
 from bundle.planning.comparison.recommendation import recommend
 from bundle.planning.comparison.work import Progress, Work
+
+if TYPE_CHECKING:
+    from bundle.interface.option_keywords import PoseGraphKeywords, SolveKeywords
 
 
 @overload

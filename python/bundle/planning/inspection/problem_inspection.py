@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import cached_property
-from typing import Any, Unpack, overload
+from typing import TYPE_CHECKING, Any, Unpack, overload
 
 import bundle._core as _core
 from bundle.base.arrays import as_flag
@@ -15,7 +15,6 @@ from bundle.graphs.factors.same_problem import options_of_graph, pose_graph_of, 
 from bundle.graphs.pose_graphs.edge_weights import is_graph, refuse_for_graphs
 from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
 from bundle.interface.option_class import takes_options
-from bundle.interface.option_keywords import SolveKeywords
 from bundle.interface.options import SolveOptions
 from bundle.io.files import Source, as_problem
 from bundle.model.pose_graph_arrays import PoseGraph
@@ -52,6 +51,9 @@ from bundle.planning.inspection.problem_time import (
     products_per_step,
 )
 from bundle.solving.layout import resolve_defaults
+
+if TYPE_CHECKING:
+    from bundle.interface.option_keywords import SolveKeywords
 
 
 @overload
