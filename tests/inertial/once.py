@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bundle.inertial.tracking import rates_and_stamps, relative_rotation, sequence_axes
+from bundle.inertial.tracking import relative_rotation, sequence_axes
 from bundle.inertial.tracking.relative_rotation import APART, Turn
 from bundle.inertial.vio.initialize import Span
 from bundle.inertial.vio.sequence_images import SequenceImages
@@ -20,8 +20,7 @@ known: dict[Any, Any] = {}
 def compute_once(patch: pytest.MonkeyPatch) -> None:
     """Let the tests of axes, rates and stamps compute nothing twice."""
     patch.setattr(sequence_axes, "_start", start_once)
-    for module in (sequence_axes, rates_and_stamps):
-        patch.setattr(module, "turns_of_tracks", turns_once)
+    patch.setattr(sequence_axes, "turns_of_tracks", turns_once)
 
 
 def digest(images: SequenceImages, *arrays: np.ndarray[Any, Any]) -> str:

@@ -349,12 +349,9 @@ def write_bal_scene(
     truth_path: Path,
     progress: Callable[[float], None] | None = None,
 ) -> SceneTally:
-    """Write the start of a scene and its ground truth, as made by ``synthesize``.
+    """Write the start of a scene and its ground truth, as of ``synthesize``; return their counts.
 
     ``progress``: called after each block with the fraction of finished points.
-
-    Returns:
-        Counts of the written scene.
     """
     options, truth = scene.options, scene.images()
     bal.radial_params(truth)

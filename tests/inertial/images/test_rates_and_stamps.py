@@ -11,14 +11,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bundle.inertial.tracking import rates_and_stamps, sequence_axes
-from bundle.inertial.tracking.rates_and_stamps import (
+from bundle.inertial.tracking import sequence_axes
+from bundle.inertial.tracking.sequence_axes import (
+    _recording,
+    axes_findings,
+    explanations,
     jitter_findings,
     regular_stamps,
     scale_findings,
     scale_of_rates,
 )
-from bundle.inertial.tracking.sequence_axes import _recording, axes_findings, explanations
 from bundle.inertial.vio.sequence_images import SequenceImages
 from bundle.model.sequence.sequence import Sequence
 from bundle.synthetic.synthetic_flight import SyntheticFlight, synthesize_flight
@@ -185,8 +187,8 @@ def test_thresholds(
 ) -> None:
     stamps = 50_000_000 * np.arange(pairs + 1)
     sign = np.where(np.arange(pairs + 1) % 2, 1, -1)
-    monkeypatch.setattr(rates_and_stamps, "regular_stamps", lambda _: stamps)
-    monkeypatch.setattr(rates_and_stamps, "turns_of_tracks", lambda *_: [])
+    monkeypatch.setattr(sequence_axes, "regular_stamps", lambda _: stamps)
+    monkeypatch.setattr(sequence_axes, "turns_of_tracks", lambda *_: [])
     # regular stamps: errors of 1 a coordinate, so that |e|^2 = 3 / 1.48^2
     size = math.sqrt(((1.48**2 + 3) * math.exp(ratio / pairs) - 1.48**2) / 3)
 
@@ -205,7 +207,7 @@ def test_thresholds(
         def errors(self, *_: Any) -> Array:
             return np.full((pairs, 3), self.size)
 
-    monkeypatch.setattr(rates_and_stamps, "RotationPairs", Pairs)
+    monkeypatch.setattr(sequence_axes, "RotationPairs", Pairs)
     images: Any = SimpleNamespace(stamps=stamps + np.round(1e9 * jitter * sign).astype(np.int64))
     recording: Any = SimpleNamespace(name="S")
     assert len(jitter_findings(images, recording)) == count

@@ -10,8 +10,8 @@ import bundle
 from bundle import InputError
 from bundle.georeference.control_point import Measurement
 from bundle.georeference.similarity import Similarity, moved
+from bundle.inertial.offline.inertial_start import to_priors
 from bundle.inertial.offline.motion_solve import ImuBodies
-from bundle.inertial.offline.upright_start import to_priors
 from bundle.inertial.vio.trajectory_comparison import states_at
 from bundle.interface.judging_options import HoldOutOptions
 from bundle.interface.round_options import RoundOptions

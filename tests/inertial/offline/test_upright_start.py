@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from bundle import GravityPrior, InputError, OrientationPrior, PositionPrior
 from bundle.georeference.similarity import Similarity, moved
+from bundle.inertial.offline.inertial_start import _level, to_priors
 from bundle.inertial.offline.motion_solve import ImuBodies
-from bundle.inertial.offline.upright_start import _level, to_priors
 from tests.inertial.offline.test_imu_with_priors import (
     OPTIONS,
     SETTINGS,

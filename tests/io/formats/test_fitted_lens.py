@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bundle.io.formats.fitted_lens import fitted_lens
+from bundle.io.formats.imported_model import fitted_lens
 
 
 def test_the_error_is_the_largest_distance_to_the_lens():

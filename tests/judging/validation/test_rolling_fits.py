@@ -10,8 +10,8 @@ import bundle
 from bundle.judging.findings.images import GAIN
 from bundle.judging.findings.measured import Measured
 from bundle.judging.findings.next_command import NextCommand
-from bundle.judging.validation import judgement, rolling_fits
-from bundle.judging.validation.rolling_fits import motion_test
+from bundle.judging.validation import judgement
+from bundle.judging.validation.judgement import motion_test
 from bundle.judging.validation.validation_result import DecisionRule, decide
 from tests.judging.validation.test_validate import QUICK, photographs
 
@@ -68,9 +68,9 @@ def test_a_lens_lacks_a_term_if_it_predicts_clearly_and_relevantly_worse(
         scores=np.array([2.0, 2.0 + difference]),
         best=0,
     )
-    monkeypatch.setattr(rolling_fits, "_decision", lambda *_: decided)
+    monkeypatch.setattr(judgement, "_decision", lambda *_: decided)
     image = np.repeat(np.arange(10), 3)
-    found = rolling_fits.are_clearly_worse(np.ones((2, 30)), image, DecisionRule())
+    found = judgement.are_clearly_worse(np.ones((2, 30)), image, DecisionRule())
     assert found.tolist() == [False, lacks]
 
 
@@ -170,5 +170,5 @@ def test_a_focal_length_per_image_starts_at_the_shared_lens():
 def test_the_order_is_that_of_the_residuals():
     """A measured order decides; without one, rows."""
     for parts, order in (((1.0, 1.6), "columns"), ((1.6, 1.0), "rows"), ((1.0, 1.4), "rows")):
-        with mock.patch.object(rolling_fits, "direction", lambda _, parts=parts: (*parts, 1.0)):
-            assert rolling_fits.read_order(Measured(whole=moving(), command=NextCommand())) == order
+        with mock.patch.object(judgement, "direction", lambda _, parts=parts: (*parts, 1.0)):
+            assert judgement.read_order(Measured(whole=moving(), command=NextCommand())) == order

@@ -43,7 +43,12 @@ from bundle.inertial.offline.imu_agreement import (
 )
 from bundle.inertial.offline.imu_findings import LONG_ARM, Evidence, imu_findings
 from bundle.inertial.offline.inertial_result import ImuSamples, InertialAdjustment
-from bundle.inertial.offline.inertial_start import InertialStart, preintegrated
+from bundle.inertial.offline.inertial_start import (
+    InertialStart,
+    preintegrated,
+    to_priors,
+    upright_start,
+)
 from bundle.inertial.offline.motion_solve import (
     GRAVITY,
     ImuBodies,
@@ -52,7 +57,6 @@ from bundle.inertial.offline.motion_solve import (
 )
 from bundle.inertial.offline.path_tests import ArmError, ForceScale, LeastCost, arm_error, few_steps
 from bundle.inertial.offline.rotation_map import RotationMap, accel_axes, axes_sentence
-from bundle.inertial.offline.upright_start import to_priors, upright_start
 from bundle.inertial.preintegration.preintegration import Preintegration
 from bundle.inertial.vio.window_frame import ImuInterval
 from bundle.interface.option_fields import choice, number

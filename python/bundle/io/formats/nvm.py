@@ -41,8 +41,14 @@ from bundle.io import bal
 from bundle.io.atomic.replaced_paths import NoteWarning
 from bundle.io.formats.bundler import moved_centers
 from bundle.io.formats.file_values import Head, number_of
-from bundle.io.formats.fitted_lens import NUM_RADII, fitted_lens
-from bundle.io.formats.imported_model import Imported, checked_rotations, pixels, unique_keys
+from bundle.io.formats.imported_model import (
+    NUM_RADII,
+    Imported,
+    checked_rotations,
+    fitted_lens,
+    pixels,
+    unique_keys,
+)
 from bundle.io.formats.read_options import UNKNOWN_SIZES, ReadOptions, image_sizes
 from bundle.io.formats.written_tracks import (
     check_names,

@@ -35,7 +35,7 @@ from numpy.typing import NDArray
 from bundle.base.records import dataclass
 from bundle.errors import InputError
 from bundle.io.formats.file_values import Node
-from bundle.io.formats.fitted_lens import NUM_DIRECTIONS, NUM_RADII, fitted_lens, fitted_to_rays
+from bundle.io.formats.imported_model import NUM_DIRECTIONS, NUM_RADII, fitted_lens, fitted_to_rays
 from bundle.model.rig_arrays import placed, pose_differences
 from bundle.model.rigid_motions import inverse_poses, multiply_poses, quaternion_from_vector
 

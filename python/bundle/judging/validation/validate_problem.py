@@ -62,7 +62,7 @@ def validate(
     (:mod:`bundle.judging.validation.validation_result`). Errors at repeated measurements (points
     that occur twice) do not count in the decision. Where the residuals of shared lenses show motion
     or a rolling shutter, and one lens with a shutter predicts as well as any lenses per image
-    (:mod:`bundle.judging.validation.rolling_fits`), the latter are vetoed, and shared lenses are
+    (:mod:`bundle.judging.validation.judgement`), the latter are vetoed, and shared lenses are
     compared beside a shutter.
 
     Args:
