@@ -294,6 +294,9 @@ def test_heights_of_two_systems_are_named_and_estimated(run, made):
     assert offset["value"][:2] == [0, 0] and offset["p"] < 1e-9
     assert offset["value"][2] == pytest.approx(40, abs=4 * offset["sigma"][2])
     bent = abs(found["evidence"]["focal_length"] - scene.problem.camera_params[0, 0])
+    sigma = found["evidence"]["focal_length_sigma"]
+    right = found["evidence"]["focal_length_with_offset"]
+    assert sigma > 0 and abs(right - scene.problem.camera_params[0, 0]) < 4 * sigma
     code, out, _ = refine(run, folder, *words, "--gps-offset", "up", "--overwrite")
     report = json.loads((folder / "r.json").read_text())
     assert code == 0 and "estimated" in out

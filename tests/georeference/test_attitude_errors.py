@@ -92,6 +92,22 @@ def test_images_without_observations_do_not_count():
     assert AttitudeErrors.of(all_priors.groups[0], none).within > 0
 
 
+def test_a_free_model_is_turned_back_by_images_with_observations():
+    """A free solve leaves an image without observations where it was."""
+    truth, _ = upright_and_turned(num_images=6)
+    priors = measured(truth, GravityPrior, 1.0, np.random.default_rng(5))
+    problem = with_observations(truth, truth.observation_image < 5)
+    (group,) = ProblemAttitudes.make(problem, priors[:5]).groups
+    turn = Similarity(1.0, Rotation.from_euler("x", 30, degrees=True).as_matrix(), np.zeros(3))
+    free = moved(problem, turn)
+    left = free.cam_from_world.copy()
+    left[5] = problem.cam_from_world[5]
+    here = AttitudeErrors.of(group, problem)
+    there = AttitudeErrors.of(group, problem, free.replace(cam_from_world=left))
+    assert there.off == pytest.approx(here.off, abs=1e-9)
+    assert there.within == pytest.approx(here.within, abs=1e-9)
+
+
 def test_images_of_a_rig_are_tied_by_its_frame():
     problem = rig_problem(rigs=(STEREO,), num_frames=5, num_alone=2)
     assert problem.image_frame.tolist() == [0, 0, 1, 1, 2, 2, 3, 3, 4, 4, -1, -1]

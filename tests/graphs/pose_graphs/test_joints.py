@@ -124,6 +124,29 @@ def test_a_middle_cluster_carries_the_next_one(dimension):
     ]
 
 
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_a_ring_of_clusters_is_judged_by_all_edges_of_a_cluster(dimension):
+    """Three clusters and three edges of one direction each: no cluster is a leaf."""
+    d = 3 if dimension == 2 else 6
+    one = np.zeros(d)
+    one[0] = 1.0
+    graph = bridged(dimension, scaled(dimension, one, 1), sizes=(3, 4))
+    information = graph.information.copy()
+    information[4] = scaled(dimension, one, 2)
+    back = pose_of(np.linalg.inv(matrix(graph.poses[6])) @ matrix(graph.poses[0]))
+    ring = graph.replace(
+        edges=[*graph.edges, (6, 0)],
+        measurements=[*graph.measurements, back],
+        information=[*information, scaled(dimension, one, 3)],
+        edge_lines=None,
+    )
+    found = found_in(ring)
+    assert sorted(joint.poses.tolist() for joint in found.opened) == [[3, 4], [5, 6]]
+    assert sorted(joint.edges.tolist() for joint in found.opened) == [[2, 4], [4, 6]]
+    assert [joint.num_open for joint in found.opened] == [d - 2] * 2
+    assert found.is_exact and found.num_open == 2 * d - 3
+
+
 @pytest.mark.parametrize(("most", "is_exact"), [(3, True), (2, False)])
 def test_many_clusters_are_counted_one_by_one(monkeypatch, most, is_exact):
     values = np.ones(3)

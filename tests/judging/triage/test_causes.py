@@ -85,6 +85,17 @@ def test_more_rejected_steps_from_another_start_are_no_jacobian():
         assert named(between(GRAPH, inputs, **rejected)) == [cause]
 
 
+@pytest.mark.parametrize("warnings", [{}, {"nullity": 3}])
+def test_a_jacobian_is_told_by_its_steps_or_by_its_warnings(warnings):
+    inputs = ({"digests": {"structure": "1", "measurements": "2", "start": "3"}},) * 2
+    old = replace(GRAPH, start_gradient=5.0)
+    two = between(old, inputs, steps=40.0, start_gradient=6.0, warnings=warnings)
+    (cause,) = (one for one in causes_of(two) if one.cause == "jacobian")
+    assert cause.evidence["warnings"] == list(warnings)
+    assert ("gradient at the start" in cause.sentence) == (not warnings)
+    assert ("gain information" in cause.sentence) == bool(warnings)
+
+
 def test_another_gradient_of_the_same_residuals_is_the_jacobian():
     inputs = tuple({"digests": {"structure": "1", "measurements": "2", "start": one}}
                    for one in "34")  # fmt: skip
