@@ -1,6 +1,7 @@
 """A refinement of a model whose pixels are all shifted alike: that is said, and nothing else."""
 
 import json
+import shlex
 
 import numpy as np
 import pytest
@@ -32,6 +33,45 @@ def test_pixels_from_the_corner_are_named_with_the_command_that_reads_them(run, 
     assert found["command"].endswith("--pixel-origin corner")
     again = findings(run, path, tmp_path, *size, "--overwrite", "--pixel-origin", "corner")
     assert "shifted_pixels" not in {one["kind"] for one in again}
+
+
+def corner_file(path, second=(400.0, 300.0)):
+    """Write an NVM file with pixels from the corner, of images whose middles are two in turn."""
+    problem = exact(small("SIMPLE_PINHOLE", num_images=6, num_points=100))
+    xy = problem.observation_xy
+    left = problem.select(observations=(xy < (450.0, 350.0)).all(axis=1)).problem
+    middle = np.where(left.observation_image[:, None] % 2, second, (400.0, 300.0))
+    params = left.camera_params.copy()
+    params[:, 1:3] = 0.0
+    moved = left.observation_xy + middle - (400.0, 300.0)
+    foreign.write_nvm(left.replace(observation_xy=moved, camera_params=params), path)
+
+
+@pytest.mark.parametrize("target", ["out/", "out.nvm"])
+@pytest.mark.parametrize("origin", [(), ("--pixel-origin", "corner")])
+def test_the_command_gives_the_size_that_no_photograph_gives(run, tmp_path, origin, target):
+    path, report = tmp_path / "m.nvm", tmp_path / "r.json"
+    corner_file(path)
+    own = ("--json", report, "--quiet", "--overwrite")
+    flags = ("--set", "cameras *: f in [1, 1000000]", "--loss", "soft-l1", "--threads", "1")
+    run("refine", path, "-o", f"{tmp_path}/{target}", *own, *flags, *origin)
+    first = json.loads(report.read_text("utf-8"))["findings"][0]
+    assert first["kind"] == "shifted_pixels"
+    words = shlex.split(first["command"])
+    assert words[words.index("--image-size") + 1] == "800,600"
+    assert [word for word in words if word in flags] == list(flags)
+    assert run(*words[1:], *own[:3]).code == 0
+    again = json.loads(report.read_text("utf-8"))
+    assert "shifted_pixels" not in {one["kind"] for one in again["findings"]}
+    assert again["summary"]["termination_type"] == "CONVERGENCE"
+    written = bundle.load(tmp_path / target)
+    assert np.abs(residuals(written, "algebraic").xy).max() < 1e-3
+
+
+def test_no_one_size_is_advised_for_images_of_several(run, tmp_path):
+    corner_file(tmp_path / "m.nvm", second=(300.0, 400.0))
+    found = findings(run, tmp_path / "m.nvm", tmp_path)[0]
+    assert found["kind"] == "shifted_pixels" and found["command"] == ""
 
 
 @pytest.mark.parametrize("shift", [0.0, 500.0])

@@ -18,12 +18,14 @@ def shifted(shift, noise=0.0, source="model", given=()):
 
 
 def test_a_shift_is_named_and_nothing_else_is_judged():
-    found = shifted((-640.0, -480.0), source="a/model.nvm")["shifted_pixels"]
-    assert found.evidence["shift"] == pytest.approx([640.0, 480.0], abs=1.0)
-    assert found.evidence["rmse"] == pytest.approx(800.0, abs=1.0)
+    found = shifted((400.0, 300.0), source="a/model.nvm")["shifted_pixels"]
+    assert found.evidence["shift"] == pytest.approx([-400.0, -300.0], abs=1.0)
+    assert found.evidence["rmse"] == pytest.approx(500.0, abs=1.0)
     assert found.command.endswith("--pixel-origin corner") and found.is_problem
-    assert "not_refined" not in shifted((-640.0, -480.0))
-    assert shifted((-640.0, -480.0))["shifted_pixels"].command == ""
+    assert "not_refined" not in shifted((400.0, 300.0))
+    assert shifted((400.0, 300.0))["shifted_pixels"].command == ""
+    against = shifted((-400.0, 300.0), source="a/model.nvm")["shifted_pixels"]
+    assert against.command == ""  # the corner is above and on the left
 
 
 @pytest.mark.parametrize(("shift", "is_advised"), [(-640.0, True), (30.0, False)])
@@ -45,3 +47,42 @@ def test_pixels_from_the_corner_are_not_read_from_the_centre_again(shift, is_adv
 )
 def test_limits(shift, noise, is_found):
     assert ("shifted_pixels" in shifted(shift, noise)) == is_found
+
+
+CORNER = ("--pixel-origin", "corner")
+
+
+@pytest.mark.parametrize(
+    ("given", "guess", "second", "size"),
+    [
+        ((), (0.0, 0.0), (400.0, 300.0), "800,600"),
+        (("--image-size", "unknown"), (0.0, 0.0), (400.0, 300.0), "800,600"),
+        (CORNER, (392.0, 308.0), (400.0, 300.0), "800,600"),
+        (CORNER, (392.0, 292.0), (409.8, 300.0), "810,600"),
+        (CORNER, (392.0, 292.0), (410.2, 300.0), None),  # 800 and 820 pixels
+        ((), (0.0, 0.0), (300.0, 400.0), None),
+    ],
+)
+def test_an_unknown_size_is_twice_the_middle_of_the_images(given, guess, second, size):
+    """Pixels from the corner, whose reader took the principal point to be the guess.
+
+    Images have the middle (400, 300) and the second one in turn.
+    """
+    problem = make_problem(num_images=6, num_points=200, model="SIMPLE_PINHOLE")
+    middle = np.where(problem.observation_image[:, None] % 2, second, (400.0, 300.0))
+    exact = problem.observation_xy + residuals(problem, "algebraic").xy
+    params = problem.camera_params.copy()
+    params[:, 1:3] = guess
+    read = problem.replace(
+        observation_xy=exact + middle - (400.0, 300.0),
+        camera_params=params,
+        camera_sizes=np.zeros_like(problem.camera_sizes),
+    )
+    words = ("--max-iterations", "7", *given)
+    found = {one.kind: one for one in find(read, source="m.nvm", given=words)}["shifted_pixels"]
+    if size is None:
+        assert found.command == ""
+        return
+    asked = found.command.split("OUTPUT ")[1].split()
+    assert asked[:2] == ["--max-iterations", "7"]
+    assert sorted(asked[2:]) == sorted([*CORNER, "--image-size", size])

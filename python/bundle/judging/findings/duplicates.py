@@ -55,30 +55,17 @@ def _pairs(problem: Problem) -> NDArray[np.int64]:
     xy = problem.observation_xy
     near = np.isfinite(xy).all(axis=1) & (np.abs(xy) < 1e8).all(axis=1)
     x, y = np.rint(xy[near] * TENTHS).astype(np.int64).T
-    image = problem.observation_image[near].astype(np.int64)
     point = problem.observation_point[near].astype(np.int64)
-    order = np.lexsort((point, y, x, image))
-    image, x, y, point = image[order], x[order], y[order], point[order]
-    codes, seen_by = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
+    place = np.stack([problem.observation_image[near], x, y])
+    order = np.lexsort((point, *place[::-1]))
+    place, point = place[:, order], point[order]
     size = max(problem.num_points, 1)
+    found = [np.zeros((2, 0), np.int64)]
     for step in range(1, MOST_TWINS + 1):
-        twins = np.flatnonzero(
-            (image[step:] == image[:-step])
-            & (x[step:] == x[:-step])
-            & (y[step:] == y[:-step])
-            & (point[step:] != point[:-step])
-        )
-        if not len(twins):
-            break
-        low = np.minimum(point[twins], point[twins + step])
-        high = np.maximum(point[twins], point[twins + step])
-        codes.append(low * size + high)
-        seen_by.append(image[twins])
-    code, image = np.concatenate(codes), np.concatenate(seen_by)
-    order = np.lexsort((image, code))
-    code, image = code[order], image[order]
-    # Repeats in one image are one coincidence.
-    is_new = np.ones(len(code), np.bool_)
-    is_new[1:] = (code[1:] != code[:-1]) | (image[1:] != image[:-1])
-    code, count = np.unique(code[is_new], return_counts=True)
-    return np.stack(np.divmod(code[count >= 2], size), axis=1)
+        same = (place[:, step:] == place[:, :-step]).all(axis=0) & (point[step:] != point[:-step])
+        found.append(np.stack([point[:-step] * size + point[step:], place[0, step:]])[:, same])
+    pair, image = np.concatenate(found, axis=1)
+    order = np.lexsort((image, pair))
+    pair, image = pair[order], image[order]
+    again = (pair[1:] == pair[:-1]) & (image[1:] != image[:-1])
+    return np.stack(np.divmod(distinct(pair[1:][again]), size), axis=1)

@@ -121,6 +121,7 @@ def motion(
     rows, columns, explained = direction(found)
     named = named_order(rows, columns)
     order = named or "rows"
+    moved = [found.images[k].image for k in np.argsort(-fits.sizes)[:NAMED].tolist()]
     worst = max(ratios, key=lambda name: ratios[name])
     if _is_lens(measured, order):
         return None
@@ -141,7 +142,7 @@ def motion(
             "explained": explained,
             "shutter": shutter,
             "gain": gain,
-            "image_ids": _ids(found, np.argsort(-fits.sizes)[:NAMED]),
+            "image_ids": [int(found.problem.image_ids[image]) for image in moved],
         },
     )
 
@@ -195,15 +196,13 @@ def image_residuals(
     squares = np.bincount(problem.observation_image, minlength=problem.num_images) * ratio**2
     share = float(squares[order].sum() / squares.sum())
     gains = measured.options.loss == "trivial" and not is_jointed and share >= MOST_SQUARES
-    loss_scale = f"{HUBER * measured.scale:.2g}"
+    huber = ("--loss", "huber", "--loss-scale", f"{HUBER * measured.scale:.2g}")
     return Finding(
         kind="image_residuals",
         sentence=f"{len(order)} {noun(len(order), 'image has', 'images have')} larger or "
         f"systematic residuals (noise against the median image): {words}. They are "
         f"{number(100 * share)} % of the squares.",
-        command=measured.command.refine("--loss", "huber", "--loss-scale", loss_scale)
-        if gains
-        else "",
+        command=measured.command.refine(*huber) if gains else "",
         evidence={
             "image_ids": [int(problem.image_ids[image]) for image in order],
             "systematic": [int(problem.image_ids[images[k].image]) for k in systematic.tolist()],
@@ -265,7 +264,7 @@ def direction(found: SystematicResiduals) -> tuple[float, float, float]:
     """
     by_row, by_column, by_both, by_fields = 0.0, 0.0, 0.0, 0.0
     for one in found.images:
-        pose, xy = found.d_pose[one.rows], found.xy[one.rows][:, None, :]
+        pose, xy = found.derivatives[0][one.rows], found.xy[one.rows][:, None, :]
         row, column = pose * xy[:, :, 1:], pose * xy[:, :, :1]
         by_row += found.explained(one, row)
         by_column += found.explained(one, column)
@@ -337,10 +336,6 @@ def _is_lens(measured: Measured, order: str) -> bool:
         return _has_step(measured) and explains_more(measured, _rolling(measured, order))
     except InputError:
         return False
-
-
-def _ids(found: SystematicResiduals, rows: NDArray[np.int64]) -> list[int]:
-    return [int(found.problem.image_ids[found.images[row].image]) for row in rows.tolist()]
 
 
 def _name(problem: Problem, image: int) -> str:

@@ -35,7 +35,7 @@ from bundle.base.records import dataclass
 from bundle.base.words import named
 from bundle.interface.finding import Finding
 from bundle.judging.findings.measured import Measured
-from bundle.judging.findings.systematic import LEFT, LENS_TERMS, SystematicResiduals
+from bundle.judging.findings.systematic import LENS_TERMS, SystematicResiduals, is_left
 
 SIZE = 0.13
 FEWEST_ROWS = 100
@@ -142,20 +142,17 @@ def lens_model(measured: Measured, fields: Sequence[LensField]) -> Finding | Non
 
 def fields_of_lenses(found: SystematicResiduals, scale: float) -> list[LensField]:
     """Return the field of each camera model and size with enough observations."""
-    before = np.sqrt((found.lens_columns**2).mean(axis=(0, 1))) if len(found.camera) else None
-    if before is None:
-        return []
     lenses = [(model, rows) for model, rows in found.lenses if int(rows.sum()) >= FEWEST_ROWS]
-    fields = [_field(scale, found, model, rows, before) for model, rows in lenses]
+    fields = [_field(scale, found, model, rows) for model, rows in lenses]
     return [field for field in fields if field is not None]
 
 
 def _field(
-    scale: float, found: SystematicResiduals, model: str, rows: NDArray[np.bool_], before: Floats
+    scale: float, found: SystematicResiduals, model: str, rows: NDArray[np.bool_]
 ) -> LensField | None:
     problem = found.problem
     columns, residual = found.lens_fields[rows], found.residuals[rows]
-    left = np.sqrt((columns**2).mean(axis=(0, 1))) > LEFT * before
+    left = is_left(columns, found.lens_columns)
     if not left.any():
         return None
     columns = columns[:, :, left]

@@ -20,11 +20,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 import bundle._core as _core
-from bundle.base.arrays import median
+from bundle.base.arrays import distinct, median
 from bundle.base.records import dataclass
 from bundle.errors import InputError
 from bundle.interface.options import SolveOptions
 from bundle.judging.findings.next_command import NextCommand
+from bundle.model.cameras import param_kinds
 from bundle.model.problem import Problem
 from bundle.model.residuals import RAYLEIGH_MEDIAN, Residuals, residuals, standardized_errors
 from bundle.solving.layout import lay_out
@@ -195,6 +196,17 @@ def median_by_group(
     filled = number > 0
     median[filled] = values[order[(first + (number - 1) // 2)[filled]]]
     return median, number
+
+
+def principal_points(problem: Problem, camera: NDArray[Any]) -> Floats:
+    """Return (n, 2) principal points [px] of cameras by their indices; 0 for models without one."""
+    points = np.zeros((problem.num_cameras, 2))
+    for index in distinct(camera).tolist():
+        kinds = param_kinds(problem.camera_models[index])
+        places = [k for k, kind in enumerate(kinds) if kind == "principal_point"]
+        if len(places) == 2:
+            points[index] = problem.camera_params[index, places]
+    return np.asarray(points[camera])
 
 
 def newton_step(

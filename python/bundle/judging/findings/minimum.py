@@ -21,7 +21,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.interface.finding import Finding
-from bundle.judging.findings.measured import SMALLEST_SCALE, Measured
+from bundle.judging.findings.measured import (
+    SMALLEST_SCALE,
+    Measured,
+    median_by_group,
+    principal_points,
+)
 from bundle.model.losses import evaluate_loss
 from bundle.model.residuals import linearize
 
@@ -55,8 +60,10 @@ def shifted_pixels(measured: Measured) -> Finding | None:
 
     A file with pixels from the corner, read as if from the centre of the image, has one residual
     everywhere: its mean m explains the mean square, |m|^2 >= 0.9 mean e^2 (RMSE equals median), and
-    is 10 px or longer. A refinement would bend the model to absorb it.
+    is 10 px or longer. A refinement would bend the model to absorb it. If no photograph gave the
+    size, the middle of the image is c - m, where the reader took it to be c (0 from the centre).
     """
+    command = measured.command
     residual = measured.residuals[measured.counted]
     if not len(residual):
         return None
@@ -64,21 +71,36 @@ def shifted_pixels(measured: Measured) -> Finding | None:
     length, square = float(np.hypot(*shift)), float((residual**2).sum(axis=1).mean())
     if not (length >= SMALLEST_SHIFT and length >= np.sqrt(ALIKE * square) and square < np.inf):
         return None
-    command = measured.command
-    is_nvm = command.source.lower().endswith(".nvm")
-    from_corner = command.value("--pixel-origin", "center") == "corner"
-    flags = ("--pixel-origin", "center" if from_corner else "corner")
-    # Pixels from the corner are not negative: then another centre is missing, such as the size.
-    can_help = not from_corner or bool((measured.problem.observation_xy.min(axis=0) < 0).all())
+    flags: tuple[str, ...] = ()
+    if command.source.lower().endswith(".nvm"):
+        from_corner = command.value("--pixel-origin", "center") == "corner"
+        if from_corner and (measured.problem.observation_xy.min(axis=0) < 0).all():
+            flags = ("--pixel-origin", "center")
+        elif measured.problem.camera_sizes.any():
+            flags = ("--pixel-origin", "corner") if not from_corner and (shift < 0).all() else ()
+        elif size := _image_size(measured, residual, from_corner=from_corner):
+            flags = ("--pixel-origin", "corner", "--image-size", size)
     return Finding(
         kind="shifted_pixels",
         sentence=f"All pixels are shifted alike: projections are {shift[0]:+.1f} and "
         f"{shift[1]:+.1f} px (x, y) from the observations, RMSE {np.sqrt(square):.1f} px. The "
         "pixels have another origin than the principal point: correct it instead of refining.",
-        command=command.refine(*flags) if is_nvm and can_help else "",
+        command=command.refine(*flags) if flags else "",
         evidence={"shift": shift.tolist(), "rmse": float(np.sqrt(square))},
         is_problem=True,
     )
+
+
+def _image_size(measured: Measured, residual: Floats, *, from_corner: bool) -> str:
+    """Return the one size of all images, which is twice their middle; "" if they have several."""
+    problem = measured.problem
+    image = problem.observation_image[measured.counted]
+    center = principal_points(problem, problem.image_camera[image])
+    size = 2.0 * (center * from_corner - residual)
+    own = np.stack([median_by_group(column, image, problem.num_images)[0] for column in size.T])
+    low, high = np.nanmin(own, axis=1), np.nanmax(own, axis=1)
+    is_one = (low > 0).all() and (high - low <= 2.0 * SMALLEST_SHIFT).all()
+    return "{:.0f},{:.0f}".format(*np.nanmedian(own, axis=1)) if is_one else ""
 
 
 def _left(measured: Measured) -> Iterator[tuple[float, str, float]]:

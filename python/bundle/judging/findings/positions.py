@@ -98,10 +98,9 @@ def measured_positions(
         "image_ids": [int(problem.image_ids[rows[k]]) for k in wrong.tolist()],
         "sigmas": distance[wrong].tolist(),
     }
-    if is_open:
-        return _unexplained(ratio, evidence, _NO_SOLVE) if ratio > limit or len(wrong) else None
+    why, command = f". {_NO_SOLVE if is_open else _MOTION}", ""
     is_robust = all(prior.loss != "trivial" for prior in priors)
-    if len(wrong) and 3 * len(wrong) <= len(rows) and not is_robust:
+    if len(wrong) and 3 * len(wrong) <= len(rows) and not (is_robust or is_open):
         worst = int(wrong[np.argmax(own[wrong])])
         name = shown(problem.image_names[rows[worst]]) or f"image {problem.image_ids[rows[worst]]}"
         return Finding(
@@ -113,29 +112,28 @@ def measured_positions(
             command=measured.command.refine("--prior-loss", "cauchy"),
             evidence=evidence,
         )
-    if ratio > limit and is_moving:
-        return _unexplained(ratio, evidence, _MOTION)
-    if ratio > limit:
+    if not (ratio > limit or (is_open and len(wrong))):
+        return None
+    if not (is_open or is_moving):
         factors = sigma_factors(measured, rows, priors, ratio) if is_affordable(measured) else None
-        if factors is None:
-            factors = (ratio, ratio)
+        factors = factors or [ratio, ratio]
         wanted = [1.0 if one is None else one for one in factors]
         given = _sigmas(priors)
         better = [one * factor for one, factor in zip(given, wanted, strict=True)]
-        changes = any(abs(np.log(factor)) > SMALLEST_CHANGE for factor in wanted)
-        return Finding(
-            kind="positions",
-            sentence=f"Measured positions and model differ by {number(ratio)} times the sigmas"
-            + (
+        why = "; the positions are too few, or too strong, to estimate their sigmas."
+        if any(abs(np.log(factor)) > SMALLEST_CHANGE for factor in wanted):
+            why = (
                 f": the sigmas are rather {_pair(better)} m (horizontal / vertical) than "
                 f"{_pair(given)}, or the model is bent."
-                if changes
-                else "; the positions are too few, or too strong, to estimate their sigmas."
-            ),
-            command=_sigma_command(measured, given, wanted) if changes else "",
-            evidence=evidence | {"sigmas_found": better, "factors": list(factors)},
-        )
-    return None
+            )
+            command = _sigma_command(measured, given, wanted)
+        evidence |= {"sigmas_found": better, "factors": factors}
+    return Finding(
+        kind="positions",
+        sentence=f"Measured positions and model differ by {number(ratio)} times the sigmas{why}",
+        command=command,
+        evidence=evidence,
+    )
 
 
 def positions_of_start(measured: Measured) -> Finding | None:
@@ -160,14 +158,6 @@ def positions_of_start(measured: Measured) -> Finding | None:
         "the cameras away before the images can follow. Begin with larger ones.",
         command=_sigma_command(measured, given, [ratio, ratio]),
         evidence={"num_positions": len(rows), "ratio": ratio},
-    )
-
-
-def _unexplained(ratio: float, evidence: dict[str, Any], why: str) -> Finding:
-    return Finding(
-        kind="positions",
-        sentence=f"Measured positions and model differ by {number(ratio)} times the sigmas. " + why,
-        evidence=evidence,
     )
 
 
@@ -409,7 +399,7 @@ SETTLED = 0.05
 
 def sigma_factors(
     measured: Measured, rows: list[int], priors: list[Any], ratio: float
-) -> tuple[float | None, float | None] | None:
+) -> list[float | None] | None:
     """Return the factors on the horizontal and the vertical sigmas; None: not estimated.
 
     The model is at the minimum with its priors. The sigmas are too small by about the ratio. None
@@ -439,11 +429,7 @@ def sigma_factors(
         factors = factors * change
         if (np.abs(np.log(change)) < SETTLED).all():
             break
-    horizontal, vertical = (
-        float(factor) if is_known else None
-        for factor, is_known in zip(factors, known.tolist(), strict=True)
-    )
-    return horizontal, vertical
+    return [float(one) if is_known else None for one, is_known in zip(factors, known, strict=True)]
 
 
 def _others(measured: Measured, priors: list[Any]) -> list[Any]:

@@ -39,7 +39,7 @@ from numpy.typing import NDArray
 
 from bundle.base.arrays import distinct
 from bundle.base.records import dataclass
-from bundle.judging.findings.measured import Measured
+from bundle.judging.findings.measured import Measured, principal_points
 from bundle.model.cameras import param_kinds
 from bundle.model.problem import Problem
 from bundle.model.residuals import linearize
@@ -104,7 +104,7 @@ class SystematicResiduals:
     @cached_property
     def _joint(self) -> tuple[Floats, int]:
         """Columns without poses (n, 2, m): intrinsics, fields of lens and image, residual."""
-        pose, params = self._derivatives
+        pose, params = self.derivatives
         x, y = self.xy.T
         image = np.stack([np.stack(one, axis=1) for one in ((x, y), (x, -y), (y, x))], axis=2)
         joint = np.concatenate(
@@ -154,12 +154,9 @@ class SystematicResiduals:
     def residuals_without_lens(self) -> Floats:
         """(n, 2) residuals without the field that is common to the images of each lens [px]."""
         left = self.residuals.copy()
-        if not len(left):
-            return left
-        before = np.sqrt((self.lens_columns**2).mean(axis=(0, 1)))
         for _, rows in self.lenses:
             fields = self.lens_fields[rows]
-            remains = np.sqrt((fields**2).mean(axis=(0, 1))) > LEFT * before
+            remains = is_left(fields, self.lens_columns)
             if remains.any() and 2 * len(fields) > len(LENS_TERMS):
                 left[rows] = remove(left[rows][:, :, None], fields[:, :, remains])[:, :, 0]
         return left
@@ -174,14 +171,9 @@ class SystematicResiduals:
             found.setdefault((problem.camera_models[camera], width, height), []).append(camera)
         return [(key[0], np.isin(self.camera, cameras)) for key, cameras in found.items()]
 
-    @property
-    def d_pose(self) -> Floats:
-        """(n, 2, 6) derivatives by the pose."""
-        return self._derivatives[0]
-
     def explained(self, one: ImageRows, columns: Floats) -> float:
         """Return the sum of squares of an image's residuals that columns (rows, 2, m) explain."""
-        fields = remove(columns, self._derivatives[0][one.rows])
+        fields = remove(columns, self.derivatives[0][one.rows])
         residual = self.residuals_without_lens[one.rows][:, :, None]
         return float((residual**2).sum() - (remove(residual, fields) ** 2).sum())
 
@@ -224,7 +216,7 @@ class SystematicResiduals:
         return found
 
     @cached_property
-    def _derivatives(self) -> tuple[Floats, Floats]:
+    def derivatives(self) -> tuple[Floats, Floats]:
         """(n, 2, 6) by the pose, and (n, 2, k) by focal lengths and distortion."""
         found = linearize(self._selected, self._cheirality)
         width = self.problem.camera_params.shape[1]
@@ -249,6 +241,12 @@ def _is_first(problem: Problem) -> NDArray[np.bool_]:
     return first
 
 
+def is_left(columns: Floats, before: Floats) -> NDArray[np.bool_]:
+    """Return the mask of the fields (n, 2, m) of which 5 % or more are left of those before."""
+    size, whole = (np.sqrt((one**2).mean(axis=(0, 1))) for one in (columns, before))
+    return np.asarray(size > LEFT * whole)
+
+
 def orthonormal(columns: Floats) -> Floats:
     """Return an orthonormal basis of the space of columns (n, 2, m), without null directions."""
     flat = columns.reshape(-1, columns.shape[2])
@@ -270,13 +268,7 @@ def remove(columns: Floats, base: Floats) -> Floats:
 
 def _lens_coordinates(problem: Problem, camera: Indices, xy: Floats) -> Floats:
     """Return (n, 2) positions from the principal point, in halves of the longer image side."""
-    center = np.zeros((problem.num_cameras, 2))
-    for index in distinct(camera).tolist():
-        kinds = param_kinds(problem.camera_models[index])
-        places = [k for k, kind in enumerate(kinds) if kind == "principal_point"]
-        if len(places) == 2:
-            center[index] = problem.camera_params[index, places]
-    offset = xy - center[camera]
+    offset = xy - principal_points(problem, camera)
     half = problem.camera_sizes.max(axis=1) / 2.0
     if not (half > 0).all():  # sizes are unknown in BAL
         half = np.where(half > 0, half, max(float(np.abs(offset).max(initial=0.0)), 1e-9))
