@@ -109,7 +109,7 @@ MUTATIONS = {
     "transposed block": Mutation(transposed_block, {"transposed"}, "transposed"),
     "wrong frame": Mutation(wrong_frame, {"frame"}, "wrong frame"),
     "degrees": Mutation(degrees, {"degrees"}, "degrees for radians"),
-    "left for right perturbation": Mutation(right_perturbation, {"perturbation"}, "left for right"),
+    "left for right perturbation": Mutation(right_perturbation, {"perturbation"}, "perturb"),
     "missing left Jacobian": Mutation(missing_left_jacobian, {"perturbation"}, "J_l is missing"),
     "missing distortion term": Mutation(missing_distortion_term, {"missing_term"}, "as if"),
     "off by one parameter": Mutation(off_by_one, {"shifted"}, "shifted by one parameter"),

@@ -21,7 +21,7 @@
 ///                          double* residual, double* d_params);
 ///
 /// whose residual is xy - measurement plus a function of the parameters that is constant in xy,
-/// piecewise. d_params, unless nullptr, has the derivatives of xy by the parameters and becomes
+/// piecewise. d_params, unless nullptr, has the derivatives of xy w.r.t. the parameters and becomes
 /// that of the residual. `registry.h` lists the models; nothing else names them.
 
 #include <type_traits>

@@ -10,7 +10,7 @@
 ///   x = fx g X + cx,   y = fy g Y + cy.
 ///
 /// For Z < 0 the sum cancels and the same root is taken as g = (Z - D) / (2 k rho^2).
-/// Differentiating the equation, whose derivative by g is -D,
+/// Differentiating the equation, whose derivative with respect to g is -D,
 ///
 ///   dg/dX = 2 k g^2 X / D,   dg/dY = 2 k g^2 Y / D,   dg/dZ = -g / D,   dg/dk = g^2 rho^2 / D.
 ///

@@ -15,7 +15,7 @@
 ///   dx/dw = x / w,   dy/dh = y / h.
 ///
 /// w and h are the size of the image: metadata, which no solve changes. At the poles, x is that of
-/// azimuth 0, as in COLMAP; the derivatives by X and Z do not exist and count as zero. Every
+/// azimuth 0, as in COLMAP; the derivatives w.r.t. X and Z do not exist and count as zero. Every
 /// direction is valid. Points with |P| of about 2^-52 or less have no value.
 ///
 /// Across the seam a residual is short although the pixels are far apart: `Difference` shifts it by

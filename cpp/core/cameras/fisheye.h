@@ -53,7 +53,7 @@ struct ArctanRatio {
 ///
 ///   da/dX = g X,   da/dY = g Y,   g = (Z / R^2 - a) / r^2,       da/dZ = -1 / R^2,
 ///
-/// so that a row (J_u, J_v) of the derivative by (u, v) gives, with e = J_u X + J_v Y, the row
+/// so that a row (J_u, J_v) of the derivative w.r.t. (u, v) gives, with e = J_u X + J_v Y, the row
 ///
 ///   dxy/dP = (a J_u + g e X,  a J_v + g e Y,  -e / R^2).
 ///

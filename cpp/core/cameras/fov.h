@@ -60,7 +60,7 @@ struct FovDistortion {
   }
 
  private:
-  /// d, its derivatives by s and omega, and c.
+  /// d, its derivatives with respect to s and omega, and c.
   struct Factor {
     double value, along, d_s, d_omega;
 

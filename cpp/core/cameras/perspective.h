@@ -82,7 +82,7 @@ struct RadialPolynomial<0> {
 ///
 ///   u = X / Z, v = Y / Z,   du/dP = (1, 0, -u) / Z,   dv/dP = (0, 1, -v) / Z.
 ///
-/// With J the 2x2 derivative of pixels by (u, v), the chain rule gives, row by row,
+/// With J the 2x2 derivative of pixels w.r.t. (u, v), the chain rule gives, row by row,
 ///
 ///   dxy/dP = (J_u, J_v, -(J_u u + J_v v)) / Z.
 ///

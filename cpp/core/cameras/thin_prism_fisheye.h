@@ -81,7 +81,7 @@ struct ThinPrismFisheye : Lens<Equidistant, ThinPrismDistortion, 2> {
 ///
 ///   u_d = a + t_a + s0 q + s1 q^2,   v_d = b + t_b + s2 q + s3 q^2.
 ///
-/// The second step has the derivative M by (a, b), with dq/da = 2a and dq/db = 2b,
+/// The second step has the derivative M with respect to (a, b), with dq/da = 2a and dq/db = 2b,
 ///
 ///   M = (1 + dt_a/da + 2a (s0 + 2 s1 q),   dt_a/db + 2b (s0 + 2 s1 q))
 ///       (dt_b/da + 2a (s2 + 2 s3 q),   1 + dt_b/db + 2b (s2 + 2 s3 q)),

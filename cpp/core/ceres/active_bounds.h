@@ -9,8 +9,8 @@
 /// model/parameter_layout.h (StateBounds).
 ///
 /// Ceres asks for derivatives at each new state. Before that, the active numbers are determined
-/// from the gradient. The derivatives of all costs by the active numbers are then set to zero. So
-/// no step moves these numbers and the model predicts no decrease from them.
+/// from the gradient. The derivatives of all costs w.r.t. the active numbers are then set to zero.
+/// So no step moves these numbers and the model predicts no decrease from them.
 ///
 /// DENSE_QR keeps a number without derivatives constant only up to rounding, which the small
 /// damping of its row amplifies. It would leave its bound by 1e-9 and no longer be active. For
@@ -55,7 +55,7 @@ class ActiveBounds {
     problem->SetManifold(data, manifolds_.back().get());
   }
 
-  /// Returns the cost without derivatives by active numbers, or the cost itself if none of its
+  /// Returns the cost without derivatives w.r.t. active numbers, or the cost itself if none of its
   /// parameter blocks has bounds. `loss` may be nullptr and must outlive the result.
   std::unique_ptr<ceres::CostFunction> Wrap(std::unique_ptr<ceres::CostFunction> cost,
                                             const ceres::LossFunction* loss,

@@ -58,10 +58,10 @@ std::unique_ptr<ceres::CostFunction> MakeFactorCost(ChartedFactor factor,
 
 /// A factor graph as a ceres::Problem.
 ///
-/// A factor's Jacobian J is by tangent coordinates. Ceres asks a cost function for derivatives by
-/// the stored numbers and multiplies them with the manifold's PlusJacobian. It uses that matrix for
-/// nothing else, so both are chosen such that the product is J itself. The cost function writes [J
-/// 0], as wide as the stored value, and PlusJacobian is [I 0]^T, without the columns of constant
+/// A factor's Jacobian J is w.r.t. tangent coordinates. Ceres asks a cost function for derivatives
+/// by the stored numbers and multiplies them with the manifold's PlusJacobian. It uses that matrix
+/// for nothing else, so both are chosen such that the product is J itself. The cost function writes
+/// [J 0], as wide as the stored value, and PlusJacobian is [I 0]^T, without the columns of constant
 /// coordinates. No digit is lost and no derivative is computed twice.
 ///
 /// Must outlive the ceres::Problem. The graph must not be moved or changed.

@@ -65,7 +65,7 @@ class CeresSolve {
               EndInSigmas* end, ceres::Solver::Summary* summary);
   /// The problem at the current state.
   struct Refined;
-  /// True if observations are in front of their cameras and hold a residual.
+  /// True if observations in front of their cameras have a held residual.
   bool LeavesOut(const AdjustmentProblem& refined) const;
   NewtonDecrement Decrement() const;
   /// Returns to the best state, if the solve ends at another one without convergence.

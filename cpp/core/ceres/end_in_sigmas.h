@@ -95,7 +95,7 @@ class EndInSigmas final : public ceres::IterationCallback {
 };
 
 /// Keeps the accepted state of the least cost of all observations (LeastSquares::CostOfAll). It
-/// differs from the last state only if observations hold residuals.
+/// differs from the last state only if observations have held residuals.
 class RememberBest final : public ceres::IterationCallback {
  public:
   RememberBest(const std::vector<double>& numbers, const CameraStates& states,

@@ -9,8 +9,8 @@
 ///
 ///   delta = eps (|R X| + |t|),
 ///
-/// so that every derivative by pose and point has the relative error delta / L. If this is large,
-/// as for points that an earlier solve left at a camera's centre, no comparison is possible.
+/// so that every derivative w.r.t. pose and point has the relative error delta / L. If this is
+/// large, as for points that an earlier solve left at a camera's centre, no comparison is possible.
 
 #include <bundle/numeric_jacobian.h>
 

@@ -25,15 +25,15 @@ struct HoldingWatch {
   std::atomic<bool> has_changed{false};
   /// True while derivatives are evaluated at a candidate.
   std::atomic<bool> is_at_candidate{false};
-  /// True while derivatives are evaluated at a start, where all observations count that can.
+  /// True while derivatives are evaluated at a start, where all valid observations count.
   std::atomic<bool> is_at_start{false};
   /// The held cost, as far as it has been evaluated: at the last state, and at the last candidate.
   std::atomic<double> state_cost{0}, candidate_cost{0};
-  /// At the last state, the cost of these observations if all counted that can
+  /// At the last state, the cost of these observations if all valid ones counted
   /// (LeastSquares::CostOfAll).
   std::atomic<double> cost_if_all_count{0};
 
-  /// Adds an observation that holds a residual, with its squared norm in sigmas.
+  /// Adds an observation with a held residual, with its squared norm in sigmas.
   void AddHeld(double squared_norm, std::atomic<double>* cost) const {
     double rho[3];
     ValueOfLoss(loss, loss_scale, squared_norm, rho);
@@ -57,7 +57,7 @@ struct ReprojectionContext {
 
 /// The residual of one observation, divided by its sigma, as a Ceres cost function. Its parameter
 /// blocks are, in this order and if they are free: the point, then the image's blocks
-/// (ParameterLayout::blocks_of). If the pose is that of a rig image, the derivatives by it are
+/// (ParameterLayout::blocks_of). If the pose is that of a rig image, the derivatives w.r.t. it are
 /// multiplied with the maps to its frame and its sensor (factors/rig_pose.h).
 ///
 /// Camera parameters are read from `context.states`, not from the parameter blocks: an

@@ -50,7 +50,7 @@ class UpdateCameraStates final : public ceres::EvaluationCallback {
     if (is_at_state) watch_->cost_if_all_count.store(0);
   }
 
-  /// Call before a solve. `all_count`: at its start, all observations count that can.
+  /// Call before a solve. `all_count`: at its start, all valid observations count.
   void BeginSolve(bool all_count) {
     has_start_ = false;
     all_count_ = all_count;

@@ -76,7 +76,7 @@ void JudgeEnd(bool has_bounds, double function_tolerance, SolveRecord* record);
 /// `warnings`, and rejects an impossible solution. Without SolveOptions::check_solution it does not
 /// search for signs of a wrong Jacobian, but always for errors that make a solution unusable.
 /// `states` are the camera parameters of the solution. `num_held` is the number of observations
-/// that hold a residual there (factors/reprojection.h).
+/// with a held residual there (factors/reprojection.h).
 void FinishSolve(const AdjustmentProblem& problem, const ParameterLayout& layout,
                  const CameraStates& states, const SolveOptions& options,
                  std::vector<Warning> warnings, int64_t num_held, SolveOutput* output);

@@ -1,6 +1,7 @@
 #pragma once
 
-/// Test for a wrong Jacobian by the iterations of a solve (derived in convergence_watch.cpp).
+/// Test of the iterations of a solve for signs of a wrong Jacobian (derived in
+/// convergence_watch.cpp).
 
 #include <string>
 #include <vector>

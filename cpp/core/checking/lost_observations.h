@@ -14,9 +14,9 @@ namespace bundle {
 /// Maximum share of the observations counted at the start that may end behind their cameras.
 inline constexpr double kMaxLostShare = 0.01;
 
-/// Counts, on all ranks, the observations that hold a residual although they could count at the
+/// Counts, on all ranks, the observations with a held residual although they could count at the
 /// problem's values, because they are in front of their cameras. `num_held`: number of observations
-/// with free parameters that hold a residual.
+/// with free parameters and a held residual.
 int64_t CountLeftOut(const AdjustmentProblem& problem, const ParameterLayout& layout,
                      const SolveOptions& options, int64_t num_held);
 
@@ -25,7 +25,7 @@ int64_t CountLeftOut(const AdjustmentProblem& problem, const ParameterLayout& la
 /// ids, if there are more of them than at the start, if an image has only such observations, or if
 /// observations were left out that would count now. If more than `kMaxLostShare` are lost, the
 /// solution is not usable, because its cost covers too few observations. `num_held`: number of
-/// observations with free parameters that hold a residual at the solution (factors/reprojection.h).
+/// observations with free parameters and a held residual at the solution (factors/reprojection.h).
 void JudgeLostObservations(const AdjustmentProblem& problem, const ParameterLayout& layout,
                            const SolveOptions& options, int64_t num_held, SolveOutput* output);
 

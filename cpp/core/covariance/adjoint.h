@@ -1,11 +1,11 @@
 #pragma once
 
-/// Derivatives of a minimum by the data of its problem.
+/// Derivatives of a minimum with respect to the data of its problem.
 ///
-/// Let f(x, d) be the cost, with data d such as measurements, and F its gradient by the free
+/// Let f(x, d) be the cost, with data d such as measurements, and F its gradient w.r.t. the free
 /// unknowns x. At a minimum F(x, d) = 0, so that by the implicit function theorem dx = -H^-1 F_d dd
-/// with the exact Hessian H = F_x. For a function of x with the gradient y, the derivative by the
-/// data is therefore
+/// with the exact Hessian H = F_x. For a function of x with the gradient y, the derivative w.r.t.
+/// the data is therefore
 ///
 ///   -F_d^T a,        H a = y.
 ///
@@ -55,10 +55,10 @@
 
 namespace bundle {
 
-/// H a, and the rows along a.
+/// The products of H and of the Jacobian's rows with a direction a.
 struct AdjointRows {
   std::vector<double> product;  ///< H a
-  /// The same derivative of the gradient of the observations by all parameters of all cameras,
+  /// The same derivative of the gradient of the observations w.r.t. all parameters of all cameras,
   /// num_cameras x stride.
   std::vector<double> by_params;
   LargeVector<double> along;      ///< num_observations x 2: J~ a; 0 if it does not count
@@ -93,7 +93,7 @@ class AdjointSystem {
   virtual void Directions(double* n, double* of_sums) const = 0;
   /// a = (H + B B^T)^-1 y or (J~^T J~ + B B^T)^-1 y, with B as in FreeGauge::Hold.
   virtual void Solve(const double* y, double* a) = 0;
-  /// y of derivatives by poses, cameras and points.
+  /// y of derivatives with respect to poses, cameras and points.
   virtual std::vector<double> Gather(const InfluenceOptions& derivatives) const = 0;
   /// F at the problem's values plus `step`.
   virtual void Gradient(const double* step, double* gradient) = 0;

@@ -1,6 +1,6 @@
 #pragma once
 
-/// One computation of derivatives by the data, step by step (adjoint.h has the mathematics).
+/// One computation of derivatives w.r.t. the data, step by step (adjoint.h has the mathematics).
 
 #include <cstdint>
 #include <vector>

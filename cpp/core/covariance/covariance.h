@@ -48,7 +48,7 @@ struct CovarianceOptions {
   /// the time.
   bool long_sums = true;
   /// Linear functions whose joint covariance is wanted: functions x num_images x (6 + stride), the
-  /// derivatives by (w, t) about the problem's origin and by the parameters of the image's camera.
+  /// derivatives w.r.t. (w, t) about the problem's origin and the image's camera parameters.
   std::vector<double> functions;
   std::vector<std::pair<int, int>> relative;  ///< image pairs (a, b), for cam_b_from_cam_a
 };

@@ -111,7 +111,7 @@ void CovarianceComputation::Factorize() {
   NotDetermined(unknown, "a pivot of " + ShortNumber(pivot) + " of its diagonal entry");
 }
 
-/// The derivatives of the pose of an image by the unknowns: unknowns x 6.
+/// The derivatives of the pose of an image with respect to the unknowns: unknowns x 6.
 Eigen::MatrixXd CovarianceComputation::UnknownsOfImage(int image) const {
   Eigen::MatrixXd unknowns = Eigen::MatrixXd::Zero(system_.num_unknowns(), 6);
   for (const LocalMap& map : system_.evaluator().maps(image)) {

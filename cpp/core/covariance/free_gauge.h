@@ -3,7 +3,7 @@
 /// Gauge: the similarities of the world that a problem leaves free, and the S-transformation, which
 /// makes a covariance independent of the gauge constraints.
 ///
-/// Let the columns of N be the derivatives of all free parameters by the similarities
+/// Let the columns of N be the derivatives of all free parameters with respect to the similarities
 /// (gauge_sums.h). A combination N q is free if no residual changes: J N q = 0. J N is summed up
 /// row by row, before the elimination. The singular values of its triangle are compared with the
 /// two parts of the rows, by cameras and by points. So a cancellation up to rounding is recognised

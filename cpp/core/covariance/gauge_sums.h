@@ -3,9 +3,9 @@
 /// Sums over the points for the free similarities of the world (free_gauge.h): products of J and of
 /// the reduced system with all seven similarities, computed in the first pass over the points.
 ///
-/// Let the columns of N be the derivatives of all free parameters by the similarities, about the
-/// centre of the scene. The sums are J N, as the triangle of its QR factorisation, the squares of
-/// the two parts of its rows, and, with Y_p = W_p V_p^-1 (point_blocks.h),
+/// Let the columns of N be the derivatives of all free parameters w.r.t. the similarities, about
+/// the centre of the scene. The sums are J N, as the triangle of its QR factorisation, the squares
+/// of the two parts of its rows, and, with Y_p = W_p V_p^-1 (point_blocks.h),
 ///
 ///   sum Y_p N_p,     sum N_p^T V_p^-1 N_p,     sum N_p^T N_p,
 ///
@@ -51,7 +51,7 @@ class GaugeTriangle {
   int count_ = 0;
 };
 
-/// Derivatives of points and of the unknowns of a layout by the similarities.
+/// Derivatives of points and of the unknowns of a layout with respect to the similarities.
 class SimilarityMoves {
  public:
   SimilarityMoves(const AdjustmentProblem& problem, const ParameterLayout& layout,
@@ -82,7 +82,8 @@ class GaugeSums {
   GaugeSums(const AdjustmentProblem& problem, const ParameterLayout& layout,
             const CameraStates& states, int num_threads);
 
-  /// Adds a free point, on one of the threads. For a point without parallax, only its rows of J N.
+  /// Adds a free point, on one of the threads. A point without parallax contributes only its rows
+  /// of J N.
   void AddPoint(int point, const PointBlocks& blocks, const PointAssembler& rows, int thread);
   /// Adds the sums of a pass over many points, and the eliminated part of its images. Its rows of J
   /// N are not included; AddRow is called for these.

@@ -2,14 +2,14 @@
 
 /// Influence: how a quantity of the solution depends on each measurement.
 ///
-/// Let g be the gradient of a quantity q by all free unknowns, and J~, r~ and C = H^- as in
+/// Let g be the gradient of a quantity q w.r.t. all free unknowns, and J~, r~ and C = H^- as in
 /// reliability.h. One adjoint solve, a = C g, with the points eliminated
 ///
 ///   S a_c = g_c - sum Y_p g_p,        a_p = V_p^-1 g_p - Y_p^T a_c,
 ///
-/// gives the variance g^T a of q, and with the rows (J~ a)_i its derivative by every measurement:
-/// the prediction minus the measurement is r~, so that dq/dz_i = (J~ a)_i in sigmas. As sum (J~
-/// a)_i^2 = a^T H a = g^T a, the squares are shares of the variance.
+/// gives the variance g^T a of q, and with the rows (J~ a)_i its derivative w.r.t. every
+/// measurement: the prediction minus the measurement is r~, so that dq/dz_i = (J~ a)_i in sigmas.
+/// As sum (J~ a)_i^2 = a^T H a = g^T a, the squares are shares of the variance.
 ///
 /// A quantity that a free motion of the world changes has no derivative: with the free similarities
 /// N (free_gauge.h), N^T g must vanish. Then J~ a is the same for any C.

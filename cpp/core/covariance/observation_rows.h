@@ -1,7 +1,7 @@
 #pragma once
 
-/// Rows of a problem's Jacobian at its own values, by the unknowns of a layout, one observation at
-/// a time.
+/// Rows of a problem's Jacobian at its own values, w.r.t. the unknowns of a layout, one observation
+/// at a time.
 ///
 /// An observation's residual r (2) is divided by its sigma s and weighted by its loss,
 ///
@@ -9,8 +9,8 @@
 ///
 /// so that J~^T J~ is its block of the Gauss-Newton matrix of the solvers (factors/loss.h). The
 /// second derivative of the loss adds beta g g^T with g = J~^T r~ and beta = 2 rho'' / rho'^2
-/// (leverages.h). Rows by the local columns of an image, (w, t) and intrinsics, are mapped to the
-/// blocks of the layout by schur/column_map.h and factors/rig_pose.h.
+/// (leverages.h). Rows w.r.t. the local columns of an image, (w, t) and intrinsics, are mapped to
+/// the blocks of the layout by schur/column_map.h and factors/rig_pose.h.
 
 #include <cstdint>
 #include <utility>

@@ -155,7 +155,7 @@ class ReducedSystem {
   const std::vector<int>& unclear_points() const { return unclear_points_; }
   /// PointPasses::FindCovariances, with blocks in the structure of S.
   void FindPointCovariances(const FreeGauge* gauge, double* to) const;
-  /// Rows of a factor's Jacobian by the free variables: three columns per point, then unknowns.
+  /// Rows of a factor's Jacobian w.r.t. the free variables: three columns per point, then unknowns.
   struct FactorRows {
     int factor = 0;  ///< its index
     int num_rows = 0;

@@ -50,7 +50,7 @@ std::vector<TangentRow> FindTangentRows(const ReducedSystem& system, const Scene
     if (index < 0) return;
     const CameraBlock& block = layout.blocks()[index];
     const double* const rotation = system.states().pose(pose).rotation;
-    double by_phi[9] = {};  // derivative of t' by phi, -R [c]x
+    double by_phi[9] = {};  // derivative of t' with respect to phi, -R [c]x
     if (is_moved) {
       double cross[9];
       CrossMatrix(frame.origin, cross);

@@ -114,7 +114,7 @@ BlockValues SumMeat(const ReducedSystem& system, double variance, ScatterGauge* 
   BlockValues meat(static_cast<size_t>(s.num_values), 0.0);
   SymmetricSum sum(s, &meat);
   const std::vector<double>& prior = system.tracks().prior;
-  // Uses one thread: points share blocks, and no bit may depend on the order of threads.
+  // Uses one thread: points share blocks, and the bits must not depend on the order of threads.
   system.ForPoints(1, [&](int point, const PointBlocks& blocks, const PointAssembler& rows, int) {
     const double* const of_prior = prior.empty() ? nullptr : &prior[9 * size_t(point)];
     PointScores scores;

@@ -2,8 +2,8 @@
 
 /// Normal equations of a linearised factor graph, factorised for analyses at its values.
 ///
-/// H = J^T J over the free coordinates, a block per variable that has any. S = D H D has ones on
-/// its diagonal, so that no unit matters. S is factorised in the cheapest order
+/// H = J^T J over the free coordinates, a block per variable that has any. S = D H D has a unit
+/// diagonal, so that units have no effect. S is factorised in the cheapest order
 /// (linear/fill_ordering.h).
 
 #include <Eigen/Core>

@@ -7,8 +7,8 @@
 ///
 /// 1. Points without parallax are removed exactly (covariance/point_blocks.h), and so are unknowns
 ///    that no residual determines (scaled_system.cpp).
-/// 2. The derivatives by the similarities of the world are known (model/gauge.h), and so are those
-///    of each piece that no point connects with other pieces. S is positive semidefinite, so that
+/// 2. Derivatives w.r.t. similarities of the world are known (model/gauge.h), and so are those of
+///    each piece that no point connects with other pieces. S is positive semidefinite, so that
 ///    combinations z of them with z^T S z = 0 up to rounding (scaled_system.cpp) are null
 ///    directions.
 /// 3. Further directions with the lowest eigenvalues of S have the highest eigenvalues of (S +

@@ -33,7 +33,7 @@ double CheckedSigma(const std::string& name, double sigma) {
   return sigma;
 }
 
-/// Writes rows by a rotation into rows by a pose, whose translation has no effect.
+/// Writes rows w.r.t. a rotation into rows w.r.t. a pose, whose translation has no effect.
 void WriteRows(int rows, const double* by_rotation, double* jacobian) {
   std::fill_n(jacobian, rows * kPoseTangent, 0.0);
   for (int r = 0; r < rows; ++r) {

@@ -33,8 +33,8 @@ ImuState StateOfPose(const double* pose, const double* velocity, double scale) {
   return state;
 }
 
-/// Converts columns of a Jacobian by 15 coordinates to those of a pose: rotation, position times
-/// scale R.
+/// Converts columns of a Jacobian w.r.t. 15 coordinates to those of a pose: rotation, position
+/// times scale R.
 void PoseColumns(const double* by_state, const double* rotation, double scale, double* out) {
   for (int r = 0; r < kRows; ++r) {
     double by_position[3];

@@ -46,8 +46,8 @@ namespace bundle {
 /// Tangent coordinates of a pose: rotation w, translation t.
 inline constexpr int kPoseSize = 6;
 
-/// Columns of a Jacobian by the parameters of an image: (w, t) of its pose, the parameters of its
-/// camera, its twist if it has a rolling shutter (rolling_shutter.h).
+/// Columns of a Jacobian w.r.t. the parameters of an image: (w, t) of its pose, the parameters of
+/// its camera, its twist if it has a rolling shutter (rolling_shutter.h).
 inline constexpr int kFirstTwist = kPoseSize + kMaxCameraParams;
 inline constexpr int kImageColumns = kFirstTwist + kTwistSize;
 
@@ -83,7 +83,7 @@ enum class Cheirality {
   kZero,       ///< contributes nothing, as in COLMAP
 };
 
-/// Derivatives of one residual, rows x then y. The rows by the parameters of the camera are as long
+/// Derivatives of one residual, rows x then y. The rows w.r.t. the camera parameters are as long
 /// as its model has parameters.
 struct ReprojectionJacobian {
   double pose[2 * kPoseSize];
@@ -133,7 +133,7 @@ bool EvaluateReprojection(const CameraModel& model, const PoseState& pose, const
 ///
 /// f + g of a candidate is that of the state that it becomes: each state has one sum, which falls
 /// from one accepted step to the next. As long as every observation is in front of its
-/// camera, no observation holds a residual.
+/// camera, no observation has a held residual.
 ///
 /// A solve that has converged may have left observations out that hold h and are in front of their
 /// cameras, at ||r|| > ||h||. They count from then on, which raises f, and the solve continues from

@@ -43,7 +43,7 @@ struct RigPose {
 
 inline constexpr double kIdentity3[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1};
 
-/// The pose of an image. Its left Jacobian is the one of local coordinates: the identity.
+/// The pose of an image. Its left Jacobian is set to the identity, as for local coordinates.
 inline void ComposePose(const RigPose& rig, PoseState* image) {
   std::copy_n(kIdentity3, 9, image->left_jacobian);
   if (rig.sensor == nullptr) {

@@ -25,7 +25,7 @@
 /// of s), f' = g . c - 1. A row is read once if the image moves slower than the readout, g . c < 1.
 /// Elsewhere the camera reads a point twice or never: such an observation does not count, nor one
 /// whose iteration does not converge, nor one that turned by more than a radian since the middle
-/// row (the series below end there). Let J be the derivative of pi(p(s)) by any parameter at
+/// row (the series below end there). Let J be the derivative of pi(p(s)) w.r.t. any parameter at
 /// constant s. By the implicit function theorem s moves by (g . J) / (1 - g . c), and the pixel by
 ///
 ///   J' = C J,      C = I + c g^T / (1 - g . c).
@@ -42,8 +42,8 @@
 ///   C = 1/6 - t^2 E,   B = 1/2 - t^2 D,   A = 1 - t^2 C,
 ///   A'/t = C - B,      B'/t = 2 D - C,    C'/t = 3 E - D.
 ///
-/// A row r of a derivative by p becomes Exp([a]x)^T r by P, s V(a)^T r by v, and s M^T r by w,
-/// where M is the derivative of p by a. With d(a x x) = -[x]x da and d(a x (a x x)) = (a x^T +
+/// A row r of a derivative w.r.t. p becomes Exp([a]x)^T r by P, s V(a)^T r by v, and s M^T r by w,
+/// where M is the derivative of p w.r.t. a. With d(a x x) = -[x]x da and d(a x (a x x)) = (a x^T +
 /// (a.x) I - 2 x a^T) da,
 ///
 ///   M = a z^T + (a.z) I - [u]x + (q - 2 z) a^T,    u = A P + B b,    z = B P + C b,
@@ -150,7 +150,7 @@ struct MovedPoint {
     for (int i = 0; i < 3; ++i) velocity[i] = velocity[i] + twist[3 + i];
   }
 
-  /// The row of a derivative by P, from a row by p.
+  /// The row of a derivative w.r.t. P, from a row w.r.t. p.
   void RowByStart(const T* row, T* out) const {
     T row_turn[3], row_turn_turn[3];
     CrossOf(row, turn, row_turn);  // -a x r
@@ -177,7 +177,7 @@ struct MovedPoint {
     }
   }
 
-  /// The row of a derivative by the twist, from a row by p. `by_turn`: M.
+  /// The row of a derivative w.r.t. the twist, from a row w.r.t. p. `by_turn`: M.
   void RowByTwist(const T* by_turn, const T* row, const T& s, T* out) const {
     T row_turn[3], row_turn_turn[3];
     CrossOf(row, turn, row_turn);
@@ -201,8 +201,8 @@ inline void CarryRows(const T* carry, const T* row_scale, int size, T* rows) {
 }
 
 /// The residual of a point P in the camera's frame at the middle row, and unless they are nullptr
-/// its derivatives by P (2x3), the parameters (2 x num_params) and the twist (2x6). kUndefined if
-/// the row has no solution. project(point, residual, d_point, d_params): a camera model at its
+/// its derivatives w.r.t. P (2x3), the parameters (2 x num_params) and the twist (2x6). kUndefined
+/// if the row has no solution. project(point, residual, d_point, d_params): a camera model at its
 /// parameters, minus the measurement.
 template <typename Project>
 Projection ProjectByRow(const Project& project, int num_params, const ImageShutter& shutter,

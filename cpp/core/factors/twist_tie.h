@@ -24,8 +24,8 @@
 ///
 ///   dr/dT_b = -W rho / n J_r(e)^-1 Ad_{T_a} = -dr/dT_a,    dr/dm = W,    dr/drho = -W xi.
 ///
-/// A *hard* tie is m = rho xi itself: the twist is no variable, and its derivatives by the charts
-/// of both poses (factors/reprojection.h: d is R^T J_l dw, R^T dt) and by rho are a `TwistMap`.
+/// A *hard* tie is m = rho xi itself: the twist is no variable, and its derivatives w.r.t. the
+/// charts of both poses (factors/reprojection.h: d is R^T J_l dw, R^T dt) and rho are a `TwistMap`.
 ///
 /// A similarity of the world with scale c multiplies v, the translation of xi and their difference
 /// by c: ties alone would shrink the scene. Something else must determine the scale.
@@ -41,7 +41,7 @@ namespace bundle {
 void TwistBetween(const double* pose_a, const double* pose_b, double num_frames, double* xi,
                   double* by_pose_b);
 
-/// Derivatives of a hard-tied twist by (w, t) of the poses before and after, 6 x 6, and by rho.
+/// Derivatives of a hard-tied twist w.r.t. (w, t) of the poses before and after, 6 x 6, and rho.
 struct TwistMap {
   double before[36], after[36], readout[kTwistSize];
 };

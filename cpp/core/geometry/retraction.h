@@ -15,9 +15,9 @@
 /// | se3       | qx qy qz qw tx ty tz      | rotation (3), translation (3), in the frame of X |
 ///
 /// Angles are radians. The angles of so2 and se2 keep their turns in Plus and lose them in Local.
-/// A factor's Jacobian J at X is the derivative of its residual by d at d = 0:
-/// r(Plus(X, d)) = r(X) + J d + O(|d|^2). At d other than 0, the Jacobian by d is J times the right
-/// Jacobian J_r, because Exp(d + e) = Exp(d) Exp(J_r(d) e) + O(|e|^2).
+/// A factor's Jacobian J at X is the derivative of its residual with respect to d at d = 0:
+/// r(Plus(X, d)) = r(X) + J d + O(|d|^2). At d other than 0, the Jacobian w.r.t. d is J times the
+/// right Jacobian J_r, because Exp(d + e) = Exp(d) Exp(J_r(d) e) + O(|e|^2).
 ///
 /// The chart starts anew at every X: a solver that accepts a step re-anchors it, so that it is
 /// regular for any sum of steps. Quaternions may have any nonzero norm; Plus returns unit

@@ -145,7 +145,7 @@ struct SolveSummary {
   double final_cost = -1;
   /// Cost of observations and factors without free parameters; included in the other two.
   double fixed_cost = -1;
-  /// Cost of observations that do not count at the solution but hold a residual
+  /// Cost of the held residuals of observations that do not count at the solution
   /// (factors/reprojection.h); not included in the others.
   double held_cost = 0;
   std::string termination_type;

@@ -37,7 +37,7 @@ constexpr G2oKind kG2oKinds[] = {
 constexpr std::string_view kSensorPackets[] = {"ROBOTLASER1", "RAWLASER1", "FLASER", "VERTEX_TAG",
                                                "VERTEX_ELLIPSE"};
 
-/// Rows and columns of TORO's six numbers of information in the plane.
+/// Rows and columns of TORO's six numbers of information in 2D.
 constexpr int kToroPlane[6][2] = {{0, 0}, {0, 1}, {1, 1}, {2, 2}, {0, 2}, {1, 2}};
 
 constexpr const char* kPoseNames2[] = {"x", "y", "the angle"};

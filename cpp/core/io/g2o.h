@@ -9,7 +9,7 @@
 ///   FIX id ...
 ///
 /// A pose is world_from_body; an edge measures X_i^-1 X_j. Files have the upper triangle of each
-/// information matrix, by x y angle in the plane and by x y z qx qy qz in space. We store poses as
+/// information matrix, by x y angle in 2D and by x y z qx qy qz in 3D. We store poses as
 /// COLMAP does (qx qy qz qw tx ty tz) and information in the order of the tangent coordinates of
 /// geometry/retraction.h (rotation, then translation): a permutation, exact in floating point. All
 /// numbers stay as they are in the file, including lengths of quaternions and full turns of angles.
@@ -22,9 +22,9 @@
 ///   VERTEX3 id x y z roll pitch yaw
 ///   EDGE3 i j x y z roll pitch yaw  I11 I12 ... I16 I22 ... I66
 ///
-/// R = R_z(yaw) R_y(pitch) R_x(roll); the information in space is by x y z roll pitch yaw, which
+/// R = R_z(yaw) R_y(pitch) R_x(roll); the information in 3D is by x y z roll pitch yaw, which
 /// for small errors equal x y z and the rotation vector. An edge without information has the
-/// identity as its information. VERTEX and EDGE, as TORO writes them in the plane, are VERTEX2 and
+/// identity as its information. VERTEX and EDGE, as TORO writes them in 2D, are VERTEX2 and
 /// EDGE2. EQUIV i j names an edge that TORO may collapse later; here, the edge is used as measured.
 /// Files are written with g2o's records.
 ///

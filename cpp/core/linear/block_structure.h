@@ -110,8 +110,8 @@ struct BlockSystem {
   /// J_c^T J_c plus damping. Each block is square and column-major, one after the other. Empty
   /// unless a preconditioner needs it.
   std::vector<double> camera_diagonal;
-  /// For each column of S, the derivatives of its unknown by the seven similarities of the world
-  /// (model/gauge.h). Empty unless a preconditioner needs them.
+  /// For each column of S, the derivatives of its unknown w.r.t. the seven similarities of the
+  /// world (model/gauge.h). Empty unless a preconditioner needs them.
   std::vector<double> gauge_directions;
 
   /// Both constants equal those of the model's parameters (asserted in schur/schur_setup.cpp).

@@ -16,7 +16,7 @@
 /// subtree leaves its queue. These panels are then queued in the order of the subtrees, and the
 /// panels of the top follow in order, each by all threads: its updates in slices of its columns,
 /// its rows below in slices of rows. An entry of a panel takes the same sums in the same order in
-/// any slice (kernels/panel_kernels.h). So no bit depends on the number of threads.
+/// any slice (kernels/panel_kernels.h). So the bits do not depend on the number of threads.
 
 #include <algorithm>
 #include <utility>

@@ -114,9 +114,9 @@ class LeastSquares {
   /// The Newton decrements at x; call after Linearize(kDecrementDamping).
   virtual NewtonDecrement Decrement() { return {}; }
 
-  /// The cost at x if all observations counted that can, after Linearize or Accept: the cost, and
-  /// for each observation that holds a residual the cost of its residual or, behind its camera, of
-  /// the one that it holds. The trust region method keeps the best of these states.
+  /// The cost at x if all valid observations counted, after Linearize or Accept: the cost, and for
+  /// each observation with a held residual the cost of its residual or, behind its camera, of the
+  /// one that it holds. The trust region method keeps the best of these states.
   virtual double CostOfAll() { return std::numeric_limits<double>::quiet_NaN(); }
   /// Keeps a copy of the state before the last Accept.
   virtual void KeepPrevious() {}

@@ -16,8 +16,8 @@
 ///
 ///   sqrt(2 c (q + q^2 + ...)) / s0 = d_k sqrt(q / (1 - q)).
 ///
-/// Both must be below kNear at an accepted step (A). q is at most kSlowest, also if there is no
-/// step before.
+/// Both must be below kNear at an accepted step (A). q is limited to kSlowest, which is also its
+/// value at the first step.
 ///
 /// (A) cannot detect directions in which damping shortens all steps. So the end is checked once by
 /// the Newton decrement (B) of the camera parameters, with points eliminated and nearly no damping:

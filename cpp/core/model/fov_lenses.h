@@ -12,10 +12,10 @@
 /// up to z^2. For 0 < z' < z_0 and for z' below -z_0, no z represents it. The best pixels that a
 /// file can hold are then those at a border or at z = 0, a pinhole. A descent cannot find them. It
 /// stops before the discontinuity, on either side, with a gradient towards it, or stays on a side
-/// without a minimum. Also, near z = 0, derivatives by omega, which are 2 omega times those by z,
-/// vanish, and steps grow without bound.
+/// without a minimum. Also, near z = 0, derivatives w.r.t. omega, which are 2 omega times those
+/// w.r.t. z, vanish, and steps grow without bound.
 ///
-/// At z = 0 both sides meet, and derivatives by omega are 0: a solve that starts with omega = 0
+/// At z = 0 both sides meet, and derivatives w.r.t. omega are 0: a solve that starts with omega = 0
 /// ends at the best pinhole. There, the slope along z of the inner side,
 ///
 ///   a = sum rho' r^T dr/dz / sigma^2,    dr/dz = (s / 3 - 1 / 12) (fx u, fy v),    s = u^2 + v^2,

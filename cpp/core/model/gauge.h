@@ -23,7 +23,7 @@ std::string FixGauge(const AdjustmentProblem& problem, Gauge gauge, FreeParamete
 /// Translations, rotations and the scale of the world.
 inline constexpr int kNumGaugeDirections = 7;
 
-/// Derivatives of the chart (w, t) of a pose by the gauge directions, with rotation and scaling
+/// Derivatives of the chart (w, t) of a pose w.r.t. the gauge directions, with rotation and scaling
 /// about a point: (w, t) x directions, row-major. Not for sensors.
 void GaugeRowsOfPose(const PoseState& pose, const double centre[3],
                      double rows[kPoseSize * kNumGaugeDirections]);
@@ -31,8 +31,8 @@ void GaugeRowsOfPose(const PoseState& pose, const double centre[3],
 /// Mean of the camera centres of all images.
 std::array<double, 3> MeanCentre(const CameraStates& cameras, int num_images);
 
-/// Derivatives of the camera parameters by the similarities of the world about MeanCentre: for each
-/// column of the layout, three translations, three rotations and the scale.
+/// Derivatives of the camera parameters w.r.t. the similarities of the world about MeanCentre: for
+/// each column of the layout, three translations, three rotations and the scale.
 std::vector<double> GaugeDirections(const AdjustmentProblem& problem, const ParameterLayout& layout,
                                     const CameraStates& cameras);
 

@@ -99,7 +99,7 @@ struct StateBounds {
     return empty() ? value : std::min(std::max(value, lower[j]), upper[j]);
   }
   bool IsOn(size_t j, double value) const { return value <= lower[j] || value >= upper[j]; }
-  /// `gradient`: derivative of the cost by the number.
+  /// `gradient`: derivative of the cost with respect to the number.
   bool IsActive(size_t j, double value, double gradient) const {
     return (value <= lower[j] && gradient > 0) || (value >= upper[j] && gradient < 0);
   }

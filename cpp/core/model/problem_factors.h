@@ -17,7 +17,7 @@
 ///
 ///   t + R rho  = t' + dt - R (c + phi x c)   =>   rho = R^T dt + c x phi.
 ///
-/// So a row (a, b) of a Jacobian by (phi, rho) becomes, with b . (c x phi) = (b x c) . phi,
+/// So a row (a, b) of a Jacobian w.r.t. (phi, rho) becomes, with b . (c x phi) = (b x c) . phi,
 ///
 ///   by w: (R (a + b x c))^T J_l(v),        by t: (R b)^T.
 ///

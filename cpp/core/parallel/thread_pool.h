@@ -110,7 +110,7 @@ void ForEach(ThreadPool* pool, int64_t count, const Visit& visit) {
   });
 }
 
-/// ParallelFor on the threads of a pool, which do not have to be started.
+/// ParallelFor on the threads of a pool, which already run.
 template <typename Function>
 void ParallelFor(int64_t count, ThreadPool* pool, const Function& function,
                  int64_t min_range = 1000) {

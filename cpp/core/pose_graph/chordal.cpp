@@ -174,8 +174,8 @@ class Chordal {
     return edge;
   }
 
-  /// The mean of the diagonal entries of the rotation. These are the first three in space (SE(3)),
-  /// and the last one in the plane (SE(2)).
+  /// The mean of the diagonal entries of the rotation. These are the first three in 3D (SE(3)),
+  /// and the last one in 2D (SE(2)).
   double RotationWeight(const double* information) const {
     if (kSize == 2) return information[8];
     return (information[0] + information[7] + information[14]) / 3;

@@ -22,7 +22,7 @@
 /// are relative to the mean position of the component, which spans the same space and keeps digits.
 ///
 /// Redundancy (W. Baarda: A testing procedure for use in geodetic networks, 1968). With A = U E the
-/// whitened Jacobian by d_ij (edge_kernel.h), the whitened error of a least-squares fit has the
+/// whitened Jacobian w.r.t. d_ij (edge_kernel.h), the whitened error of a least-squares fit has the
 /// covariance K = I - A C_ij A^T, where I leaves out rows without information. Its trace is the
 /// redundancy of the edge, 0 if no other edge checks it, and r~^T K^+ r~ is distributed as chi2
 /// with rank(K) degrees of freedom. Far from the constant pose, large numbers cancel in C_ij.

@@ -87,7 +87,7 @@ class Composer {
   const PoseGraph& graph_;
   const Retraction retraction_ = RetractionOf(3);
   std::vector<double> poses_;
-  std::vector<double> turns_;  ///< in the plane: cosine and sine per placed pose
+  std::vector<double> turns_;  ///< in 2D: cosine and sine per placed pose
 };
 
 }  // namespace

@@ -16,7 +16,7 @@
 namespace bundle {
 
 /// Constant poses: those of `fixed`, and the first pose of each connected component without one.
-/// They remove the gauge: 3 degrees of freedom in the plane, 6 in space.
+/// They remove the gauge: 3 degrees of freedom in 2D, 6 in 3D.
 struct HeldPoses {
   std::vector<uint8_t> held;
   int num_components = 0;

@@ -13,7 +13,7 @@
 
 namespace bundle {
 
-/// Shape of a pose in the plane or in space.
+/// Shape of a pose in 2D or 3D.
 inline int AmbientSize(int dimension) { return dimension == 2 ? Se2::kAmbient : Se3::kAmbient; }
 inline int TangentSize(int dimension) { return dimension == 2 ? Se2::kTangent : Se3::kTangent; }
 inline Retraction RetractionOf(int dimension) {

@@ -9,16 +9,16 @@
 /// M is the identity if the poses agree with the measurement. There are three errors:
 ///
 ///   log   r = Log(M), the logarithm of SE(2) or SE(3) as a whole (rigid_motion.h), which couples
-///         translation and rotation; GTSAM's BetweenFactor, in the plane included.
-///   g2o   r = (t, theta) of M in the plane, r = (q_v, t) of M in space, q_v the vector part of the
+///         translation and rotation; GTSAM's BetweenFactor, 2D included.
+///   g2o   r = (t, theta) of M in 2D, r = (q_v, t) of M in 3D, q_v the vector part of the
 ///         quaternion (q_v, q_w) of M with q_w >= 0: half the rotation vector at small angles, so
 ///         that the same information weighs rotations a quarter as much.
-///   ceres r = (t_B - t_Z, theta_B - theta_Z) in the plane, r = (2 d_v, t_B - t_Z) in space,
+///   ceres r = (t_B - t_Z, theta_B - theta_Z) in 2D, r = (2 d_v, t_B - t_Z) in 3D,
 ///         d_v the vector part of q_Z q_B^-1 with d_w >= 0; that of Ceres' examples
 ///         pose_graph_2d and pose_graph_3d. Its translation is not rotated into the frame of the
 ///         measurement.
 ///
-/// All are in the order of the tangent coordinates (geometry/retraction.h): in space the rotation
+/// All are in the order of the tangent coordinates (geometry/retraction.h): in 3D the rotation
 /// comes first. Poses move by the right perturbation X Exp(d). For X_j,
 ///
 ///   M -> M Exp(d):      dr = E d + O(|d|^2),
@@ -30,10 +30,10 @@
 /// So one matrix gives both Jacobians, J_j = E and J_i = -E Ad(B^-1), where
 ///
 ///   log   E = J_r(r)^-1, the inverse right Jacobian;
-///   g2o   in the plane, from t -> t + R_M v and theta -> theta + a, E = diag(R_M, 1);
-///         in space, from q -> q (w/2, 1) and t -> t + R_M v (both to first order),
+///   g2o   in 2D, from t -> t + R_M v and theta -> theta + a, E = diag(R_M, 1);
+///         in 3D, from q -> q (w/2, 1) and t -> t + R_M v (both to first order),
 ///         E = diag(1/2 (q_w I + [q_v]x), R_M);
-///   ceres in the plane E = diag(R_B, 1); in space, from q_Z (q_B Exp(w))^-1 = d Exp(-R_B w),
+///   ceres in 2D E = diag(R_B, 1); in 3D, from q_Z (q_B Exp(w))^-1 = d Exp(-R_B w),
 ///         E = diag(-(d_w I + [d_v]x) R_B, R_B).
 ///
 /// The angle of M is in [-pi, pi] for any number of turns of the poses' angles. So errors do not
@@ -49,7 +49,7 @@ namespace bundle {
 
 enum class PoseError { kLog, kG2o, kCeres };
 
-/// A record is a pose in the form that errors read: in the plane x y angle, then the cosine and the
+/// A record is a pose in the form that errors read: in 2D x y angle, then the cosine and the
 /// sine of the angle. They are computed once per pose, not once per edge. Its size allows reading
 /// the records of several edges at a time.
 struct Se2 {
@@ -88,7 +88,7 @@ struct Se3 {
   }
 };
 
-/// The record of X^-1 Y in the plane, from records.
+/// The record of X^-1 Y in 2D, from records.
 template <typename T>
 void PlanarMotionFromRecord(const T* x, const T* y, T out[5]) {
   const T apart[2] = {y[0] - x[0], y[1] - x[1]};

@@ -1,6 +1,6 @@
 /// Part of SchurProblem (schur_problem.h).
 ///
-/// States of a solve by the cost of all observations, also of those that hold a residual, and the
+/// States of a solve by the cost of all observations, also of those with a held residual, and the
 /// return to the best of them (LeastSquares::CostOfAll).
 
 #include <algorithm>

@@ -1,10 +1,10 @@
 #pragma once
 
-/// Factors other than reprojections, in the reduced camera system: Ceres' NoEBlockRowsUpdate.
+/// Contribution of factors without points to the reduced camera system: Ceres' NoEBlockRowsUpdate.
 ///
-/// A factor with residual r and Jacobian J by the camera parameters alone (model/problem_factors.h;
-/// both corrected for its loss) depends on no point. The elimination of the points does not change
-/// it. It adds
+/// A factor with residual r and Jacobian J w.r.t. the camera parameters alone
+/// (model/problem_factors.h; both corrected for its loss) depends on no point. The elimination of
+/// the points does not change it. It adds
 ///
 ///   S += J^T J,    b -= J^T r,    gradient += J^T r,    ||J e_j||^2 to the squared norms,
 ///
@@ -16,7 +16,7 @@
 /// (kernels/point_block.h). The passes over the points then include it. Only its cost is summed up
 /// here.
 ///
-/// Factors are computed serially, in their order, so that no bit depends on the number of threads.
+/// Factors are computed serially, in their order, so that the bits do not depend on the threads.
 /// If a problem is divided among ranks, rank 0 has the factors without a point. Each factor of a
 /// point belongs to the rank of the point.
 

@@ -91,7 +91,7 @@ struct Chunk {
   LargeVector<Tile::Block> tile_blocks;
   LargeVector<EntryPair> entry_pairs;
   LargeVector<Tile::Image> tile_images;
-  /// Refined observations whose own products the chunk adds, by their numbers in the tile.
+  /// Refined observations whose diagonal products the chunk adds, by their numbers in the tile.
   LargeVector<uint16_t> tile_observations;
 
   int num_blocks() const { return static_cast<int>(parts.size() + pairs.size()); }

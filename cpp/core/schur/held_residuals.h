@@ -1,6 +1,6 @@
 #pragma once
 
-/// Observations of a plan that hold a residual at a state (factors/reprojection.h). Memory: 24
+/// Observations of a plan with a held residual at a state (factors/reprojection.h). Memory: 24
 /// bytes for each of these observations, and none for the others.
 
 #include <algorithm>
@@ -18,7 +18,7 @@ struct HeldResidual {
   double residual[2];
 };
 
-/// Receiver of the observations of a chunk that hold a residual; disabled if `add` is nullptr.
+/// Receiver of the observations of a chunk with a held residual; disabled if `add` is nullptr.
 struct HeldSink {
   void (*add)(void* list, const HeldResidual& held) = nullptr;
   void* list = nullptr;
@@ -53,7 +53,7 @@ class HeldResiduals {
   /// Ascending.
   const std::vector<HeldResidual>& all() const { return all_; }
 
-  /// True if the same observations hold a residual.
+  /// True if the same observations have held residuals.
   bool HasSameObservations(const HeldResiduals& other) const;
 
  private:

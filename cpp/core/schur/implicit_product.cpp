@@ -6,7 +6,7 @@
 /// of S are summed as usual, for the preconditioner, and a product is a pass over the points
 /// (kernels/multiply_schur.h).
 ///
-/// Chunks are added in their order, so that no bit depends on the number of threads.
+/// Chunks are added in their order, so that the bits do not depend on the number of threads.
 
 #include <algorithm>
 #include <cstdint>

@@ -3,8 +3,8 @@
 /// The gauge of a Newton direction.
 ///
 /// If no factor fixes the world, its similarities change no residual: J N = 0, where the columns of
-/// N are the derivatives of all free parameters by the similarities. Multiplying the equation of
-/// the Newton direction q, (J^T J + damping D^2) q = -J^T r, by N^T leaves
+/// N are the derivatives of all free parameters w.r.t. the similarities. Multiplying the equation
+/// of the Newton direction q, (J^T J + damping D^2) q = -J^T r, by N^T leaves
 ///
 ///   damping N^T D^2 q = -(J N)^T r = 0.
 ///

@@ -50,7 +50,7 @@ class PointEntries {
     return static_cast<int>(std::lower_bound(list_.begin(), list_.end(), part) - list_.begin());
   }
 
-  /// The entry in whose row an observation's own products are added.
+  /// The entry in whose row an observation's diagonal products are added.
   int RowOf(int i) const {
     int entry = -1;
     for (int kind = 0; kind < plan_.num_kinds && entry < 0; ++kind) entry = EntryOf(i, kind);

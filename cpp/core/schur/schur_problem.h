@@ -75,7 +75,7 @@ class SchurProblem final : public LeastSquares {
   /// Name of the instruction set of the kernels: "baseline", "avx2+fma" or "avx512".
   const char* instruction_set() const { return kernels_.name; }
 
-  /// Observations of this rank that do not count at the state but hold a residual
+  /// Observations of this rank that do not count at the state and have a held residual
   /// (factors/reprojection.h).
   int64_t num_held() const { return static_cast<int64_t>(x_->held.all().size()); }
   /// Cost of the factors of all ranks.

@@ -112,7 +112,7 @@ void State::Update() {
   }
 }
 
-/// Derivatives by the chart of the frame: R_s J_f and R_s. Without a rig, the translation is a
+/// Derivatives w.r.t. the chart of the frame: R_s J_f and R_s. Without a rig, the translation is a
 /// coordinate itself. Also K of the sensor.
 void State::PutFrameChart(const RigPose& rig, double* record) const {
   const int end = stride_ - ShutterSize(problem_);

@@ -237,8 +237,8 @@ class WindowElimination {
     return blocks;
   }
 
-  /// Rows of a landmark: derivatives by its three numbers, derivatives by the blocks, and r. The
-  /// rows of the anchoring image are last.
+  /// Rows of a landmark: derivatives w.r.t. its three numbers, derivatives w.r.t. the blocks, and
+  /// r. The rows of the anchoring image are last.
   Matrix DenseLandmark(size_t* k, const std::vector<int>& blocks, const AnchorRows& anchor) const {
     const int landmark = rows_.visual[*k].landmark;
     size_t end = *k;

@@ -44,7 +44,7 @@ class WindowGauge {
 
   WindowGauge(const WindowView& view, const WindowState& at);
 
-  /// The rows of N by a block's coordinates, PriorBlockSize rows.
+  /// The rows of N w.r.t. a block's coordinates, PriorBlockSize rows.
   Rows OfBlock(int block) const;
   /// N^T Lambda N of a prior.
   Eigen::Matrix4d Information(const WindowPrior& prior, const PriorForm& form) const;

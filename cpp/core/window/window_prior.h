@@ -13,7 +13,7 @@
 
 namespace bundle {
 
-/// Gradient and second derivatives of the prior's blocks by the coordinates about the state.
+/// Gradient and second derivatives of the prior's blocks w.r.t. the coordinates about the state.
 struct PriorForm {
   double cost = 0;
   std::vector<double> gradient;

@@ -47,7 +47,7 @@ def swapped_blocks(evidence: Evidence) -> None:
 
 
 def adjoint(evidence: Evidence) -> None:
-    """Find a Jacobian of a relative pose without the adjoint, or with that of the inverse."""
+    """Find a relative pose's Jacobian that lacks the adjoint, or has the adjoint of the inverse."""
     poses = {tuple(block.columns) for block in evidence.blocks if block.conventions}
     for pair in _pairs(evidence):
         for wrong, other in (pair, pair[::-1]):
@@ -260,7 +260,7 @@ def rounds_to_single(values: Callable[[list[Array]], Array], blocks: list[Array]
 
 
 def _singles(values: Array) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return masks of single-precision numbers, and of those not so by chance (0, 0.5, 1)."""
+    """Return masks of single-precision numbers, with and without trivial ones (0, 0.5, 1)."""
     with np.errstate(over="ignore", invalid="ignore"):
         single = values.astype(np.float32).astype(np.float64) == values
         plain = np.round(values * 2**10) == values * 2**10

@@ -229,7 +229,7 @@ def swapped(evidence: Evidence) -> None:
 
 
 def shifted(evidence: Evidence) -> None:
-    """Find blocks whose columns each hold the derivative by the next or the previous parameter."""
+    """Find blocks with columns shifted by one: each holds the derivative of its neighbour."""
     matches = _matches(evidence)
     for block in evidence.blocks:
         columns = [j for j in block.columns if j in evidence.wrong]
@@ -246,12 +246,12 @@ def shifted(evidence: Evidence) -> None:
                     "shifted",
                     columns,
                     f"the columns of {block.name} are shifted by one parameter: "
-                    f"each holds the derivative by the {neighbour} one",
+                    f"each holds the derivative with respect to the {neighbour} one",
                 )
 
 
 def order(evidence: Evidence) -> None:
-    """Find columns that hold the derivative by another parameter."""
+    """Find columns that hold the derivative with respect to another parameter."""
     matches = _matches(evidence)
     columns = [j for j in evidence.wrong if matches[j].any()]
     if columns:

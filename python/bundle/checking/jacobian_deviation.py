@@ -122,7 +122,7 @@ def _column_sizes(matrices: Array) -> Array:
     """Return the divisor of the errors of each column, (K, 1, N).
 
     The divisor is the norm of the column. If this norm is zero or unusually small, relative errors
-    are meaningless. For example, the derivative by the distortion is zero for a point on the
+    are meaningless. For example, the derivative w.r.t. the distortion is zero for a point on the
     camera's axis. The divisor is then FLOOR times the column's usual size over all points. If the
     column is zero at all points, the divisor is the usual size of the other columns.
     """

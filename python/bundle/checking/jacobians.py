@@ -320,11 +320,11 @@ class _Check:
 def _rounding_errors(jacobians: Array, rounding: Array) -> Array:
     """Return the rounding errors of the entries (K, 2, N) of Jacobians.
 
-    Derivatives by rotation, translation and point are sums that may cancel. Their error is
+    Derivatives w.r.t. rotation, translation and point are sums that may cancel. Their error is
     therefore relative to the largest column of the same kind.
 
     ``jacobians``: (K, 2, N) Jacobians. ``rounding``: (K,) relative rounding error of the
-    derivatives by the point in the camera frame.
+    derivatives w.r.t. the point in the camera.
     """
     size = np.linalg.norm(jacobians, axis=1, keepdims=True)
     for kind in (slice(0, 3), slice(3, 6), slice(-3, None)):

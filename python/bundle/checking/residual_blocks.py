@@ -151,7 +151,7 @@ class Manifold:
             raise InputError(f"manifolds: expected a name or (name, entries), found {brief(given)}")
         if str(pair[0]).lower() in ("so2", "so3", "se2"):  # of factor graphs
             raise InputError(
-                'manifolds: expected tangent="gtsam" or that of another library, too, whose '
+                'manifolds: expected tangent="gtsam" or another library as well, the one whose '
                 f"coordinates the Jacobians have, found {pair[0]!r} alone"
             )
         name = choice("manifolds", pair[0], NAMES)

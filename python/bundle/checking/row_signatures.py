@@ -110,8 +110,8 @@ def logarithm(evidence: Evidence) -> None:
                 evidence.found(
                     "logarithm",
                     wrong,
-                    f"{evidence.names(wrong)}: as if the residual were no logarithm: its inverse "
-                    "right Jacobian J_r^-1 is missing, or another one is there",
+                    f"{evidence.names(wrong)}: as if the residual were no logarithm: the inverse "
+                    "right Jacobian J_r^-1 is missing or wrong",
                 )
                 break
 
@@ -169,7 +169,7 @@ def _mistake_of_row(evidence: Evidence, row: int, columns: list[int]) -> tuple[s
                 if explains(guess / scale):
                     names = evidence.names([columns[j], columns[i]])
                     turned = "" if signs == (1, 1) else ", with a wrong sign"
-                    return "row_swapped", f"the derivatives by {names} are swapped{turned}"
+                    return "row_swapped", f"the derivatives w.r.t. {names} are swapped{turned}"
     return "", ""
 
 
@@ -248,19 +248,18 @@ def _is_one_matrix(given: Array, right: Array) -> bool:
 
 # Signatures of mistakes in rotations: another perturbation, frame, or order of coordinates.
 #
-# If a rotation vector w changes by d, then Exp(w + d) = Exp(J_l(w) d) Exp(w). The derivative by w
-# is therefore the derivative by a left perturbation times J_l(w). It is also the derivative by a
-# right perturbation times J_r(w) = J_l(-w). In any Lie algebra J_l = sum ad^k / (k + 1)!, where ad
-# is the matrix of the bracket with w. A block of six numbers is a rotation vector and a
-# translation, in either order, or an element of se(3). All layouts are tested, at any position of a
-# longer block.
+# If a rotation vector w changes by d, then Exp(w + d) = Exp(J_l(w) d) Exp(w). The derivative w.r.t.
+# w is therefore the derivative w.r.t. a left perturbation times J_l(w), and that w.r.t. a right
+# perturbation times J_r(w) = J_l(-w). In any Lie algebra J_l = sum ad^k / (k + 1)!, where ad is the
+# matrix of the bracket with w. A block of six numbers is a rotation vector and a translation, in
+# either order, or an element of se(3). All layouts are tested, at any position of a longer block.
 
-BY_LEFT = "the derivative by d of Exp(d) Exp(w), not by w: J_l is missing"
-BY_RIGHT = "the derivative by d of Exp(w) Exp(d), not by w: J_r is missing"
+BY_LEFT = "the derivative of Exp(d) Exp(w) w.r.t. d, not w.r.t. w: J_l is missing"
+BY_RIGHT = "the derivative of Exp(w) Exp(d) w.r.t. d, not w.r.t. w: J_r is missing"
 
 
 def conventions(evidence: Evidence) -> None:
-    """Find derivatives by other tangent coordinates of the manifold than the required ones."""
+    """Find derivatives w.r.t. other tangent coordinates of the manifold than the required ones."""
     for block in evidence.blocks:
         columns = list(block.columns)
         for (kind, words), changes in block.conventions.items():
@@ -272,7 +271,7 @@ def conventions(evidence: Evidence) -> None:
 
 
 def quaternion_order(evidence: Evidence) -> None:
-    """Find derivatives by a quaternion with its real part at the other end."""
+    """Find derivatives with respect to a quaternion with its real part at the other end."""
     for block in evidence.blocks:
         columns = list(block.columns)
         if block.rotation != "quaternion" or not set(columns) & set(evidence.wrong):
@@ -291,7 +290,7 @@ def quaternion_order(evidence: Evidence) -> None:
 
 
 def rotation_vectors(evidence: Evidence) -> None:
-    """Find derivatives by a perturbation of the rotation instead of by the rotation vector."""
+    """Find derivatives w.r.t. a perturbation of the rotation instead of the rotation vector."""
     for columns, left, what in _algebras(evidence):
         if not set(columns) & set(evidence.wrong):
             continue
@@ -307,9 +306,7 @@ def rotation_vectors(evidence: Evidence) -> None:
             guess = raw @ change / evidence.deviations.scale[..., columns]
             if evidence.explains(guess, columns):
                 names = evidence.names(columns)
-                evidence.found(
-                    "perturbation", columns, f"{names}: left for right perturbation; it is {words}"
-                )
+                evidence.found("perturbation", columns, f"{names}: another perturbation: {words}")
                 break
 
 
@@ -332,8 +329,8 @@ def turned(evidence: Evidence) -> None:
                 evidence.found(
                     "perturbation",
                     columns,
-                    f"{names}: right in size, but rotated: left for right perturbation, R Exp(d) "
-                    "for Exp(d) R",
+                    f"{names}: right in size, but rotated: perturbed as R Exp(d) instead of "
+                    "Exp(d) R",
                 )
             else:
                 evidence.found(

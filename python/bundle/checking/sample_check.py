@@ -345,9 +345,9 @@ def _vagueness(findings: Sequence[Finding]) -> int:
 
 # Signature: tangent Jacobians padded with a column of zeros to the size of the block.
 #
-# Older solvers expect a Jacobian by the parameters of a block (4 for a quaternion). They multiply
-# it by the Jacobian of the manifold's Plus. If the Plus Jacobian is (I, 0)^T, the tangent Jacobian
-# with a zero column is correct. For any other manifold it is wrong.
+# Older solvers expect a Jacobian w.r.t. the parameters of a block (4 for a quaternion). They
+# multiply it by the Jacobian of the manifold's Plus. If the Plus Jacobian is (I, 0)^T, the tangent
+# Jacobian with a zero column is correct. For any other manifold it is wrong.
 
 SCALES = (1.0, 2.0, 0.5)
 """Scales of tangent coordinates: a rotation vector, or twice or half a quaternion's vector part."""
@@ -380,8 +380,8 @@ def padded(
                 Finding(
                     "padded",
                     tuple(names),
-                    f"{join_names(names)}: the Jacobian by the {manifold.tangent_size} tangent "
-                    f"coordinates, padded with a zero column ({names[place]}), instead of that by "
+                    f"{join_names(names)}: the Jacobian w.r.t. the {manifold.tangent_size} tangent "
+                    f"coordinates, padded with a zero column ({names[place]}), not w.r.t. "
                     f"the {manifold.size} numbers of the block",
                     float(space.error[..., columns].max()),
                 )
@@ -391,7 +391,7 @@ def padded(
 
 
 def _is_tangent(given: Array, reference: Array) -> bool:
-    """Return True if columns are derivatives by tangent coordinates, up to scale or rotation.
+    """Return True if columns are derivatives w.r.t. tangent coordinates, up to scale or rotation.
 
     Rotations and translations have three columns each. Their perturbation may be from the other
     side; then the columns are A Q with a rotation Q, and A A^T does not change.

@@ -60,7 +60,7 @@ def georeference_given(
             placing = dict.fromkeys(flags[one.source] for one in ROWS if one.places)
             places = join([*placing, "a georeference.json beside INPUT"])
             raise InputError(
-                f"{flags[row.source]}: expected {places}, which say where east, north and up are, "
+                f"{flags[row.source]}: expected {places}, which define east, north and up, "
                 f"found {shown(arguments.input)} without any"
             )
     if only_images is not None and placed:

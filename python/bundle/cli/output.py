@@ -84,7 +84,7 @@ def check_new(path: str, flag: str) -> None:
 
 
 class Request(Protocol):
-    """Values of the flags that every command has for its report."""
+    """Values of the report flags of every command: ``--json``, ``--verbose``, ``--config``, ..."""
 
     @property
     def json(self) -> str | None:

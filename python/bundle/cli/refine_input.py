@@ -131,7 +131,7 @@ _FLAGS = {"page": "--html"}
 
 
 def on_disk(asked: Refinement) -> AbstractContextManager[None]:
-    """Return a context in which large arrays are in files of the folder of the user, if any."""
+    """Return a context in which large arrays are files in the user's folder, if given."""
     folder = asked.disk.out_of_core
     if folder is None:
         return nullcontext()

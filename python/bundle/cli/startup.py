@@ -56,7 +56,7 @@ def begin() -> None:
 
 
 def done() -> None:
-    """Make SIGINT raise KeyboardInterrupt again until ``is_over``."""
+    """Restore KeyboardInterrupt as the effect of SIGINT; it ends when ``is_over`` is set."""
     if signal.getsignal(signal.SIGINT) is _end:
         signal.signal(signal.SIGINT, _interrupt)
 

@@ -71,7 +71,7 @@ def share_cameras(
 def _with_scale(
     problem: Problem, cameras: NDArray[np.int64], params: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return poses in which images of cameras keep their scale under other parameters."""
+    """Move the images of cameras along their axis so that new parameters keep their scale."""
     kinds = param_kinds(problem.camera_models[int(cameras[0])])
     focal = [k for k, kind in enumerate(kinds) if kind == "focal"]
     own = problem.camera_params[:, focal].mean(axis=1) if focal else np.zeros(problem.num_cameras)

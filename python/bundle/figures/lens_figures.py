@@ -191,7 +191,7 @@ def _pixels(value: float) -> str:
 # Terms without symmetry about the axis cancel in the mean.
 #
 # With the covariance C of the parameters p, the standard deviation of the curve is sqrt(g^T C g),
-# where g is the derivative of the curve by p, from central differences.
+# where g is the derivative of the curve w.r.t. p, from central differences.
 
 STEPS = 400
 AROUND = 16

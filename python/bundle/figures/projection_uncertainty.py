@@ -9,15 +9,15 @@ replace mrcal's chessboard frames, and the points of the model replace the board
 
 An observation sees p = R X + t in the frame of the camera. One motion h = (w, s) of the housing,
 the same for all images of the camera, moves it to p + w x p + s. Let J_d and J_h be the whitened
-derivatives of the residuals by the parameters and by h. For parameter errors d and measurement
+derivatives of the residuals w.r.t. the parameters and h. For parameter errors d and measurement
 noise e, h is estimated again:
 
     M = J_h^T J_h,     h = K d + M^+ J_h^T e,     K = -M^+ J_h^T J_d.
 
 The pixel of a ray u at the distance r moves by A d + B M^+ J_h^T e with B = [-G [u]x, G / r],
-A = D + B K, G and D the derivatives of the projection by the direction and the parameters. Columns
-of J_h are sums of those of free poses. Therefore errors d of the joint least squares and J_h^T e
-are not correlated, and
+A = D + B K, G and D the derivatives of the projection w.r.t. the direction and the parameters.
+Columns of J_h are sums of those of free poses. Therefore errors d of the joint least squares and
+J_h^T e are not correlated, and
 
     Var = A S A^T + n^2 B M^+ B^T,
 

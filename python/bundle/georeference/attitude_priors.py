@@ -1,6 +1,6 @@
 """Priors on the attitude of an image, and their files: direction of gravity, orientation, heading.
 
-The axes of the world are east, north, up; without positions, only up has a meaning. With R the
+The axes of the world are east, north, up; without positions, only up is defined. With R the
 rotation of cam_from_world and sigma in radians, the priors add 1/2 rho(r^T r) to the cost of a
 solve, with
 

@@ -215,7 +215,7 @@ def _turned_to(problem: Problem, free: Problem, group: AttitudesOfKind) -> Probl
 
 
 def _radius(size: int, found: Agreement, sigmas: Array) -> float:
-    """Return the angle in radians below which 95 % of the errors of a robust mean are.
+    """Return the 95 % quantile of the error of a robust mean, in radians.
 
     The variance of one coordinate of the mean comes from n residuals a_i in sigmas. With Tukey's
     weights w_i, and at least five residuals,
@@ -259,7 +259,7 @@ def _radius(size: int, found: Agreement, sigmas: Array) -> float:
 
 
 def _largest(size: int, count: int) -> float:
-    """Return the length in sigmas that the largest of n good residuals hardly exceeds.
+    """Return a bound in sigmas that the largest of n good residuals rarely exceeds.
 
     The quantile of the chi distribution by the cube root of Wilson and Hilferty (1931).
     """
@@ -356,7 +356,7 @@ class Attitudes(KnownPriors):
         return tuple(AttitudeErrors.of(group, problem, free) for group in known.groups)
 
     def errors_of(self, result: Solved) -> ErrorsOfAttitudes:
-        """Return the residuals in a result, judged without the pull of the priors."""
+        """Return the residuals in a result, with the spread of a model without these priors."""
         return ErrorsOfAttitudes(self.errors(result.problem, free=result.without_attitudes))
 
     def check_kept(self, problem: Problem, reason: str) -> None:

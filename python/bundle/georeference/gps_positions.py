@@ -166,7 +166,7 @@ def unmatched_notes(
 
 
 def case_notes(index: ImageIndex, names: Iterable[str]) -> list[str]:
-    """Return a sentence on unknown names that differ from image names in case only, if any."""
+    """Return a sentence on unknown names that differ from image names only in case, if any."""
     pairs = [(name, index.differing_in_case(name)) for name in dict.fromkeys(names)]
     alike = [(name, other) for name, other in pairs if other is not None]
     if not alike:

@@ -7,9 +7,9 @@ and longitude lambda, PROJ's ``topocentric`` step gives
     [n] = [-sin(phi) cos(lambda)  -sin(phi) sin(lambda)   cos(phi)  ] (X - X0)
     [u]   [ cos(phi) cos(lambda)   cos(phi) sin(lambda)   sin(phi)  ]
 
-(EPSG method 9837). It is a rigid motion, so that distances are distances in space, in metres,
-everywhere. The up axis is the normal of the ellipsoid at the origin only. At a distance d, a point
-on the ellipsoid is d^2 / 2R below zero, 8 cm at one kilometre.
+(EPSG method 9837). It is a rigid motion, so that distances are 3-D distances in metres everywhere.
+The up axis is the normal of the ellipsoid at the origin only. At a distance d, a point on the
+ellipsoid is d^2 / 2R below zero, 8 cm at one kilometre.
 """
 
 from __future__ import annotations

@@ -124,7 +124,7 @@ class FoundPriors:
         raise NotImplementedError
 
     def placement(self, problem: Problem) -> Similarity | None:
-        """Return the motion of the model that the priors ask for; None if it has no effect."""
+        """Return the motion of the model that the priors require; None if it has no effect."""
         raise NotImplementedError
 
     def beside(self, problem: Problem, groups: Sequence[FoundPriors]) -> FoundPriors:  # noqa: ARG002
@@ -132,14 +132,14 @@ class FoundPriors:
         return self
 
     def check(self, problem: Problem, groups: Sequence[FoundPriors]) -> None:
-        """Refuse priors without a meaning at the start or beside the other priors of the solve."""
+        """Refuse priors that are invalid at the start or together with the solve's other priors."""
 
     def added_to(self, problem: Problem, moved: Similarity | None) -> Problem:  # noqa: ARG002
         """Return the moved problem with the images or points of the priors as its last ones."""
         return problem
 
     def taken_from(self, problem: Problem) -> Problem:
-        """Return a solved or filtered problem without what was added."""
+        """Remove the additions from a problem after a solve or filter."""
         return problem
 
     def factors(self, problem: Problem) -> Sequence[Factor]:
@@ -374,7 +374,7 @@ class Measurements:
 
 
 def place_of(measured: Sequence[MeasurementErrors]) -> Any:
-    """Return the errors that say where on the earth the model is; None without any."""
+    """Return the errors with the model's place on the earth; None without a georeference."""
     return next((one for one in measured if one.is_place), None)
 
 

@@ -261,10 +261,10 @@ class PositionOffset:
 
     @staticmethod
     def beside(problem: Problem, axes: str) -> PositionOffset:
-        """Return an offset whose pose has an unused id."""
+        """Make an offset whose pose has an unused image id."""
         last = int(problem.image_ids.max(initial=0))
         if last >= LARGEST_ID:
-            raise InputError(f"image_ids: expected ids below {LARGEST_ID} with an offset")
+            raise InputError(f"image_ids: an offset of the positions needs ids below {LARGEST_ID}")
         return PositionOffset(last + 1, axes)
 
     @property
@@ -302,7 +302,7 @@ class PositionOffset:
         return problem.replace(image_names=(*problem.image_names, ""), **changes)
 
     def taken_from(self, problem: Problem) -> Problem:
-        """Return a solved or filtered problem of :meth:`added_to` without the pose."""
+        """Remove the pose from a problem of :meth:`added_to` after a solve or filter."""
         has_rigs = len(problem.image_frame) > 0
         names = _OF_IMAGES if has_rigs else _OF_IMAGES[:3]
         changes: dict[str, Any] = {name: getattr(problem, name)[:-1] for name in names}
@@ -318,7 +318,7 @@ class PositionOffset:
         return problem.replace(image_names=problem.image_names[:-1], **changes)
 
     def factors(self) -> list[Factor]:
-        """Return the priors of the coordinates without influence; they cost nothing."""
+        """Return priors that fix the unused coordinates at no cost."""
         held: list[Factor] = [RotationFactor(self.key, _IDENTITY, HELD)]
         if self.axes == "up":
             information = np.diag([1.0, 1.0, UNKNOWN**-2])

@@ -70,7 +70,7 @@ class ProblemPriors(FoundPriors):
         return factors
 
     def last_factors(self) -> list[Factor]:
-        """Return the priors on the coordinates of the offset's pose that have no influence."""
+        """Return priors that fix the unused coordinates of the offset's pose."""
         return [] if self.offset is None else self.offset.factors()
 
     def added_to(self, problem: Problem, moved: Similarity | None) -> Problem:  # noqa: ARG002
@@ -80,7 +80,7 @@ class ProblemPriors(FoundPriors):
         return self.offset.added_to(problem, self.typical_offset(problem))
 
     def taken_from(self, problem: Problem) -> Problem:
-        """Return a solved or filtered problem without the pose of the offset."""
+        """Remove the pose of the offset from a problem after a solve or filter."""
         return problem if self.offset is None else self.offset.taken_from(problem)
 
     def check(self, problem: Problem, groups: Sequence[FoundPriors]) -> None:  # noqa: ARG002
@@ -96,7 +96,7 @@ class ProblemPriors(FoundPriors):
         if all(np.isnan(entry.point.position[2]) for entry in used):
             raise InputError(
                 "gps_offset: expected a control point with a height, which determines the offset "
-                f"of the positions, found {len(used)} without"
+                f"of the positions, found {len(used)} points without a height"
             )
 
     def typical_offset(self, problem: Problem) -> Array:
@@ -164,9 +164,9 @@ class ProblemPriors(FoundPriors):
 
 
 def placement(problem: Problem, groups: Sequence[FoundPriors]) -> Similarity | None:
-    """Return the similarity to priors; without positions, the motion that the others ask for.
+    """Return the similarity to priors; without positions, the motion that the others require.
 
-    Positions on a line leave the turn about it to priors with a vertical.
+    If positions are on a line, priors with a vertical determine the rotation about it.
 
     Raises:
         InputError: the priors do not determine the similarity.
@@ -205,7 +205,7 @@ def _survey(
 
 
 def _motion(problem: Problem, groups: Sequence[FoundPriors]) -> Similarity | None:
-    """Return the motions that groups ask for, one after the other."""
+    """Return the composition of the motions that the groups require."""
     total: Similarity | None = None
     for group in groups:
         found = group.placement(problem if total is None else moved(problem, total))

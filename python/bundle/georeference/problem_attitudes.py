@@ -59,7 +59,7 @@ class AttitudesOfKind:
     rows: NDArray[np.int64]  # (n,) index of each prior's image
 
     def turns(self, problem: Problem, turn: Array | None = None) -> Array:
-        """Return (n, 3) the further rotation of the world that fits each prior, in radians.
+        """Return (n, 3) the additional world rotation that fits each prior, in radians.
 
         ``turn``: (3, 3) rotation of its world; None: no rotation.
         """
@@ -103,7 +103,7 @@ class AttitudesOfKind:
         return agree(turns, own, self.sigmas, self.kind.num_residuals)
 
     def tied(self, problem: Problem) -> NDArray[np.bool_]:
-        """Return (n,) True for images that observations tie to the model, also on their rig."""
+        """Return (n,) True for images with observations, of their own or of their frame."""
         seen = np.bincount(problem.observation_image, minlength=problem.num_images) > 0
         if problem.num_frames:
             frames = np.zeros(problem.num_frames + 1, bool)  # the last entry: no frame
@@ -204,7 +204,7 @@ class ProblemAttitudes(FoundPriors):
         return any(group.kind is not HeadingPrior for group in self.groups)
 
     def check(self, problem: Problem, groups: Sequence[FoundPriors] = ()) -> None:  # noqa: ARG002
-        """Refuse priors without a meaning at the start of a solve."""
+        """Refuse priors that are invalid at the start of a solve."""
         for group in self.groups:
             group.check(problem)
 

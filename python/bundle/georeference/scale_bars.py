@@ -243,7 +243,7 @@ class FoundBars(FoundPriors):
         return lengths
 
     def gradient(self, problem: Problem, row: int) -> tuple[Array, Array]:
-        """Return the derivatives of a length by (w, t) of all images, R to Exp(w) R, and points."""
+        """Return the derivatives of a length w.r.t. (w, t) of images (R to Exp(w) R) and points."""
         from bundle.model.rigid_motions import center_jacobians
 
         images, points = np.zeros((problem.num_images, 6)), np.zeros_like(problem.points)

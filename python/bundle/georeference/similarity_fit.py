@@ -215,7 +215,7 @@ def _known_of_target(fit: SimilarityFit, points: Correspondences) -> Array:
 
 
 def _bending(fit: SimilarityFit, points: Correspondences) -> Array:
-    """Return the contribution of residuals to the (3, 3) second derivatives by the rotation.
+    """Return the contribution of residuals to the (3, 3) second derivatives w.r.t. the rotation.
 
     A rotation w moves y to y + w x y + w x (w x y) / 2, so that the weighted residuals add
 

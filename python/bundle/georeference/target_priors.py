@@ -130,7 +130,7 @@ class TargetPriors(FoundPriors):
         )
 
     def taken_from(self, problem: Problem) -> Problem:
-        """Return a solved or filtered problem of :meth:`added_to` without the control points."""
+        """Remove the control points from a problem of :meth:`added_to` after a solve or filter."""
         if not self.used:
             return problem
         points = problem.num_points - len(self.used)

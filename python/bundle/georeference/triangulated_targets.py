@@ -79,7 +79,7 @@ def _triangulated(
     for row, image in enumerate(images):
         direction, is_seen = pixel_rays(*_camera(problem, image), xy[row, None])
         if not is_seen[0]:
-            return lost(f"its pixel in {measurements[row].image} is outside the camera model")
+            return lost(f"its pixel in {measurements[row].image} has no ray in the camera model")
         rays[row] = direction[0] @ rotations[row]
     start = _intersection(rays, -np.einsum("nji,nj->ni", rotations, translations))
     if start is None:

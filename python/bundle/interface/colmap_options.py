@@ -3,7 +3,7 @@
 COLMAP's options have the same names in pycolmap's objects and in a project.ini. An option belongs
 to one of three groups:
 
-- Options that a solve has, too. They are translated.
+- Options with a counterpart in a solve. They are translated.
 - Options without influence on the minimum: they choose hardware, libraries, messages, or the linear
   solver by the number of images. They are ignored.
 - All other options. They are accepted at COLMAP's default only, because they change the path of the

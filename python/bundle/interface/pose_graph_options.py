@@ -31,7 +31,7 @@ class PoseGraphOptions(Options):
         "log",
         "--error",
         "error of an edge. log: the full logarithm of Z^-1 X_i^-1 X_j, as in GTSAM; g2o: its "
-        "translation and its angle, or in space the vector part of its quaternion; ceres: the "
+        "translation and its angle, or in 3D the vector part of its quaternion; ceres: the "
         "error of Ceres' pose graph examples",
         choices=POSE_ERRORS,
     )

@@ -210,7 +210,7 @@ def read_project_ini(path: str | os.PathLike[str]) -> ColmapAdjustment:
     if not values:
         raise InputError(
             f"{shown(path)}: expected options of COLMAP's bundle_adjuster in a section "
-            "[BundleAdjustment], found 0"
+            "[BundleAdjustment], found 0 options"
         )
     if (backend := values.pop("backend", "CERES").upper()) not in ("CERES", "0"):
         raise InputError(f"{places['backend']}: expected CERES, found {brief(backend)}")

@@ -31,9 +31,9 @@ class ProjectionResult(NamedTuple):
     # of the camera. SIMPLE_DIVISION, DIVISION and EQUIRECTANGULAR see all points whose projection
     # exists
     valid: NDArray[np.bool_]
-    # (N, 2, 3) derivative by the point in the camera frame, pixels per length unit
+    # (N, 2, 3) derivative with respect to the point in the camera frame, pixels per length unit
     d_point: NDArray[np.float64]
-    # (N, 2, num_params) derivative by the parameters in COLMAP's order
+    # (N, 2, num_params) derivative with respect to the parameters in COLMAP's order
     d_params: NDArray[np.float64]
 
 

@@ -38,7 +38,7 @@ def evaluate_loss(loss: str, scale: float, squared_norms: ArrayLike) -> NDArray[
         squared_norms: (N,) values s, not negative.
 
     Returns:
-        (N, 3) array; rho' and rho'' are derivatives by s.
+        (N, 3) array; rho' and rho'' are derivatives with respect to s.
     """
     name = choice("loss", loss, LOSSES)
     scale = number("scale", scale, above=0)

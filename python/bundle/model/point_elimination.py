@@ -33,9 +33,9 @@ def eliminate_points(
     """Return the normal equations without the points.
 
     Args:
-        columns: (n, 2, m) derivatives of each observation by m unknowns.
+        columns: (n, 2, m) derivatives of each observation with respect to m unknowns.
         places: (n, m) number of each of these unknowns; -1: the column is left out.
-        d_point: (n, 2, 3) derivatives by the point.
+        d_point: (n, 2, 3) derivatives with respect to the point.
         r: (n, 2) residuals.
         point: (n,) number of the point of each observation, from 0 without gaps, ascending.
 

@@ -45,14 +45,14 @@ class Linearization(NamedTuple):
     """Residuals and their derivatives, one row per observation."""
 
     residual: NDArray[np.float64]  # (N, 2) projection minus measurement, in pixels
-    # (N, 2, 6) derivative by the pose (w, t) of the observation's image. The rotation is Exp(w) R,
-    # where R is the rotation in the problem; w in radians, t in the length unit
+    # (N, 2, 6) derivative w.r.t. the pose (w, t) of the observation's image. The rotation is Exp(w)
+    # R, where R is the rotation in the problem; w in radians, t in the length unit
     d_pose: NDArray[np.float64]
-    # (N, 2, width) derivative by the parameters of the camera, in COLMAP's order; zero in columns
-    # beyond the parameters of its model
+    # (N, 2, width) derivative w.r.t. the parameters of the camera, in COLMAP's order; zero in
+    # columns beyond the parameters of its model
     d_params: NDArray[np.float64]
-    d_point: NDArray[np.float64]  # (N, 2, 3) derivative by the point
-    # (N, 2, 6) derivative by the twist of the observation's image; zero for global shutters
+    d_point: NDArray[np.float64]  # (N, 2, 3) derivative with respect to the point
+    # (N, 2, 6) derivative w.r.t. the twist of the observation's image; zero for global shutters
     d_twist: NDArray[np.float64]
 
 

@@ -190,7 +190,7 @@ def cross_matrices(vectors: Array) -> Array:
 
 
 def center_jacobians(poses: Array) -> Array:
-    """Return the derivatives (N, 3, 6) of the centres -R^T t of poses (N, 7) by (w, t).
+    """Return the derivatives (N, 3, 6) of the centres -R^T t of poses (N, 7) w.r.t. (w, t).
 
     For the pose (Exp(w) R, t + dt), the centre moves by -R^T (dt - w x t) = -R^T (dt + [t]_x w).
     """

@@ -110,7 +110,7 @@ def twists_between(a: Array, b: Array) -> Array:
 
 
 def _coefficients(square: Array) -> tuple[Array, Array, Array]:
-    """Return sin h / h, (1 - cos h) / h^2 and (h - sin h) / h^3 for h^2."""
+    """Return sin h / h, (1 - cos h) / h^2 and (h - sin h) / h^3 from h^2."""
     h = np.sqrt(square)
     a, b = np.sinc(h / np.pi), 0.5 * np.sinc(h / (2 * np.pi)) ** 2
     small = square < 1e-2  # the next term of the series is below 1e-16

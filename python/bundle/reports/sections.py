@@ -56,8 +56,8 @@ class Table:
     """Table of a report; the columns read its rows.
 
     The first ``left`` columns are text, aligned to the left; the first ``keys`` identify a row. At
-    most ``most`` rows are shown; ``others`` says how many are not. ``legend`` is below the table,
-    and ``best`` the index of a row that pages highlight.
+    most ``most`` rows are shown; ``others`` makes a sentence about hidden rows. ``legend`` is below
+    the table, and ``best`` the index of a row that pages highlight.
     """
 
     columns: Sequence[Column]

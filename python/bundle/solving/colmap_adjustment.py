@@ -45,7 +45,7 @@ def bundle_adjustment(
 ) -> BundleAdjustmentSummary:
     """Refine a pycolmap.Reconstruction in place, as ``pycolmap.bundle_adjustment`` does.
 
-    A script changes one name::
+    In a script only one name changes::
 
         import bundle, pycolmap
         options = pycolmap.BundleAdjustmentOptions()
@@ -60,7 +60,7 @@ def bundle_adjustment(
 
     Four differences remain. The gauge of two cameras fixes only the degrees of freedom that are
     free: with a metric rig, constant points or constant images, the cost is lower than pycolmap's,
-    which fixes 7 in any case. The gauge of three points takes other points than pycolmap, and
+    which fixes 7 in any case. The gauge of three points fixes other points than pycolmap's, and
     therefore reaches another cost. If COLMAP's tolerance is 0, a solve ends at a relative change of
     the cost of 1e-13, which is rounding. A solution that is invalid is discarded; the
     reconstruction then keeps its values, and ``termination_type`` is FAILURE.
@@ -199,7 +199,7 @@ class AdjustedPart:
         return Applied(rules=(), held_poses=parts)
 
     def counts(self) -> dict[str, int]:
-        """Return the numbers of blocks, residuals and parameters that COLMAP hands to Ceres.
+        """Return the numbers of blocks, residuals and parameters that COLMAP passes to Ceres.
 
         They include constant points and cameras. A pose on a rig consists of the blocks
         sensor_from_rig and rig_from_world. A constant sensor_from_rig is not a block; a constant
@@ -271,7 +271,7 @@ def _without_frames_of(problem: Problem, images: _Mask) -> Problem:
 
 
 def _are_in(ids: NDArray[np.int64], some: frozenset[int]) -> _Mask:
-    """Return a mask of the ids in a set; NumPy's isin takes 20 us for a few of them."""
+    """Return a mask of the ids in a set; for a few ids faster than NumPy's isin (20 us)."""
     return np.fromiter(map(some.__contains__, ids.tolist()), bool, len(ids))
 
 
@@ -379,7 +379,7 @@ class TwoCameras:
         return bool(arms.any())
 
     def _second_of(self, first: int, others: NDArray[np.intp]) -> tuple[int, int] | None:
-        """Return the second image and the coordinate that COLMAP keeps; None: no image is apart."""
+        """Return COLMAP's second image and fixed coordinate; None: all centres coincide."""
         if not len(others):
             return None
         poses = _frame_poses(self._part.problem)

@@ -67,7 +67,7 @@ _Matrix = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class GaugeFreedom(Displayed):
-    """Gauge freedom that the observations and factors of a problem leave.
+    """Gauge freedom of the observations and factors of a problem.
 
     Attributes:
         degrees: number of degrees of freedom that nothing determines.
@@ -145,9 +145,9 @@ def gauge_freedom(
 def can_shrink(
     problem: Problem, options: SolveOptions, factors: Iterable[Factor], applied: Applied
 ) -> bool:
-    """Return True if nothing holds the scale of a world with points on planes and lines.
+    """Return True if points lie on planes and lines, and nothing determines the scale.
 
-    A smaller world lies nearer to these, so that the other factors alone have to hold its scale.
+    The distances of a smaller world are smaller, so that other factors have to determine its scale.
 
     ``factors``: all factors of the solve, with those of the resolved rules.
     """
@@ -285,7 +285,7 @@ class _Count:
             self._add(rows / largest)
 
     def add_feet(self, feet: Iterable[KnownPrior]) -> None:
-        """Add the equations of points at their feet on planes and lines, which must stay there."""
+        """Add equations that keep points on their planes and lines; `feet` are the projections."""
         index = {key: row for row, key in enumerate(self._problem.point_ids.tolist())}
         for foot in feet:
             normals = np.array(foot.normals)

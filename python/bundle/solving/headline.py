@@ -2,7 +2,7 @@
 
 The first sentence compares the RMSE and the median before and after on the same observations: those
 of the output that have a projection on both sides. "Before" is the input before all edits. Further
-sentences name all that would mislead: deleted observations, outliers that a robust loss
+sentences name what would otherwise mislead: deleted observations, outliers that a robust loss
 downweights, observations without a projection, parts that stayed constant.
 
 "Already at its minimum" needs a converged solve whose steps, taken together, lowered the cost by at
@@ -112,7 +112,7 @@ def _is_far(result: Result) -> bool:
 
 
 def _distance(result: Result) -> list[str]:
-    """Return the distance that is left to the minimum, if it is not small."""
+    """Return the remaining distance to the minimum, if it is not small."""
     if not _is_far(result):
         return []
     left = rounded(result.summary.largest_camera_step_in_sigmas or 0.0)
@@ -170,7 +170,7 @@ def _deletions(result: Result) -> list[str]:
 
 
 def _held_out(result: Result) -> list[str]:
-    """Return the error of a second fit at the observations that it did not see."""
+    """Return the error of a second fit at the held-out observations."""
     held = result.held_out
     if held is None:
         return []
@@ -208,7 +208,7 @@ def _outliers(result: Result) -> list[str]:
 
 
 def _starts(result: Result) -> list[str]:
-    """Return the error after the edits, where the solve began."""
+    """Return the error after the edits, at the start of the solve."""
     edited = [after for name, _, after in result.edit_errors if name != "alignment"]
     if not edited or _px(edited[-1].rmse) == _px(result.reprojection_error_before.rmse):
         return []

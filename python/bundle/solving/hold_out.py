@@ -1,10 +1,10 @@
 """Held-out observations: their choice, and their errors in a second fit without them.
 
 A point may lose an observation only if two other images still see it. Fold 0 of three folds
-(:mod:`bundle.model.folds`) has this property, whatever part of it is held out. In each image, the
+(:mod:`bundle.model.folds`) has this property, and so has any subset of it. In each image, the
 requested share is drawn from this fold. So each observation of a point in three or more images has
-the same chance, and each image contributes in proportion to its observations. Beyond 30 % the draw
-is from fold 0 of two folds, which needs four images of a point.
+the same chance, and each image contributes in proportion to its observations. Shares above 30 % are
+drawn from fold 0 of two folds, which needs four images of a point.
 """
 
 from __future__ import annotations
@@ -54,8 +54,8 @@ def hold_out(
         problem: the problem, which is not changed; also the path of one, or a
             pycolmap.Reconstruction.
         percent: share of the observations to hold out, above 0 and at most 50. Fewer are held out
-            if many points are seen by two images only.
-        seed: whole number; another seed gives another choice.
+        if only two images see most of the points. seed: whole number; another seed gives another
+        choice.
 
     Returns:
         The problem without the held-out observations, with all its images and points; and the
@@ -193,8 +193,8 @@ def triangulated(
     """Return the problem with removed points at the minimum of their fitted observations.
 
     Args:
-        removed: mask of the points that the fit lacks.
-        held: mask of the observations that it did not see.
+        removed: mask of the points that the fit removed.
+        held: mask of the held-out observations.
     """
     rows = removed[problem.observation_point] & ~held
     if not rows.any():

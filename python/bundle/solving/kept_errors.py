@@ -1,13 +1,13 @@
 """Reprojection errors before and after a solve, on the same observations.
 
 A filter that removes large errors lowers the RMSE without any adjustment, and an observation that
-loses its projection leaves the statistics. Both statistics therefore include exactly the
-observations that are in the output and have a projection before and after the solve.
+loses its projection no longer counts. Both statistics therefore include exactly the observations
+that are in the output and have a projection before and after the solve.
 
-A robust loss downweights outliers, so that the RMSE of all observations may rise although the solve
-did its work. An outlier is an observation whose error exceeds ``OUTLIER`` times the scale of the
-loss. The errors that remain are compared on the observations below this limit both before and
-after: a choice by only one of the two errors would favour that error.
+A robust loss downweights outliers, so that the RMSE of all observations may rise although the model
+has become better. An outlier is an observation whose error exceeds ``OUTLIER`` times the scale of
+the loss. The errors that remain are compared on the observations below this limit both before and
+after: a choice by only one of them would bias the comparison.
 """
 
 from __future__ import annotations
@@ -155,7 +155,7 @@ def _on_both(
 ) -> tuple[PixelErrors, PixelErrors, bool]:
     """Return the errors of the kept observations that count before and after.
 
-    The flag is True if no other observation counts; otherwise the errors are copies.
+    The flag is True if these are all observations that count; otherwise the errors are copies.
     """
     start = before if kept is None else before.chosen(kept)
     counts, still_counts = start.counted, after.counted
@@ -233,7 +233,7 @@ def measure(
 
 
 class Totals:
-    """Totals over the errors of one process, which holds all; a subclass has several."""
+    """Totals over the errors, here of a single process; a subclass adds up several processes."""
 
     def add_up(self, sums: NDArray[Any]) -> NDArray[Any] | None:
         """Return the sums over all processes; None except in the first process."""

@@ -83,7 +83,7 @@ def _with_twists(
     factors: Iterable[Factor],
     known: ProblemFactors | None,
 ) -> tuple[ProblemFactors | None, SolveOptions]:
-    """Add the ties of twists, and hold the scale of the world, which ties alone would shrink."""
+    """Add the ties of twists, and fix the scale of the world, which ties alone would shrink."""
     from bundle.graphs.factors.image_factors import twist_ties  # only with rolling shutters
 
     shutter = problem.rolling_shutter
@@ -111,7 +111,7 @@ def _with_twists(
 
 
 def refuse_shrinking(layout: Layout) -> None:
-    """Refuse a solve with tied twists in which nothing holds the scale of the world."""
+    """Refuse a solve with tied twists in which nothing determines the scale of the world."""
     options, known, _ = layout
     if options.twists != "tied" or options.gauge != "none" or options.fixed_image_ids:
         return

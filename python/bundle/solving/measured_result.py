@@ -138,7 +138,7 @@ class MeasuredResult(RoundRecords, SolveRecord):  # the first table: iterations
 
     @cached_property
     def rmse_global_shutters(self) -> float:
-        """RMSE in pixels of the edited input if all shutters were global."""
+        """RMSE in pixels of the edited input, computed as if all shutters were global."""
         return self._measure(self.initial_problem.replace(rolling_shutter=None)).rmse
 
     @cached_property
@@ -162,7 +162,7 @@ class MeasuredResult(RoundRecords, SolveRecord):  # the first table: iterations
         return self._work(self.num_steps)
 
     def without_last_points(self, count: int) -> Self:
-        """Return the result without points that were added to the input and have no track."""
+        """Return the result without the last `count` points, which were added to the input."""
         problem, left = self.problem, self.problem.num_points - count
         points, ids = problem.points[:left], problem.point_ids[:left]
         return replace(

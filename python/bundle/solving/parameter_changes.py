@@ -186,7 +186,7 @@ def shutter_gain(result: MeasuredResult) -> ShutterGain | None:
 
 
 def known_readouts(before: Problem, output: Mapping[str, Any]) -> tuple[Mapping[str, Any], str]:
-    """Return the core's output without readouts that no camera can have, and a warning or "".
+    """Return the core's output without impossible readouts, and a warning or "".
 
     Such a readout becomes unknown (NaN).
     """

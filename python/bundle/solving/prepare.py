@@ -260,7 +260,7 @@ def _within(part: LocalPart, whole: Prepared) -> Prepared:
 
 
 def _without_tracks(problem: Problem, options: SolveOptions) -> str:
-    """Return a warning about a problem whose points relate no images; "" otherwise."""
+    """Return a warning if no point connects two images; "" otherwise."""
     if not are_images_unrelated(problem, options):
         return ""
     return (

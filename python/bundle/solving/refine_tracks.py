@@ -9,8 +9,8 @@ a wrong track among few observations can bend a model. Every other round
 2. adjusts all, as :func:`bundle.solve` does, with the same priors, factors and rules;
 3. filters observations and points, as :func:`bundle.filter_observations` does.
 
-The rounds end when one changes less than ``SMALLEST_CHANGE`` of its observations. The problem is
-moved to its priors, and rules are resolved, before the first round only.
+The run ends with the first round that changes less than ``SMALLEST_CHANGE`` of its observations.
+The problem is moved to its priors, and rules are resolved, before the first round only.
 
 Held-out observations are drawn from the input, and all of this is repeated without them: neither
 the adjustment nor the triangulator sees their keypoints, nor other keypoints at the same place, nor
@@ -98,14 +98,14 @@ def refine_tracks(
     progress: Progress | None = None,
     **changes: Unpack[SolveKeywords],
 ) -> Result:
-    """Adjust a problem, and complete, merge and triangulate its tracks between the adjustments.
+    """Adjust a problem several times, and complete, merge and triangulate its tracks in between.
 
     COLMAP's triangulator (pycolmap) extends the tracks with the verified matches of a database;
     the adjustments are those of :func:`bundle.solve`. Each round but the first extends the tracks,
     adjusts, and filters as :func:`bundle.filter_observations` does. The first round adjusts the
-    problem as it is, by the loss "soft_l1" in place of "trivial". The rounds end before
-    ``num_rounds`` if one changes less than 0.05 % of its observations. After the last filter the
-    problem is adjusted once more.
+    problem as it is, with the loss "soft_l1" instead of "trivial". The run ends early if a round
+    changes less than 0.05 % of its observations. After the last filter the problem is adjusted once
+    more.
 
     Images, cameras, rigs and their ids stay. Points keep their id unless they are merged.
 
@@ -184,7 +184,7 @@ def run(
     """Refine a problem and its tracks; see :func:`refine_tracks`.
 
     Args:
-        is_share_given: True if a held-out share that cannot be drawn is an error.
+        is_share_given: True to raise an error if the held-out share cannot be drawn.
     """
     given = request.problem
     _check(request, plan)
@@ -410,7 +410,7 @@ def _with_held_out(
 
 
 def _without(matches: DatabaseMatches, problem: Problem, held: _Mask) -> DatabaseMatches:
-    """Return the matches without held-out keypoints and others at the same pixel."""
+    """Return the matches without held-out keypoints and their duplicates at the same pixels."""
     codes = _codes(problem)[held]
     gone = []
     for row, xy in enumerate(matches.keypoints):
@@ -426,7 +426,7 @@ def _without(matches: DatabaseMatches, problem: Problem, held: _Mask) -> Databas
 def _predicted(problem: Problem, held: _Mask, model: Problem, options: SolveOptions) -> Problem:
     """Return the problem with the cameras of a model of other tracks, and its points.
 
-    A track gets the point of the model to which most of its fitted observations belong.
+    The point of a track is that point of the model to which most of its fitted observations belong.
     """
     rows = rows_among(_codes(problem)[~held], _codes(model))
     both = np.stack([problem.observation_point[~held], model.observation_point[rows]], axis=1)

@@ -138,7 +138,7 @@ class PlacedProblem(NamedTuple):
         return () if self.targets is None else self.targets.point_ids
 
     def taken_from(self, problem: Problem) -> Problem:
-        """Return a refined or filtered problem without what the priors added."""
+        """Return a refined or filtered problem without the images and points that priors added."""
         for group in self.groups:
             problem = group.taken_from(problem)
         return problem

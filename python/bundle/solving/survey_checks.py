@@ -6,8 +6,8 @@ again, and
 tested again: otherwise a gross error hides smaller ones and makes its neighbours look bad.
 
 Offset of positions (``georeference/point_check.py``). At the minimum without an offset, let
-g = sum w L^-T r over all positions be the gradient of the cost by o, and C the covariance of o in
-the model that has it. The offset and its test are
+g = sum w L^-T r over all positions be the gradient of the cost w.r.t. o, and C the covariance of o
+in the model that has it. The offset and its test are
 
     o = -C g,    T = g^T C g, chi squared with 3 degrees of freedom;
 
@@ -338,7 +338,7 @@ class _Adjusted:
 
 
 def _pull(problem: Problem, positions: list[PositionFactor]) -> tuple[Array, float, float]:
-    """Return the gradient by the offset, and the mean square of the positions with its freedom."""
+    """Return the gradient w.r.t. the offset, the mean square and its degrees of freedom."""
     row = {int(one): k for k, one in enumerate(problem.image_ids.tolist())}
     rows = [row[one.key[1]] for one in positions]  # type: ignore[index]
     arms = np.array([one.lever_arm for one in positions])

@@ -432,7 +432,7 @@ def save_flight(flight: SyntheticFlight, path: str | os.PathLike[str]) -> None:
 
 
 def _stamps(duration: float, rate: float) -> NDArray[np.int64]:
-    """Return stamps in ns from 0; their number is one more than the periods in the duration."""
+    """Return the stamps in ns from 0 to the duration, both ends included."""
     count = int(np.floor(duration * rate + 1e-9)) + 1
     stamps: NDArray[np.int64] = np.rint(np.arange(count) * (1e9 / rate)).astype(np.int64)
     return stamps

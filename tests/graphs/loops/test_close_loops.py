@@ -159,7 +159,7 @@ def test_misuse(street, tmp_path):
         measurements=np.zeros((1, 3)),
         information=[np.eye(3)],
     )
-    with pytest.raises(bundle.InputError, match="in space"):
+    with pytest.raises(bundle.InputError, match="in 3D"):
         bundle.close_loops(model, flat)
     none = closures.replace(
         edges=np.zeros((0, 2), np.int32), measurements=np.zeros((0, 7)),

@@ -8,11 +8,11 @@
 /// b) is thus added to up to four blocks of S. If both have the same block of the layout, it and
 /// its transpose are added to the diagonal block.
 ///
-/// Several threads add chunks at the same time, but no bit may depend on their speed. So each block
-/// of S belongs to one queue, and chunks are added to a queue in their order. The blocks of an own
-/// part belong to its queue. The block of two own parts belongs to the queue of the first. All
-/// blocks between shared cameras or sensors belong to one queue. Only this queue is serial, and it
-/// is short.
+/// Several threads add chunks at the same time, but the sums must have the same bits in every run.
+/// So each block of S belongs to one queue, and chunks are added to a queue in their order. The
+/// blocks of an own part belong to its queue. The block of two own parts belongs to the queue of
+/// the first. All blocks between shared cameras or sensors belong to one queue. Only this queue is
+/// serial, and it is short.
 
 #include <cstddef>
 #include <cstdint>

@@ -22,8 +22,8 @@ class SumGrid;  // sum_grid.h
 int64_t PlaceBlocks(const EliminationInput& input, const Chunk& chunk,
                     std::vector<int64_t>* block_begin);
 
-/// Sums over chunks that several threads compute. Chunks are added in their order, so that no bit
-/// of a sum depends on the speed of threads.
+/// Sums over chunks that several threads compute. Chunks are added in their order, so that the bits
+/// of a sum do not depend on the speed of threads.
 ///
 /// Threads wait for each other only at the same queue (Assembler). A thread that finishes early
 /// keeps its chunk and computes the next one.

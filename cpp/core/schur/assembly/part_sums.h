@@ -10,7 +10,7 @@
 ///
 /// So chunks are added to S_parts, whose structure has a block per part and one per pair of parts
 /// in a chunk, and S_parts is mapped at the end. Every block column of S is written by one thread,
-/// from the blocks of S_parts in their order: the number of threads changes no bit.
+/// from the blocks of S_parts in their order: the bits do not depend on the number of threads.
 
 #include <cstdint>
 #include <vector>

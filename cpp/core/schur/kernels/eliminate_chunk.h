@@ -11,7 +11,7 @@
 
 namespace bundle::BUNDLE_ISA {
 
-/// Row of the derivative by the pose of the sensor: that by the pose of the frame times K.
+/// Derivative w.r.t. the pose of the sensor: the one w.r.t. the pose of the frame times K.
 inline void ChainSensor(const StateRecords& x, const Lanes& lanes, const int32_t* image,
                         const Pack* d_pose, Pack* d_sensor) {
   const double* records[kLanes];

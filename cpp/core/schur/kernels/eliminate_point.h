@@ -29,7 +29,7 @@
 ///                  S_aa: 45 x 4 flops, W_a: 9 x 9 flops,
 ///   a pair         81 x 6 flops.
 ///
-/// The own products of an observation are summed image by image of a tile, like the pairs
+/// The diagonal products of observations are summed per image of a tile, like those of the pairs
 /// (tile_products.h). For this, the head of its record is replaced by
 ///
 ///   r_0 r_1, the entries of r - Y h, and the upper triangle of I - Y Y^T or I.
@@ -146,8 +146,8 @@ inline void AddFactors(const EliminationInput& input, const ModelGroup& group,
   }
 }
 
-/// Replaces the head (y, r) of a record by what the own products of the observation need. `h`: 3
-/// numbers of the point's block.
+/// Replaces the head (y, r) of a record by the numbers for the observation's diagonal products.
+/// `h`: 3 numbers of the point's block.
 inline void FinishHead(const double* h, bool is_single, double* head) {
   const double *y_0 = head, *y_1 = head + 4;
   const double r_0 = y_0[3], r_1 = y_1[3];
@@ -158,7 +158,7 @@ inline void FinishHead(const double* h, bool is_single, double* head) {
   StoreQuad(middle, head + 4);
 }
 
-/// The same for all observations of a constant point, whose heads are (a, r).
+/// FinishHead for all observations of a constant point; their heads are (a, r).
 inline void FinishConstantHeads(const TileRecords& records, int64_t begin, int num_refined) {
   for (int64_t i = begin; i < begin + num_refined; ++i) {
     double* const head = records.Of(i);

@@ -71,7 +71,7 @@ struct EliminationInput {
 /// Jacobian 9, parameters from 24 on), and the points in the order of the plan.
 struct StateRecords {
   static constexpr int kTranslation = 9, kLeftJacobian = 12, kParams = 24;
-  /// Offset in a record of the derivative of the translation by the translation of the chart (9
+  /// Offset in a record of the derivative of the translation w.r.t. the translation of the chart (9
   /// numbers); 0: it is the identity. For an image of a rig, this derivative and the left Jacobian
   /// refer to the chart of its frame.
   int translation_jacobian = 0;
@@ -89,11 +89,11 @@ struct StateRecords {
   int stride = 0;  ///< stride of `images`; a multiple of 4
   const double* points = nullptr;
   const StateRecords* before = nullptr;  ///< for a candidate: the state that the step starts from
-  /// Observations that hold a residual at this state, ascending; of a candidate, those of the state
+  /// Observations with a held residual at this state, ascending; of a candidate, those of the state
   /// before.
   const HeldResidual* held = nullptr;
   int64_t num_held = 0;
-  HeldSink sink;  ///< for observations that hold a residual at a candidate, or at the start
+  HeldSink sink;  ///< for observations with a held residual at a candidate, or at the start
 };
 
 /// Contribution of a chunk to the normal equations, by the chunk's parts and blocks.
@@ -149,7 +149,7 @@ struct ProductSum {
 /// The seven similarities of the world, and padding (model/gauge.h).
 inline constexpr int kMoves = 8;
 
-/// Derivatives of images and points by the similarities about a centre: N of
+/// Derivatives of images and points with respect to the similarities about a centre: N of
 /// covariance/gauge_sums.h. Translations are in units of the size of the scene.
 struct WorldMoves {
   /// N by the columns of a record, record_columns x kMoves per image; nullptr: not needed.

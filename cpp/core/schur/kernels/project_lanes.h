@@ -66,9 +66,9 @@ inline LossLanes EvaluateLoss(LossType type, double scale, const Pack& s) {
 /// is computed in registers, by the formulae of its header. Other models branch by point or call
 /// the mathematical library, and are computed lane by lane through their CameraModel.
 
-/// Computes the residuals (2) of lanes [0, num_lanes), and unless nullptr their derivatives by the
-/// point in the camera (2x3) and by the parameters (2 x their number). Later lanes may be skipped,
-/// but hold numbers. Returns the lanes that count; outputs of all others are zero.
+/// Computes the residuals (2) of lanes [0, num_lanes), and unless nullptr their derivatives w.r.t.
+/// the point in the camera (2x3) and the parameters (2 x their number). Later lanes may be
+/// skipped, but hold numbers. Returns the lanes that count; outputs of all others are zero.
 using ProjectLanes = void (*)(const CameraModel& model, const Pack* params, const Pack* point,
                               const Pack* measurement, Cheirality cheirality, Pack* residual,
                               Pack* d_point, Pack* d_params, Mask* counts, int num_lanes);

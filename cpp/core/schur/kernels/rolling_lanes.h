@@ -16,10 +16,10 @@
 
 namespace bundle::BUNDLE_ISA {
 
-/// Outputs are those of ProjectLanes, and the derivatives by the twist (2x6); without `derive` only
-/// residuals. `shutter`: twist and row scale. `row_time`: where the iteration begins (NaN: at the
-/// measured row), and then where it ended (NaN: it did not). No output may be nullptr, as all serve
-/// as memory.
+/// Outputs are those of ProjectLanes, and the derivatives w.r.t. the twist (2x6); without `derive`
+/// only residuals. `shutter`: twist and row scale. `row_time`: where the iteration begins (NaN: at
+/// the measured row), and then where it ended (NaN: it did not). No output may be nullptr, as all
+/// serve as memory.
 inline void ProjectByRow(const ModelGroup& group, const Pack* params, const Pack* shutter,
                          bool at_observed_row, const Pack* camera_point, const Pack* measurement,
                          Cheirality cheirality, bool derive, Pack* row_time, Pack* residual,

@@ -219,7 +219,7 @@ struct LaneResiduals {
     if (lanes.group->rolls) ScaleTwist(weight);
   }
 
-  /// Sets residuals and derivatives to zero in lanes that hold a residual (factors/reprojection.h).
+  /// Sets residuals and derivatives to zero in lanes with a held residual (factors/reprojection.h).
   /// Their cost is not included in a pass. Not inlined, because calls are rare.
   __attribute__((noinline, cold)) void Hold(const EliminationInput& input, const StateRecords& x,
                                             const Lanes& lanes, const Mask& counts, bool derive) {
@@ -246,7 +246,7 @@ struct LaneResiduals {
     }
   }
 
-  /// Row of the derivative by the world point: a^T R.
+  /// Row of the derivative with respect to the world point: a^T R.
   void ChainPoint(const LaneState& state, int row, Pack* d_point) const {
     const Pack* a = d_camera_point + 3 * row;
     for (int j = 0; j < 3; ++j) {
@@ -254,7 +254,7 @@ struct LaneResiduals {
     }
   }
 
-  /// Row of the derivative by the pose's chart: (q x a)^T J_l, a^T (factors/reprojection.h), or
+  /// Row of the derivative w.r.t. the pose's chart: (q x a)^T J_l, a^T (factors/reprojection.h), or
   /// (q x a)^T R_s J_f, a^T R_s (factors/rig_pose.h).
   void ChainPose(const LaneState& state, int row, Pack* d_pose) const {
     const Pack* a = d_camera_point + 3 * row;

@@ -206,7 +206,7 @@ inline void AddOwnProducts(const ImageRecords& records, int first, bool has_midd
   }
 }
 
-/// Adds the own products of the observations of one image.
+/// Adds the diagonal products of the observations of one image.
 inline void AddImage(const EliminationInput& input, const ModelGroup& group,
                      const Chunk::Image& image, const ImageRecords& records, const ChunkSum& sum) {
   for (int kind = 0; kind < input.plan->num_kinds; ++kind) {
@@ -246,7 +246,7 @@ inline void ForImages(const EliminationInput& input, const Tile::Image* begin,
   }
 }
 
-/// Adds the own products of the images of a tile.
+/// Adds the diagonal products of the images of a tile.
 inline void AddImages(const EliminationInput& input, const Chunk& chunk, const Tile::Image* begin,
                       const Tile::Image* end, const uint16_t* observations, int64_t first,
                       const TileRecords& records, const ChunkSum& sum) {

@@ -123,7 +123,7 @@ def chi2_kinds(source: Any, options: Any = None, **changes: Any) -> tuple[Chi2Ki
 def _kinds_of_edges(
     weighted: WeightedGraph, factors: FactorGraph | None = None
 ) -> tuple[Chi2Kind, ...]:
-    """Return the kinds of edges; if ``factors`` state the graph, the classes of factors."""
+    """Return the kinds of edges; if ``factors`` are given, the classes of factors."""
     given, edges = weighted.given, weighted.edges
     if factors is None:
         names = np.where(given.is_closure[edges], "closure", "odometry")

@@ -111,8 +111,8 @@ def diagnose(
     result of a solve is diagnosed with its own options and the final weights of the solve.
 
     A :class:`FactorGraph` of relative poses or of reprojections is diagnosed as the pose graph or
-    the problem that it states. Any other factor graph has keys in place of ids and factors in place
-    of edges.
+    the problem that it represents. Any other factor graph has keys in place of ids and factors in
+    place of edges.
 
     Args:
         problem: a problem, the result of a solve, a path or a pycolmap.Reconstruction; not
@@ -243,7 +243,7 @@ def diagnose(
 
 
 def _diagnose_factor_graph(graph: FactorGraph, changes: dict[str, Any], **given: Any) -> Diagnosis:
-    """Diagnose the pose graph or problem that a factor graph states, otherwise the graph itself."""
+    """Diagnose the pose graph or problem that a factor graph represents, otherwise the graph."""
     threads = SolveOptions.of(None, changes, "diagnose").num_threads
     refuse_for_graphs(
         **given, **{name: value for name, value in changes.items() if name != "num_threads"}

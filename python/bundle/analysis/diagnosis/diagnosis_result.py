@@ -130,7 +130,7 @@ class Diagnosis(FrozenArrays, Displayed, Tabular):
             parallax and other undetermined points.
         expected_nullity: number of null directions due to the gauge: 7 for images alone, 6 if a
             rig determines the scale, 0 if priors or fixed images determine the frame; for a graph,
-            3 in the plane and 6 in space for each component without a fixed pose.
+            3 in 2D and 6 in 3D for each component without a fixed pose.
         nullity_is_exact: False if there are more null directions than were searched, or more loose
             clusters of poses than can be analysed together.
         components: components that nothing connects, the largest first.

@@ -429,7 +429,7 @@ def rotation_modes(problem: Problem, tracks: TrackTable, counts: EquationCounts)
                 kind="pure_rotation",
                 sentence=f"Pure rotation: {named('image', ids)} stand at one place (within "
                 f"{look.baseline:.1g} of the distance of their points): no point has a depth and "
-                "the scale is arbitrary. Add images from elsewhere, or hold the points.",
+                "the scale is arbitrary. Add images from elsewhere, or fix the points.",
                 image_ids=ids,
                 dimension=0,
             )

@@ -117,7 +117,7 @@ def _cause(
     if not is_flat:
         return (
             "undetermined_twists",
-            f"the observations leave a direction of each of {count} free.",
+            f"the observations do not determine one direction in each of {count}.",
         )
     if null.all() or _only_translates(problem, images):
         return (

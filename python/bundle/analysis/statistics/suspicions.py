@@ -12,8 +12,8 @@ t)^2.
 Depths of observed points in their cameras, and points collapsed onto a camera.
 
 A rotation that its observations leave open. Let all other images and the lenses be known; then the
-standard deviation of a pose is a lower bound. With the derivatives J of an observation by the pose,
-K by its point, and V the sum of K^T K over all observations of the point, the pose has
+standard deviation of a pose is a lower bound. With the derivatives J of an observation w.r.t. the
+pose, K w.r.t. its point, and V the sum of K^T K over all observations of the point, the pose has
 
     S = sum J^T J - J^T K V^-1 K^T J,
 

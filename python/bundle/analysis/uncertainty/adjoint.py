@@ -100,7 +100,7 @@ class GaugeWarning(UserWarning):
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class Derivatives(FrozenArrays, Displayed):
-    """Derivatives of a function of the minimum by the data of its problem.
+    """Derivatives of a function of the minimum with respect to the data of its problem.
 
     Observations that do not count have derivatives of 0. All are NaN without convergence.
 
@@ -260,7 +260,7 @@ def _is_apart(factor: Factor) -> bool:
 
 
 def _couples_parameters(factor: Factor) -> bool:
-    """True for a factor whose derivative by a camera's parameter may depend on another."""
+    """True for a factor whose derivative w.r.t. a camera's parameter may depend on another."""
     if factor.kind == "scalar_prior" or "camera" not in _kinds(factor):
         return False
     mean = _mean_of(factor)
@@ -279,7 +279,7 @@ def adjoint(
     constraints: Constraints | Iterable[str | Rule] = (),
     **changes: Any,
 ) -> Adjoint:
-    """Prepare the derivatives of a minimum by pixels, sigmas, priors and constant intrinsics.
+    """Prepare the derivatives of a minimum w.r.t. pixels, sigmas, priors and constant intrinsics.
 
     The problem is polished by Newton steps, and its Hessian factorised. Each :meth:`Adjoint.vjp`
     takes about three steps of a solve; with free rigs, ties, bars or robust priors, up to ten.
@@ -334,7 +334,7 @@ class Adjoint(Displayed):
     Attributes:
         problem: the problem at its minimum, polished by Newton steps.
         factors: factors of the cost in addition to the observations: those given, then those of
-            priors and rules. Derivatives by prior means and sigmas are in this order.
+            priors and rules. Derivatives w.r.t. prior means and sigmas are in this order.
         exact: True for the exact Hessian.
         next_step: length of the next step, in sigmas of the unknowns.
         is_converged: True if that step is negligible; otherwise, all derivatives are NaN.
@@ -388,13 +388,13 @@ class Adjoint(Displayed):
         poses: ArrayLike | None = None,
         cameras: ArrayLike | None = None,
     ) -> Derivatives:
-        """Return the derivatives of a function of the minimum, from its derivatives by the minimum.
+        """Return the derivatives of a function w.r.t. the data, from those w.r.t. the minimum.
 
         Args:
-            points: (num_points, 3) derivatives by the coordinates; None: zeros.
-            poses: (num_images, 6) derivatives by (w, t): R moves to Exp(w) R, then t is added to
-                the translation.
-            cameras: (num_cameras, k) derivatives by the parameters, as ``camera_params``.
+            points: (num_points, 3) derivatives w.r.t. the coordinates; None: zeros.
+            poses: (num_images, 6) derivatives w.r.t. (w, t): R moves to Exp(w) R, then t is added
+                to the translation.
+            cameras: (num_cameras, k) derivatives w.r.t. the parameters, as ``camera_params``.
 
         Raises:
             InputError: an array has another shape, or numbers that are not finite.
@@ -505,7 +505,7 @@ class _Mean(NamedTuple):
 
     shape: tuple[int, ...]
     root: _Floats  # L
-    by_mean: float  # derivative of the mean of r by the given one
+    by_mean: float  # derivative of the mean of r w.r.t. the given one
     by_sigma: bool  # True if sigmas were given, not an information with correlations
 
 
@@ -538,7 +538,7 @@ def _mean_of(factor: Factor) -> _Mean | None:
 def _of_prior(
     factor: Factor, along: _Floats, r: _Floats, weight: float, bend: float
 ) -> tuple[_Floats | None, _Floats | None]:
-    """Return the derivatives by the mean and by the sigmas of a factor, None where unknown.
+    """Return the derivatives w.r.t. the mean and the sigmas of a factor, None where unknown.
 
     ``r`` and ``along`` are weighted by sqrt(rho').
     """

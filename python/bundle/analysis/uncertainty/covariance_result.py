@@ -56,7 +56,7 @@ class Covariance(SavedBlocks):
 
     A pose has (w, t): w [rad] is the left perturbation of cam_from_world, R to Exp(w) R, and t its
     translation in the unit of the model. A pose X (world_from_body) of a graph has d in X Exp(d), a
-    right perturbation: in the plane x y angle, in space rotation [rad] and then translation, both
+    right perturbation: in 2D x y angle, in 3D rotation [rad] and then translation, both
     in the frame of the body. Constant poses and points have covariance 0, constant camera
     parameters NaN. Unobserved parameters have NaN. Blocks that were not requested, or that a graph
     does not have, are missing.

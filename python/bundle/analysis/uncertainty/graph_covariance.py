@@ -254,7 +254,7 @@ def factor_graph_covariance(
 ) -> FactorGraphCovariance:
     """Compute the covariances of the variables of a graph; see :func:`bundle.covariance`.
 
-    A graph of relative poses has those of the pose graph that it states, whose gauge is known
+    A graph of relative poses has those of the pose graph that it represents, whose gauge is known
     without a search for null directions.
     """
     gauge, scale = choice("gauge", gauge, GRAPH_GAUGES), choice("scale", scale, SCALES)

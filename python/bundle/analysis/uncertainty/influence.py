@@ -1,4 +1,4 @@
-"""Influence of the measurements on a quantity: derivatives by pixels, and values without some.
+"""Influence of the measurements on a quantity: derivatives w.r.t. pixels, and values without some.
 
 With the gradient g of a quantity q, one adjoint solve a = C g gives all derivatives dq/dz = (J a)_i
 sqrt(rho') / sigma by the measured pixels. The squares of (J~ a)_i sum up to the variance of q, so
@@ -75,7 +75,7 @@ class Influence(FrozenArrays, Displayed, Tabular):
         value: its value.
         sigma: its standard deviation, for residuals of the assumed sigmas.
         sigma0: root of the weighted squares over the degrees of freedom; NaN without any.
-        by_observation: (n, 2) derivative by the measured pixel [unit per px].
+        by_observation: (n, 2) derivative with respect to the measured pixel [unit per px].
         share: (n,) share of the observation in the variance.
         share_of_factors: share of priors and other factors in the variance.
         without_observation: (n,) value without an observation.
@@ -220,7 +220,7 @@ def differentiate(request: SolveRequest, on: str) -> tuple[Prepared, Quantity, d
     for row in np.flatnonzero(quantity.points.any(axis=1)):
         if row in out["null_points"]:
             raise InputError(
-                f"on: expected points with parallax, found point {start.point_ids[row]} without"
+                f"on: expected points with parallax, point {start.point_ids[row]} has 0"
             )
     if not out["variance"] > 0:
         raise InputError(f"on: expected a quantity that varies, found {quantity.text}, a constant")

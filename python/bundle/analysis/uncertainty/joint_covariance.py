@@ -10,8 +10,8 @@ parameters of images, so that the core gives the joint covariance of the unknown
 
     C = F C_c F^T + diag(0, V^-1).
 
-Measurements. Let A be whitened rows by x of a measurement in addition, whose own unknowns are
-eliminated: with B their columns, rows U^T A, U an orthonormal basis of the null space of B^T.
+Measurements. Let A be the whitened rows w.r.t. x of an additional measurement, whose own unknowns
+are eliminated: with B their columns, rows U^T A, U an orthonormal basis of the null space of B^T.
 With K = A C A^T, the covariance of the larger problem is C - C A^T (I + K)^-1 A C.
 
 Gauge. If similarities N of the world are free, C is any g-inverse, and N has an infinite variance:
@@ -67,7 +67,7 @@ class Rows:
 
 @dataclass(frozen=True, eq=False)
 class Joint:
-    """Covariance of the unknowns of interest, and the gradient of a quantity by them."""
+    """Covariance of the unknowns of interest, and the gradient of a quantity w.r.t. them."""
 
     matrix: _Floats  # (n, n)
     free: _Floats  # (n, d) orthonormal basis of their motions by the free similarities
@@ -243,7 +243,7 @@ def _free_motions(
 
 
 def _by_similarity(poses: _Floats, center: _Floats) -> _Floats:
-    """Return the derivatives (n, 6, 7) of (R^T w, R^T dt) by (a, b, s)."""
+    """Return the derivatives (n, 6, 7) of (R^T w, R^T dt) with respect to (a, b, s)."""
     turns = rotation_matrices(poses[:, :4])
     by = np.zeros((len(poses), 6, 7))
     by[:, :3, 3:6] = -np.eye(3)

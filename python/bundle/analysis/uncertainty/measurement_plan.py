@@ -3,9 +3,9 @@
 A candidate has rows by the unknowns of the joint covariance (``joint_covariance.py``), and needs no
 data: it says where it would look, not what it would see.
 
-- image: the rows of all points in view, by the parameters of the camera and the points; the pose is
-  eliminated, and so are the refined parameters of a camera that took one image only, as the next
-  image will then have a camera of its own.
+- image: the rows of all points in view, w.r.t. the parameters of the camera and the points; the
+  pose is eliminated, and so are the refined parameters of a camera that took one image only, as the
+  next image will then have a camera of its own.
 - tie: an observation of a point that its image should see and does not have.
 - control point: X / sigma of a point; scale bar: u^T (dX_a - dX_b) / sigma along the bar.
 
@@ -207,7 +207,7 @@ def plan(
     sigma_of_point = parse_sigma("gcp_sigma", gcp_sigma, "a length")
     sigma_of_bar = checked_number("bar_sigma", bar_sigma, above=0)
     if candidates is not None and "image" not in kinds:
-        raise InputError(f"candidates: expected image in add, found {', '.join(kinds)}")
+        raise InputError(f"candidates: expected image in add, found {', '.join(kinds)} only")
     poses = candidates
     if not isinstance(poses, PoseTable | None):
         poses = load_poses(poses)

@@ -1,6 +1,6 @@
 """Quantities of a model that users measure: lengths, heights, angles, volumes, camera parameters.
 
-The gradient of a quantity is by all points, poses and camera parameters of a problem. With the
+The gradient of a quantity is w.r.t. all points, poses and camera parameters of a problem. With the
 centre c = -R^T t of an image, whose pose moves by (w, t), R to Exp(w) R,
 
     dc = -R^T [t]x dw - R^T dt.
@@ -39,9 +39,9 @@ class Quantity:
     text: str  # the quantity in words
     unit: str  # "" for the unit of the model, "px", "degrees" or "1"
     value: float  # its value
-    images: _Floats  # (num_images, 6) derivatives by the pose, (w, t)
-    cameras: _Floats  # (num_cameras, k) derivatives by the parameters
-    points: _Floats  # (num_points, 3) derivatives by the coordinates
+    images: _Floats  # (num_images, 6) derivatives with respect to the pose, (w, t)
+    cameras: _Floats  # (num_cameras, k) derivatives with respect to the parameters
+    points: _Floats  # (num_points, 3) derivatives with respect to the coordinates
 
 
 def quantity_of(text: str, problem: Problem, markers: Mapping[str, int]) -> Quantity:
@@ -137,7 +137,7 @@ def _place(
         raise InputError(f"on: expected {what} of the model, found {brief(word)}")
     seen = problem.observation_image if is_image else problem.observation_point
     if found[0] not in seen:
-        raise InputError(f"on: expected a place with observations, found {brief(word)} without")
+        raise InputError(f"on: expected a place with observations, {brief(word)} has 0")
     return is_image, int(found[0])
 
 

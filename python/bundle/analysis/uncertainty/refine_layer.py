@@ -2,7 +2,7 @@
 
 A weight w = 1 / s^2 is that of an observation's squared residual, 1/2 rho(w |r|^2), so that dL/dw =
 -s^3 / 2 dL/ds. A pose is the quaternion q = (v, c), v its vector, and the translation. As R moves
-to Exp(w) R, dq = (w / 2, 0) q, and a derivative (g, h) by q becomes
+to Exp(w) R, dq = (w / 2, 0) q, and a derivative (g, h) with respect to q becomes
 
     by w:    1/2 (c g + v x g - h v).
 """
@@ -78,7 +78,7 @@ def values_of(minimum: Adjoint) -> Refined:
 
 
 def pulled_back(minimum: Adjoint, points: Any, poses: Any, cameras: Any) -> tuple[_Floats, ...]:
-    """Return the derivatives by the data, from those by :class:`Refined`; NaN without a minimum."""
+    """Return derivatives w.r.t. the data, from those w.r.t. :class:`Refined`; NaN if none exist."""
     q, by_pose = minimum.problem.cam_from_world[:, :4], np.asarray(poses, float)
     q = q / np.linalg.norm(q, axis=1, keepdims=True)
     g, h, v, c = by_pose[:, :3], by_pose[:, 3:4], q[:, :3], q[:, 3:]

@@ -42,8 +42,8 @@ def refine(
             :func:`bundle.solve`.
 
     Raises:
-        InputError: JAX is not installed, has no doubles, or an array has another shape. An error of
-            :func:`bundle.solve` is wrapped in an error of jax.
+        InputError: JAX is not installed or runs without 64-bit floats, or an array has another
+            shape. An error of :func:`bundle.solve` is wrapped in an error of jax.
 
     Example:
         >>> jax.grad(lambda w: loss(bundle.jax.refine(weights=w, problem=problem).points))(weights)

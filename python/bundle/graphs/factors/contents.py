@@ -252,7 +252,7 @@ class GraphContents(Displayed):
         )
 
     def check_free(self) -> None:
-        """Refuse a graph without anything to estimate.
+        """Refuse a graph without a free coordinate.
 
         Raises:
             InputError: the graph has no variable, no factor or no free coordinate.

@@ -234,7 +234,7 @@ class FactorGraph(GraphMarginals):
             for option in CERES_ONLY if by_root else ():
                 if getattr(options, option) != getattr(SolveOptions(), option):
                     raise InputError(
-                        f"{option}: expected the default with square_root, "
+                        f"{option}: square_root needs the default of this option, "
                         f"found {getattr(options, option)}"
                     )
             return by_root, "", None

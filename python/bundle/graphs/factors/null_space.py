@@ -98,7 +98,7 @@ class NullSpace:
         held[rows[taken]] = True
 
     def _is_whole(self, variable: int, basis: Floats, position: dict[int, int]) -> bool:
-        """Return True if holding a whole variable removes as many directions as it has numbers."""
+        """Return True if fixing a variable removes as many directions as it has coordinates."""
         span = range(*self.begin[variable : variable + 2].tolist())
         if len(span) > basis.shape[1] or self.constant[list(span)].any():
             return False

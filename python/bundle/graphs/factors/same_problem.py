@@ -1,4 +1,4 @@
-"""Factor graphs that state a pose graph or a bundle adjustment problem, as that other input.
+"""Conversion of factor graphs that represent a pose graph or a bundle adjustment problem.
 
 A graph of poses on se2 (or on se3) with a :class:`bundle.BetweenFactor` per edge has the residuals
 of a :class:`bundle.PoseGraph` with the error "log". A graph of
@@ -54,7 +54,7 @@ class AsProblem(NamedTuple):
 
 
 def pose_graph_of(graph: GraphContents) -> AsPoseGraph | None:
-    """Return the pose graph that a factor graph states; None if it states another problem."""
+    """Return the pose graph that a factor graph represents; None if it is another problem."""
     factors, variables = graph.factors, list(graph.variables.values())
     manifolds = {variable.manifold for variable in variables}
     if manifolds not in ({"se2"}, {"se3"}) or not factors:
@@ -83,7 +83,7 @@ def pose_graph_of(graph: GraphContents) -> AsPoseGraph | None:
 
 
 def problem_of(graph: GraphContents) -> AsProblem | None:
-    """Return the bundle adjustment problem of a factor graph; None if it states another."""
+    """Return the bundle adjustment problem of a factor graph; None if it is another problem."""
     if not graph.factors or not all(isinstance(f, ReprojectionFactor) for f in graph.factors):
         return None
     factors: Any = graph.factors
@@ -176,7 +176,7 @@ def _is_whole(variable: Variable) -> bool:
 
 
 def _ids(keys: Sequence[Key], kind: str) -> NDArray[np.int64]:
-    """Return an id per key; positions unless every key states its id."""
+    """Return an id per key; positions unless every key contains its id."""
     ids = [
         key[1] if isinstance(key, tuple) and len(key) == 2 and key[0] == kind else key
         for key in keys

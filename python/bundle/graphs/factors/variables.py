@@ -1,10 +1,10 @@
 """Variables of a factor graph: keys, manifolds, values, and tangent coordinates.
 
-Tangent coordinates of poses in several libraries, and derivatives by the wrong ones.
+Tangent coordinates of poses in several libraries, and derivatives with respect to the wrong ones.
 
 A variable of a :class:`bundle.FactorGraph` moves by delta to X Exp(delta), with the rotation first.
 In another convention it moves by d, with delta = M d to first order. Its Jacobian is J M, J the
-Jacobian by delta. With R and t the rotation and translation of X, M is a product of
+Jacobian w.r.t. delta. With R and t the rotation and translation of X, M is a product of
 
 - the motion. Exp(d) X: X^-1 Exp(d) X = Exp(Ad(X)^-1 d), so Ad(X)^-1; t + d in the frame of the
   world: R^T for the translation; Exp(d) R: R^T for the rotation; X as the inverse of another pose
@@ -24,7 +24,7 @@ g2o_expmap    Exp(d) X              rotation first     rotation vector
 ============  ====================  =================  ================================
 
 These are GTSAM's Pose3, manif's SE3 (also Sophus' manifold for Ceres), g2o's VertexSE3 and its
-VertexSE3Expmap (ORB-SLAM). In the plane, all move by x y angle in the frame of X, but g2o's
+VertexSE3Expmap (ORB-SLAM). In 2D, all move by x y angle in the frame of X, but g2o's
 VertexSE2, which adds the translation in the frame of the world.
 
 If the expected convention has M_e and a mistake M_w, the wrong Jacobian is J M_w, and the expected
@@ -241,11 +241,11 @@ class Tangent:
     """Tangent coordinates of one manifold."""
 
     motion: str = "right"  # motion of a variable, one of MOTIONS
-    is_translation_first: bool = False  # order; in the plane, False for the angle first
+    is_translation_first: bool = False  # order; in 2D, False for the angle first
     is_half: bool = False  # True if the rotation is the vector part of a quaternion
 
     def order(self, manifold: str) -> list[int]:
-        """Return the coordinate of a factor graph, x y angle in the plane, for each column."""
+        """Return the coordinate of a factor graph, x y angle in 2D, for each column."""
         if manifold == "se3":
             return [3, 4, 5, 0, 1, 2] if self.is_translation_first else [0, 1, 2, 3, 4, 5]
         if manifold == "se2":
@@ -327,18 +327,17 @@ def _difference(wrong: Tangent, expected: Tangent, manifold: str) -> tuple[str, 
     """Return kind and description of a wrong convention."""
     words, kinds = [], []
     if wrong.motion != expected.motion:
-        sides = wrong.motion in _ON_THE_LEFT, expected.motion in _ON_THE_LEFT
-        turns = sides[0] != sides[1]
+        turns = (wrong.motion in _ON_THE_LEFT) != (expected.motion in _ON_THE_LEFT)
         kind = "perturbation" if turns else "frame"
         is_inverse = wrong.motion.startswith("inverse")
         kinds.append("inverse" if is_inverse else kind)
         what = "another frame of the translation"
         if is_inverse:
-            what = "by the inverse pose"
+            what = "of the inverse pose"
         elif turns:
-            what = f"{'left for right' if sides[0] else 'right for left'} perturbation"
+            what = "perturbation on the wrong side"
         words.append(
-            f"{what}: derivative by d of {MOTIONS[wrong.motion]}, not of {MOTIONS[expected.motion]}"
+            f"{what}: derivative of {MOTIONS[wrong.motion]}, not of {MOTIONS[expected.motion]}"
         )
     if wrong.is_half != expected.is_half:
         kinds.append("half_angle")

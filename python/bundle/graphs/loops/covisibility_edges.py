@@ -1,9 +1,9 @@
 """Covisibility edges: information of a model on the relative poses of its images.
 
-Let images i and j observe a point X, with x = R_j X + t_j in the frame of j. One image carries the
-point, the other observes it. If j moves relative to i by d = (w, t, l), rotation, translation and
-log scale in its own frame, x moves by G d, G = [-[x]x, I, x]. An image observes this motion as an
-angle. Let u be the direction of the point from the image, r its distance and f the focal length.
+Let images i and j observe a point X, with x = R_j X + t_j in the frame of j. The point is fixed to
+one image; the other observes it. If j moves relative to i by d = (w, t, l), rotation, translation
+and log scale in its own frame, x moves by G d, G = [-[x]x, I, x]. An image observes this motion as
+an angle. Let u be the direction of the point from the image, r its distance and f the focal length.
 Pixels move by f / r (I - u u^T) times the motion of the point: exactly in the centre of the image
 and approximately elsewhere. The information is
 

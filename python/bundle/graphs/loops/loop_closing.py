@@ -136,9 +136,7 @@ def as_closures(closures: Closures) -> PoseGraph:
     assert isinstance(graph, PoseGraph)
     name = graph.path or "closures"
     if graph.dimension != 3:
-        raise InputError(
-            f"{name}: expected relative poses in space (SE(3)), found poses in the plane"
-        )
+        raise InputError(f"{name}: expected relative poses in 3D (SE(3)), found poses in 2D")
     if graph.num_edges == 0:
         raise InputError(f"{name}: expected edges that close loops, found 0")
     return checked_information(graph, "file")

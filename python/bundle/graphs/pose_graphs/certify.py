@@ -356,17 +356,17 @@ def _lower_poses(certificate: Certificate) -> tuple[PoseGraph | None, str, str]:
 #
 #     || Y_j - Y_i R ||_F^2 = 4 (1 - cos theta) = 8 sin^2(theta / 2),
 #
-# in the plane and in space. A solve minimises chi2 = sum e^T Omega e, with e of one of three kinds.
+# in 2D and in 3D. A solve minimises chi2 = sum e^T Omega e, with e of one of three kinds.
 # Isotropic information omega on the rotation and tau on the translation gives
 #
-#     error  in space                                 kappa      in the plane
+#     error  in 3D                                kappa      in 2D
 #     log    omega theta^2 + tau ||V^-1 u||^2         omega / 2  omega theta^2 + tau ||V^-1 u||^2
 #     ceres  4 omega sin^2(theta/2) + tau ||u||^2     omega / 2  omega theta^2 + tau ||u||^2
 #     g2o    omega sin^2(theta/2) + tau ||u||^2       omega / 8  omega theta^2 + tau ||u||^2
 #
-# and kappa = omega / 2 in the plane. V = int_0^1 exp(s theta) ds is a mean of rotations, so that
+# and kappa = omega / 2 in 2D. V = int_0^1 exp(s theta) ds is a mean of rotations, so that
 # ||V|| <= 1 and ||V^-1 u|| >= ||u||. With 4 sin^2(theta/2) <= theta^2, **F <= chi2 at all poses**,
-# for every kind of error; in space F = chi2 for g2o's and Ceres' error.
+# for every kind of error; in 3D F = chi2 for g2o's and Ceres' error.
 #
 # Any information satisfies Omega >= alpha diag(a I, b I), with a and b the smallest eigenvalues of
 # its blocks of rotation and translation, and alpha the smallest eigenvalue of the scaled matrix

@@ -32,7 +32,7 @@ from bundle.model.starts import started
 
 @dataclass(frozen=True)
 class WeightedGraph:
-    """Graph with the weights of the loss multiplied into the information."""
+    """Graph whose information is multiplied by the weights of the loss."""
 
     given: PoseGraph  # the given graph
     graph: PoseGraph  # the weighted graph, without edges of weight 0
@@ -63,7 +63,7 @@ def check_edges_exist(graph: PoseGraph) -> None:
 
 
 def check_free_pose(graph: PoseGraph) -> None:
-    """Refuse a graph all of whose poses are constant in a solve."""
+    """Refuse a graph without a free pose."""
     check_edges_exist(graph)
     held, _, _ = _core.hold_poses(graph)
     if held.all():
@@ -238,7 +238,7 @@ def checked_information(graph: PoseGraph, information: str) -> PoseGraph:
 def _hint_of_order(graph: PoseGraph) -> str:
     """Return a hint if the numbers of the file are in the order of the other format.
 
-    In the plane, g2o writes I11 I12 I13 I22 I23 I33 and TORO writes I11 I12 I22 I33 I13 I23.
+    In 2D, g2o writes I11 I12 I13 I22 I23 I33 and TORO writes I11 I12 I22 I33 I13 I23.
     """
     other = {"toro": "g2o", "g2o": "toro"}.get(graph.format, "")
     if graph.dimension != 2 or not other:

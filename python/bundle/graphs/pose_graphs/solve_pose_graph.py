@@ -48,7 +48,7 @@ def solve_pose_graph(
     """Refine a pose graph: minimise 1/2 sum rho(r^T Omega r) over its edges.
 
     Fixed poses stay. A connected component without a fixed pose would have gauge freedom. Its first
-    pose is held constant, which removes exactly 3 degrees of freedom in the plane and 6 in space.
+    pose is held constant, which removes exactly 3 degrees of freedom in 2D and 6 in 3D.
     The summary counts and lists these poses. The GIL is released; Ctrl-C keeps the best state.
 
     ``progress``: called after each iteration, as by :func:`bundle.solve`; with ``certify`` also
@@ -239,7 +239,7 @@ def _rejected(
     doubted: NDArray[np.bool_],
     options: PoseGraphOptions,
 ) -> tuple[int, ...]:
-    """Return the edges of weight below 1/2 and a too large error; losses reduce every weight."""
+    """Return the edges with a weight below 1/2 and a large error; losses reduce all weights."""
     if options.loss == "trivial":
         return ()
     out = doubted & (output["weights"] < 0.5)

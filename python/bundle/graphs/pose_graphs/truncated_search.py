@@ -19,10 +19,10 @@ be out. An edge whose cost of inclusion r^T P^-1 r is below c^2 should be in. *I
 edges, the largest gain first, settles each resulting set, and keeps the set if its truncated cost
 is lower.
 
-The loss ``auto`` tries losses for wrong closures and compares them. No loss finds every set of
-wrong closures: dynamic covariance scaling (DCS) ends in local minima that graduated non-convexity
-(GNC) avoids, and vice versa. Both search for poses with which most closures agree. The truncated
-cost measures this agreement independently of the loss:
+The loss ``auto`` tries losses for wrong closures and compares them. None of the losses finds every
+set of wrong closures: dynamic covariance scaling (DCS) ends in local minima that graduated
+non-convexity (GNC) avoids, and vice versa. Both search for poses with which most closures agree.
+The truncated cost measures this agreement independently of the loss:
 
     1/2 sum over trusted edges x + 1/2 sum over doubted edges min(x, c^2),    x = r^T Omega r,
 
@@ -182,7 +182,7 @@ def flip_gains(
     c_squared: float,
     num_threads: int = 1,
 ) -> Floats:
-    """Return the decrease of the sum, to first order, if an edge is flipped; others: -inf."""
+    """Return the first-order decrease of the sum if an edge is flipped; other edges: -inf."""
     gains = np.full(graph.num_edges, -np.inf)
     inside, outside = np.flatnonzero(used), np.flatnonzero(doubted & ~used)
     found = _core.graph_covariance(

@@ -74,7 +74,7 @@ class ImageIntervals:
         self._longer = ImuSlices(*_extended(samples), self.rule)
 
     def at(self, offset: float) -> list[ImuInterval]:
-        """Return the samples between images at an offset [s]; the outer samples hold beyond."""
+        """Return the samples between images at an offset [s]; the first and last are extended."""
         slices = self._slices if offset == 0 else self._longer
         return [slices.between(a, b) for a, b in pairwise(self._moved(offset).tolist())]
 

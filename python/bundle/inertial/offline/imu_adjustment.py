@@ -1,7 +1,7 @@
 """Bundle adjustment of a reconstruction of a video together with the samples of its IMU.
 
 A monocular reconstruction has no scale and no vertical, and drifts along a video. The samples of an
-IMU between its images determine scale and vertical, and hold the shape. Motions of the IMU are
+IMU between its images determine scale and vertical, and prevent the drift. Motions of the IMU are
 factors of the solve (``motion_solve``). The model is first brought into metres with z up
 (``upright_start``), where gravity is known. Position and heading stay free, or follow priors in a
 world with z up. A clear offset of the clocks (``clock_offset``) is added to the times of images.
@@ -11,12 +11,12 @@ of the IMU, and their cost is the reference (``imu_agreement``, ``imu_findings``
 axes and units are refused. A result that the IMU contradicts is not usable.
 
 Preintegrated motions are of first order in the biases. A second solve starts with motions that are
-integrated again at the biases of the first one, if these moved far. Rounds of filtering follow,
-with the kind of samples that had the lower cost: costs after a filter cannot be compared.
+integrated again at the biases of the first one, if these moved far. If filter rounds follow, they
+use the samples with the lower cost before any filter: costs are not comparable after one.
 
 With regard to the gauge, the motions act as relative poses in metres and one vertical: a path of
-consecutive relative poses joins all pieces of a world and gives their scale, and leaves position,
-heading and tilt; gravity takes the tilt.
+consecutive relative poses joins all pieces of a world and gives their scale, but not position,
+heading and tilt; gravity determines the tilt.
 """
 
 from __future__ import annotations
@@ -335,7 +335,7 @@ def _images_alone(request: SolveRequest, plan: RunPlan, progress: Progress | Non
 
 
 def _rotation_map(case: _Case, video: ImageIntervals, clock: ClockOffset) -> RotationMap:
-    """Return the map; rates are divided by 100 if their rotations exceed a rotation vector."""
+    """Return the map; rates are divided by 100 if they turn by more than LARGEST_TURN."""
     intervals = video.at(clock.seconds if clock.is_clear else 0.0)
     rotations = case.rotations
     between = np.swapaxes(rotations[:-1], 1, 2) @ rotations[1:]
@@ -431,7 +431,7 @@ def _evidence(
 
 
 def _filtered(case: _Case, found: _Adjusted, plan: RunPlan) -> _Adjusted:
-    """Return the adjustment after rounds of filtering; biases may then move far once more."""
+    """Return the adjustment after filter rounds; solve again if the biases have moved far."""
     if found.has_ended:
         return found
     motions = found.motions(case)
@@ -444,7 +444,7 @@ def _filtered(case: _Case, found: _Adjusted, plan: RunPlan) -> _Adjusted:
 
 
 def _gauge_freedom(case: _Case, problem: Problem) -> int:
-    """Return the degrees of freedom of the world that motions and priors leave."""
+    """Return the degrees of freedom of the world that motions and priors do not determine."""
     first = np.unique(problem.observation_image)
     if case.bodies.kind == "frame":
         frames = problem.image_frame[first]

@@ -169,7 +169,7 @@ def quietest_ratio(stamps: NDArray[np.int64], gyro: Array, accel: Array, noise: 
 #
 # to first order. A step (y, x) of the gyroscope's bias and of d thus changes the residual by
 #
-#     Log(dR_k^T B_k) - J_k y - (w_(k+1) - dR_k^T w_k) x,      J_k: derivative of dR_k by the bias,
+#     Log(dR_k^T B_k) - J_k y - (w_(k+1) - dR_k^T w_k) x,      J_k: d dR_k / d bias,
 #
 # and Gauss-Newton steps with Cauchy weights find both. A change of the rate determines the offset:
 # a constant rate does not. Between two and five sigmas, an adjustment with the offset and one

@@ -8,12 +8,12 @@ by Gauss-Newton steps over all intervals, with Cauchy weights. The rotations of 
 drift, so that the specific force, turned by them, is integrated twice over segments of some
 seconds. With c_k the projection centre in units of the model, s their length in metres, l_k the arm
 from the camera to the IMU in the world, t the time since the begin of the segment, and P_k, V_k the
-integrals of the turned force, Q_k and W_k their derivatives by the accelerometer's bias a,
+integrals of the turned force, Q_k and W_k their derivatives w.r.t. the accelerometer's bias a,
 
     s c_k + l_k = p_0 + v_0 t + 1/2 g t^2 + P_k + Q_k a,        v_k = v_0 + g t + V_k + W_k a.
 
 The first equation is linear in s, g, a and the p_0 and v_0 of every segment, which are eliminated
-from each segment by a QR factorisation. Short segments cannot tell a from g, so a prior keeps a
+from each segment by a QR factorisation. Short segments cannot separate a from g, so a prior keeps a
 near 0. Then g is moved on its sphere by two coordinates (Mur-Artal and Tardos, "Visual-inertial
 monocular SLAM with map reuse", 2017, solve for the same unknowns from three consecutive images at a
 time, which amplifies the noise of the images).
@@ -237,7 +237,7 @@ def _velocities(
 
 # Placement of a reconstruction with an IMU: metres, z up, then heading and shift of its priors.
 #
-# Scale and gravity are those above; the world turns the shortest way to z up.
+# Scale and gravity are those above; the smallest rotation turns the world to z up.
 # Measured positions and control points then give heading and shift. Without these, priors of
 # attitudes give the heading: with Q their turn of the world and L the shortest turn of Q's vertical
 # back to z up, L Q is a turn about z. The minimum of the adjustment does not depend on this start.

@@ -127,7 +127,7 @@ def _covariance(times: Array, noise: ImuNoise) -> Array:
 #
 #     P(f) = P(1) + g (f - 1) + h / 2 (f - 1)^2,      g = j^T r,      h = j^T j,
 #
-# where j is the derivative of the residuals by f along the minimum: g is the score of f at the
+# where j is the derivative of the residuals w.r.t. f along the minimum: g is the score of f at the
 # present minimum (C. R. Rao, 1948), and h its information without what other unknowns explain. The
 # residuals of images and those of the IMU have the variance factors v and w, so that
 #

@@ -163,7 +163,7 @@ def axes_sentence(sensor: str, axes: Array) -> str:
     kind = "turned" if np.linalg.det(axes) > 0 else "mirrored"
     if np.array_equal(axes, -np.eye(3)):
         kind = "reversed"
-    return f"the {sensor} is {kind}: its axes are {words} of those that camera_from_imu expects"
+    return f"the {sensor} is {kind}: its axes are {words} in the frame of camera_from_imu"
 
 
 def _fit(rows: Array, values: Array) -> tuple[Array, Array, float]:

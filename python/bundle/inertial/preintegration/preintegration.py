@@ -239,22 +239,22 @@ class Preintegration(Displayed):
 
     @property
     def d_velocity_d_gyro_bias(self) -> Array:
-        """Derivative (3, 3) of the velocity by the gyroscope bias."""
+        """Derivative (3, 3) of the velocity with respect to the gyroscope bias."""
         return self._motion.d_velocity_d_gyro_bias
 
     @property
     def d_velocity_d_accel_bias(self) -> Array:
-        """Derivative (3, 3) of the velocity by the accelerometer bias."""
+        """Derivative (3, 3) of the velocity with respect to the accelerometer bias."""
         return self._motion.d_velocity_d_accel_bias
 
     @property
     def d_position_d_gyro_bias(self) -> Array:
-        """Derivative (3, 3) of the position by the gyroscope bias."""
+        """Derivative (3, 3) of the position with respect to the gyroscope bias."""
         return self._motion.d_position_d_gyro_bias
 
     @property
     def d_position_d_accel_bias(self) -> Array:
-        """Derivative (3, 3) of the position by the accelerometer bias."""
+        """Derivative (3, 3) of the position with respect to the accelerometer bias."""
         return self._motion.d_position_d_accel_bias
 
     def core_motion(self) -> _core.Preintegration:

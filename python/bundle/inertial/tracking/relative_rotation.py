@@ -54,7 +54,7 @@ class Turn(NamedTuple):
 def refined_rotation(
     one: Array, other: Array, rotation: Array, direction: Array, sigma: float
 ) -> tuple[Array, Array, float]:
-    """Return the nearest best rotation (3, 3) other_from_one, the information (3, 3) on it, cost.
+    """Return the best rotation (3, 3) other_from_one, the information (3, 3) on it, and the cost.
 
     ``one``, ``other`` and ``sigma`` are in normalised coordinates; ``rotation`` and ``direction``
     of the translation are initial values.

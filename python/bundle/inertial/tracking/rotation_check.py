@@ -197,7 +197,7 @@ class RotationPairs:
         return left
 
     def unexplained(self, matrix: Array, imu: Array) -> float:
-        """Return the share of the rotations that a matrix leaves unexplained."""
+        """Return the share of the rotation (above) that a matrix leaves unexplained."""
         errors = _norms(self.errors(matrix, imu))
         return float(np.median(errors) / np.median(_norms(self.camera)))
 

@@ -1,8 +1,8 @@
 """Axes, units and clocks of a sequence: its tracks against its samples.
 
-Before an odometry, a few pairs of images show if the gyroscope explains the rotation of the tracks;
-only if it does not, the cause is searched. Tracks of images, which took much longer to find, are
-always compared in full. One or two linear starts show the sign of the forces. After an odometry
+Before an odometry, a few pairs of images show whether the gyroscope agrees with the rotation of the
+tracks; the cause is searched only if it does not. Tracks of images, which took much longer to find,
+are always compared in full. One or two linear starts show the sign of the forces. After an odometry
 that failed or had alarms, all tests search its cause.
 """
 
@@ -114,7 +114,7 @@ def _reversed(recording: Recording, signs: Signs, is_problem: bool) -> Finding:
 
 
 def _measures(sequence: Sequence) -> bool:
-    """Return False if a sensor stops for longer than can be bridged: this explains everything."""
+    """Return False if a sensor stops for too long to be bridged: no other cause is searched."""
     stretches = bad_stretches(sequence.gyro, sequence.accel)
     return all(is_short(each, sequence.imu_timestamps_ns) for each in stretches)
 
@@ -322,7 +322,7 @@ def scale_findings(
 
 
 def scale_of_rates(pairs: RotationPairs, lens: Array) -> tuple[float, float, float]:
-    """Return k and its standard deviation, nan beside another fault, and the variance factor."""
+    """Return k, its standard deviation (nan for both with another fault), the variance factor."""
     step = float(SHIFTS[1] - SHIFTS[0])
     turned = pairs.imu(0.0) @ lens.T
     change = (pairs.imu(step) - pairs.imu(-step)) @ lens.T / (2 * step)

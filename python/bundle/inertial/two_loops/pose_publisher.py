@@ -123,7 +123,7 @@ class YawMotion(Displayed):
         """Interpolate between two yaw motions as observed at `position`.
 
         Heading and the image of ``position`` change by this share of the target's change. A
-        rotation about a distant origin therefore causes no swing.
+        rotation about a distant origin therefore does not swing the pose.
         """
         here, there = self.place(position), target.place(position)
         yaw = self.yaw + share * math.remainder(target.yaw - self.yaw, 2 * math.pi)

@@ -1,7 +1,7 @@
 """Keyframes of a window: the rule that selects them, and the telemetry of each.
 
 Depth has the relative error sigma_z / z = sigma_d / d for a parallax d: at f = 460 px and sigma_d =
-0.5 px, 10 px give 5 %. A frame with less parallax costs time without much benefit, unless few
+0.5 px, 10 px give 5 %. A frame with less parallax costs time and adds little, unless few
 tracks are left or the IMU interval becomes long. Without translation there is no parallax, and no
 keyframe is added.
 """

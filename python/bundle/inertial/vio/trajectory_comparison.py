@@ -6,8 +6,8 @@ shortest arc. Errors (``model.pose_table``) are computed after two alignments
 
 * all six degrees of freedom: papers report this absolute trajectory error; its variant with a free
   scale shows by how much the estimate is too small;
-* yaw and position, the four degrees of freedom that an odometry with an IMU leaves open. Errors of
-  roll and pitch are not aligned away.
+* yaw and position, the four degrees of freedom that an odometry with an IMU does not determine.
+  This alignment does not hide errors of roll and pitch.
 """
 
 from __future__ import annotations

@@ -11,8 +11,8 @@ Biases are random walks. Let b(s) be the estimate at time s, with variances P(s)
 of the walk. The later estimate b(t) is the expectation of the true bias given more measurements, so
 that the variance of b(t) - b(s) is at most that of the true change, P(s) + q^2 (t - s). Over three
 axes, the sum of squared changes over their variances thus has at most chi2 with three degrees of
-freedom. Its root, largest over all s, is up to 1.9 in two clean flights and 3.6 on EuRoC V1_01. A
-bias that moves faster is followed too late, and the path bends by as many of its sigmas.
+freedom. Its root, largest over all s, is up to 1.9 in two clean flights and 3.6 on EuRoC V1_01. If
+a bias moves faster, its estimate lags behind, and the path bends by as many of its sigmas.
 
 No sensor measures the heading. Once a prior has set its sigma, the sigma must not fall, except by
 fluctuations between images. Medians of five keyframes remove these.

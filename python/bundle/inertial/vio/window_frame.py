@@ -75,7 +75,7 @@ class WindowFrame:
 
 
 def repropagate(frames: Sequence[WindowFrame]) -> int:
-    """Repropagate intervals with biases too far for first order; return their number.
+    """Repropagate intervals whose biases have moved too far; return their number.
 
     The first-order error is at most a sixth of the squared angle by which the bias change rotates
     the interval; below NEGLIGIBLE_ANGLE the closed form is skipped.

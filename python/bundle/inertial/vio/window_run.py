@@ -9,9 +9,9 @@ flight, the sum of m is a drift if it exceeds two metres plus a tenth of the pat
 
 Tracks must agree with the window. If landmarks or samples are wrong, a robust loss gives up the
 tracks, and the window follows its own prediction. Tracking is lost if most observations are far
-from their landmarks in six of ten images in a row; in flights with a tenth of wrong tracks they are
-in two of 260 images, with wrong samples in a third or more. Landmarks without parallax fit any
-motion and do not count: where a platform hovers, all new ones would.
+from their landmarks in six of ten images in a row; with a tenth of wrong tracks, this happens in
+two of 260 images, with wrong samples in a third or more. Landmarks without parallax fit any motion
+and do not count: where a platform hovers, all new ones would.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ DRIFT, DRIFT_SHARE = 2.0, 0.1  # m, share of the path
 
 
 class PathSanity:
-    """Checker of consecutive states (16,), from the first one on; stamps in ns."""
+    """Plausibility check of consecutive states (16,) after a first one; stamps in ns."""
 
     def __init__(self, stamp: int, state: Array) -> None:
         self._stamp, self._state = stamp, state

@@ -207,7 +207,7 @@ def unique_keys(image: NDArray[np.int32], key: NDArray[np.int32]) -> NDArray[np.
     return key if all_differ(image.astype(np.int64) << 32 | key) else None
 
 
-# Lenses of other programs that no camera model equals: a model fitted to their rays.
+# Lenses of other programs without an equal camera model: a model is fitted to their rays.
 #
 # The fit minimises the distance in pixels over a polar grid of rays
 # (``bundle.model.lenses.lens_fit``). Its reported error is the largest distance on that grid. A

@@ -215,7 +215,7 @@ def format_written(path: Path) -> Format | None:
 
 
 def format_for_name(path: Path) -> Format | None:
-    """Return the built-in format with a writer that the name of an output means, or None."""
+    """Return the built-in output format that belongs to the name of a file, or None."""
     name = path.name.lower()
     return next(
         (f for f in BUILT_IN if f.writes and f.suffixes and name.endswith(f.suffixes)), None

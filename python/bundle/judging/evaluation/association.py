@@ -1,8 +1,8 @@
 """Association of the poses of an estimate A with those of a reference B.
 
-Names: equal names are the same image. If more names are equal without folders, or without folders
-and suffix, these shorter names are compared. A name that several images share at that level has no
-partner.
+Names: equal names denote the same image. If more names are equal without folders, or without
+folders and suffix, these shorter names are compared. A name that several images share at that level
+has no partner.
 
 Time stamps: the nearest stamp of B is the partner, if it is also the nearest in the other direction
 and differs by at most the tolerance. Names that are numbers, such as 1403636579763555584.png
@@ -150,7 +150,7 @@ def _nearest(wanted: Indices, among: Indices) -> Indices:
 
 
 def _stamps(argument: str, table: PoseTable) -> Indices:
-    """Return time stamps in nanoseconds, from names if there are no others."""
+    """Return time stamps in nanoseconds; if the table has none, read them from the names."""
     if table.timestamps_ns is not None:
         return table.timestamps_ns
     stamps = []

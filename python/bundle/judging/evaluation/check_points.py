@@ -5,7 +5,7 @@ The model is aligned to the control points, and its cameras triangulate all targ
 Targets that the file marks as check points had no influence on the alignment, and their errors are
 those of the model. Without such targets, each control point is left out in turn, and its error is
 the one at the point that was left out. Residuals of points that determine the alignment are smaller
-than the errors of the model; they count only if too few points are known to leave one out.
+than the errors of the model; they are used only if there are too few points to leave one out.
 """
 
 from __future__ import annotations

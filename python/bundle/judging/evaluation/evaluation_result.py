@@ -126,7 +126,7 @@ class Evaluation(Displayed, Tabular):
 
     @property
     def lens_difference(self) -> dict[str, Any] | None:
-        """Statistics over the pixels of all pairs of cameras, and the pairs; None without pairs."""
+        """Lens differences of all pairs of cameras, with their statistics; None without pairs."""
         if not self.lenses:
             return None
         fields = np.concatenate([lens.field.reshape(-1, 2) for lens in self.lenses])

@@ -7,7 +7,7 @@ the ray d_k of lens A at the pixel x_k and the projection pi_B of lens B, it min
 
     sum_k |pi_B(R d_k) - x_k|^2
 
-by Gauss-Newton, R <- Exp(w) R with the derivative -D_pi [R d_k]x by w. The residuals are the
+by Gauss-Newton, R <- Exp(w) R with the derivative -D_pi [R d_k]x w.r.t. w. The residuals are the
 difference of the lenses. It holds for distant points: a translation of the camera, which would also
 absorb a part for near points, is not removed.
 

@@ -1,11 +1,11 @@
 r"""Control points that contradict each other: wrong points, or sigmas that are too small.
 
 If most points fail their test after a solve, no single one is wrong: the sigmas are. The command
-gives those that the errors show: the median of their squares, horizontal and vertical, divided by
-that of the chi-squared distribution. A gross error does not enlarge them, and the next run names
-it. The model bends to points with small sigmas, so that the error of a point left out may be small
-where its residual is not, and the reverse: the larger one is used. If few points fail, a robust
-loss removes their influence.
+sets new ones from the errors: the median of their squares, horizontal and vertical, divided by that
+of the chi-squared distribution. A gross error does not enlarge them, and the next run names it. The
+model bends to points with small sigmas, so that the error of a point left out may be small where
+its residual is not, and the reverse: the larger one is used. If few points fail, a robust loss
+removes their influence.
 """
 
 from __future__ import annotations
@@ -59,8 +59,8 @@ def control_points(points: Sequence[ControlPointError], command: NextCommand) ->
     text = "/".join(f"{one:.2g}" for one in better)
     return Finding(
         kind="control_points",
-        sentence="Sigmas of control points are too small: their errors show "
-        f"{text} m. Give these sigmas{'' if is_of_flag else ' in the file'}.",
+        sentence="Sigmas of control points are too small: their errors suggest "
+        f"{text} m. Use these sigmas{'' if is_of_flag else ' in the file'}.",
         command=command.refine(FLAG, text) if is_of_flag else "",
         evidence=evidence | {"sigmas": better},
     )
@@ -71,7 +71,7 @@ def _known(residual: Sequence[float]) -> list[float]:
 
 
 def _sigma(points: Sequence[ControlPointError], axes: slice, typical: float) -> float:
-    """Return the sigma [m] of these axes that the larger errors show; NaN if unknown."""
+    """Estimate the sigma [m] of these axes from the larger errors; NaN if unknown."""
     errors = np.array([(point.residual, point.leave_one_out) for point in points])
     squares = (errors[..., axes] ** 2).sum(axis=2).max(axis=1)
     known = squares[~np.isnan(squares)]

@@ -4,12 +4,12 @@ A detector that returns a feature once per orientation (SIFT) makes two keypoint
 matching makes two points of them. Each pair counts twice: standard deviations are too small, by a
 factor of up to sqrt(2), and the duplicate predicts an observation that is held out.
 
-Test. Two points are duplicates if two or more images see both at the same pixel, to a tenth. Chance
-alone does this once in (area in tenths of pixels) / observations per image for one image, and never
-for two.
+Test. Two points are duplicates if two or more images see both at the same pixel, to a tenth. By
+chance, a point has such a partner in one image with a probability of observations per image / area
+in tenths of pixels, and in two images practically never.
 
 The effect is small: on real models, sigmas are 1 to 7 % too small. So terminals show it with
---verbose only (``DETAILS``), and no command is advised.
+--verbose only (``DETAILS``), and no command is suggested.
 
 Threshold. 10 % of the observed points are in such pairs: standard deviations are 5 % too small.
 """

@@ -4,15 +4,15 @@ Given the covariance of the intrinsics with the scale sigma0, camera i has the m
 f_i and its standard deviation s_i. Cameras of one model and size belong to a group.
 
 Not determined. A focal length with s_i > 0.05 f_i (the worse of fx and fy), for the noise of the
-inliers, changes the shape of a scene without changing the residuals much. The command shares the
-lens of a group of several cameras, as the views together determine it; of a single one, or where
-the lenses are known to differ (T below), it adds a prior of 2 %.
+inliers, changes the shape of a scene without changing the residuals much. For a group of several
+cameras, the command shares the lens, because all views together determine it. For a single camera,
+or if the lenses are known to differ (T below), it adds a prior of 2 %.
 
 Free twists. The rotation (a, 0, 0) per image height moves the row y by f a y, as a focal length fy
 (1 + a) does, so that a rolling shutter determines lenses by higher terms only, in a long, curved
 valley. The command that adds a shutter also adds the prior where images then say less than it
 does, s_i > 0.02 f_i, and where all focal lengths of a group are within two standard deviations of
-those at the start, that of the prior included: it must not hold a start that is wrong.
+those at the start, that of the prior included: a prior must not hold a wrong start.
 
 Shared. All focal lengths and distortion parameters theta of a group of m cameras are tested
 together. With the covariance C of all of them, the contrasts D theta to the first camera have
@@ -24,8 +24,8 @@ C are not sufficient: neighbours see the same points, so their errors are correl
 a difference of distortion. Significance alone does not decide: one lens for lenses that differ a
 little costs less accuracy than a lens per image. On 1000 seeded flights and orbits, one lens gave
 the smaller error of positions where T < 4 d, a lens per image where T > 4 d. Below 2 d the finding
-advises to share the lens; up to 4 d it reports a difference and advises held-out observations. Own
-lenses that are not determined, or that drift by half of the limit below, are not compared.
+advises to share the lens; up to 4 d it reports a difference and advises held-out observations.
+Undetermined focal lengths, and those that drift by half of the limit below, are not compared.
 
 Drift. In the weighted regression f_i = a + b t_i on the order t of the images, from -1 to 1, the
 gain b^2 / var b must exceed 30, and 30 times the Q / d that is left, and the change 2 b must be 2 %
@@ -258,7 +258,7 @@ def focal_drift(measured: Measured, groups: Groups, *, is_jointed: bool = False)
 
 
 def _drift(group: FocalLengths, least: float) -> tuple[float, float, float] | None:
-    """Return the relative change over the images, its chi^2, and Q / d that is left, or None."""
+    """Return the relative change over the images, its chi^2, and the remaining Q / d, or None."""
     if len(group.cameras) < FEWEST_IN_ORDER:
         return None
     weight, mean = 1.0 / group.sigma**2, _mean(group.focal, group.sigma)

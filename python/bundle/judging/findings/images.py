@@ -34,10 +34,10 @@ independent of e and has the covariance D (Hausman 1978). So velocities change t
     L = |u + e|^2 - |b + e|^2 = 2 (u + e)^T d - |d|^2,    E L = E (2 tr D - |d|^2).
 
 This estimate of L has an error of zero mean and of the variance E 4 (d^T C1 d + tr D^2), for any b.
-A shutter is advised if L is negative by 1.28 of these deviations, the normal quantile of 90 %: few
-directions make most of tr D, so that |d|^2 is often much larger by chance. The advice harms if L >
-0 all the same: in simulations of 1 to 41 directions in at most 4.8 % of the cases, for any b. It
-does not share lenses that differ: ``shared_lens`` decides on that afterwards.
+A shutter is suggested if L is negative by 1.28 of these deviations, the normal quantile of 90 %:
+few directions make most of tr D, so that |d|^2 is often much larger by chance. The suggestion does
+harm if L > 0 nevertheless: in simulations of 1 to 41 directions in at most 4.8 % of the cases, for
+any b. It does not share lenses that differ: ``shared_lens`` decides on that afterwards.
 
 Single images. Without motion in general, an image has systematic residuals if b_i^T V_i^-1 b_i >
 3 + 6 sqrt(6) + 20 + 2 log m and its field has an rms of half a scale. It is weak if its scale is
@@ -50,7 +50,7 @@ parameter of all images has at most 1 / (1 - q) of its best variance, and the im
 gain nothing. At q = 0.3 (two images of 20 with 3 times the noise), the loss changes positions by a
 factor of 0.99 on average, between 0.84 and 1.3 by chance (30 scenes); at q = 0.73, by 0.71 (24
 scenes). So q >= 2/3 is needed for a command. At a weak joint, few points cause most errors of
-positions, which the loss changes by chance; then no command is given.
+positions, and a loss changes these errors at random; then no command is given.
 """
 
 from __future__ import annotations
@@ -80,9 +80,9 @@ FIELD = 0.5
 WEAK, WEAK_WITHOUT_FIELD = 1.75, 1.5
 WEAK_SPREADS, WEAK_ERRORS = 3.0, 5.0
 GAIN = 1.28
-"""Fall of the squared errors, in its standard deviations, from which a shutter is advised."""
+"""Least decrease of the squared errors, in its standard deviations, to suggest a shutter."""
 MOST_SQUARES = 2 / 3
-"""Share of weak images in the sum of squares, from which a loss is advised."""
+"""Least share of weak images in the sum of squares to suggest a loss."""
 HUBER = 2.5
 """Scale of a loss for weak images, by the noise."""
 NAMED = 3
@@ -150,7 +150,7 @@ def motion(
 def variation(
     scale: float, fits: ImageFits, fields: Sequence[LensField]
 ) -> tuple[dict[str, float], dict[str, float], bool]:
-    """Return chi^2 per degree and tau in scales of anisotropy and shear, and if they vary."""
+    """Return chi^2/dof and tau (in scales) of anisotropy and shear, and whether these vary."""
     ratios, sizes = {}, {}
     least = max(SIZE, LENS_SIZES * max((field.size for field in fields), default=0.0))
     is_varied = False
@@ -169,7 +169,7 @@ def named_order(rows: float, columns: float) -> str:
 
 
 def price_of(gain: float) -> str:
-    """Return a sentence if a rolling shutter can be added, but hardly pays."""
+    """Return a sentence if a rolling shutter can be added but hardly improves the model."""
     if not gain <= GAIN:
         return ""
     return " It is uncertain that a rolling shutter removes more errors than it adds."
@@ -310,7 +310,7 @@ def gain_of_shutter(measured: Measured, order: str) -> float:
 
 
 def certain_gain(moved: Floats, present: Floats, rolling: Floats) -> float:
-    """Return -L in its standard deviations from d (n,), C0 and C1 (n, n); see the top."""
+    """Return -L in its standard deviations; d (n,), C0 and C1 (n, n) as defined at the top."""
     added = rolling - present
     deviation = 2.0 * np.sqrt(moved @ rolling @ moved + (added**2).sum())
     return (moved @ moved - 2.0 * np.trace(added)) / deviation if deviation > 0 else np.inf

@@ -1,9 +1,9 @@
-r"""Lens model too small, although poses and points have absorbed its field of residuals.
+r"""Lens model too small, although poses and points have absorbed the residuals that show it.
 
 If all cameras have one direction, as in a flight over flat ground, poses and points can imitate a
 missing term of the lens: the block bends, and hardly any residual is left (lens_terms.py).
 
-Test. Put the present values into a larger model, its added terms at zero. There, one step of Newton
+Test. Convert the cameras to a larger model, its added terms at zero. There, one step of Newton
 with all poses, points and lenses free would lower twice the cost by lambda^2 = g^T H^- g, and one
 in the present model by lambda_0^2, which is zero at a minimum. With the noise s^2 that is left,
 
@@ -14,16 +14,16 @@ the score test (C. R. Rao, 1948). Because T is a difference, the start need not 
 the pixels: it may be the minimum with measured positions, which the test leaves out, as their
 sigmas may not agree with those of pixels. W are the weights of the loss.
 
-Relevance. A field of 1 % of the residuals may move the cameras by many of their standard
-deviations. The difference of the two steps moves the centre of image i by d_i, without the
-similarity that is free. The finding needs p below 1e-4, T above 4 per term (below, the terms of
-many lenses cost more certainty than they give, as in focal_lengths.py), and rms d above the rms
-standard deviation of the centres in the larger model. On 1200 seeded scenes whose lens was right, p
-was below 1e-3 in one. A single step is a lower bound of the movement.
+Relevance. Even a field of 1 % of the residuals may move the cameras by many standard deviations.
+The difference of the two steps moves the centre of image i by d_i, without the similarity that is
+free. The finding needs p below 1e-4, T above 4 per term (below, more terms increase the position
+errors, as in focal_lengths.py), and rms d above the rms standard deviation of the centres in the
+larger model. On 1200 seeded scenes whose lens was right, p was below 1e-3 in one. A single step is
+a lower bound of the movement.
 
-Model. The smallest extension that passes: one term before all of them, as terms that are not
-needed make the positions of flights up to nine times less accurate. T of any extension is at most
-that of the largest, so that one step decides for nearly all right models.
+Model. The smallest extension that passes, beginning with a single term, because unneeded terms make
+the positions of flights up to nine times less accurate. T of any extension is at most that of the
+largest, so that one step decides for nearly all right models.
 """
 
 from __future__ import annotations

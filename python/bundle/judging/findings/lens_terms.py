@@ -1,14 +1,13 @@
 r"""Lens model too small: a systematic field of residuals, and the missing term.
 
 Test. The candidate fields (systematic.py) are further radial terms, tangential distortion or a
-displaced principal point, and different focal lengths. A field of which poses and intrinsics leave
-less than 5 % belongs to the model already. The coefficients theta of all images of one camera model
-and size come from one regression r = A theta. The covariance V of theta
-is a sandwich H^-1 W H^-1 with H = A^T A: W sums the outer products of the scores of observations,
-or of images. The Wald statistic theta^T V^-1 theta is compared with chi^2 of d = dim theta degrees
-of freedom. In different images, poses and points absorb different parts of a field. The statistic
-by images, for which the images must agree, is therefore smaller. Without agreement, the cause is
-motion.
+displaced principal point, and different focal lengths. If poses and intrinsics absorb more than 95
+% of a field, the model already has this term. The coefficients theta of all images of one camera
+model and size come from one regression r = A theta. The covariance V of theta is a sandwich H^-1 W
+H^-1 with H = A^T A: W sums the outer products of the scores of observations, or of images. The Wald
+statistic theta^T V^-1 theta is compared with chi^2 of d = dim theta degrees of freedom. In
+different images, poses and points absorb different parts of a field. So the statistic by images is
+smaller: it needs images that agree. If they do not, the cause is motion.
 
 Thresholds. A statistic by observations above d + 6 sqrt(2 d) + 20 (p below 1e-7 for d = 1 to 6,
 enough for a thousand lenses), by images (from 10 on) above d + 3.1 sqrt(2 d) + 5.5 (p = 0.001), and
@@ -16,11 +15,11 @@ a field A theta of rms 0.13 scales per coordinate, which makes the RMSE 1 % too 
 0.005 to 0.06 where the lens is right, 0.10 for a pinhole that is nearly enough, 0.25 to 0.44 where
 it is too small.
 
-Model. The smallest larger model whose terms beyond the present ones explain half of the field; the
-next run tests what is left. Poses and points turn a part of each field into others: in seeded
-scenes, a missing r2 or r4 alone explains 78 to 100 % of it, r6 48 to 74 %, other terms 3 % at most.
-Terms that are not needed cost accuracy: where r4 was missing, RADIAL left 0.11 to 0.93 of the
-position errors, OPENCV 0.14 to 1.4.
+Model. Take the smallest larger model whose additional terms explain half of the field; the next run
+tests the rest. Poses and points turn a part of each field into others: in seeded scenes, a missing
+r2 or r4 alone explains 78 to 100 % of it, r6 48 to 74 %, other terms 3 % at most. Terms that are
+not needed cost accuracy: where r4 was missing, RADIAL left 0.11 to 0.93 of the position errors,
+OPENCV 0.14 to 1.4.
 """
 
 from __future__ import annotations

@@ -51,7 +51,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Measured:
-    """A model at its present values, with everything that findings are made of."""
+    """A model at its present values, with the quantities that the findings use."""
 
     whole: Problem  # the model
     command: NextCommand  # object that makes command lines
@@ -145,13 +145,13 @@ class Measured:
 
     @cached_property
     def is_outlier(self) -> NDArray[np.bool_]:
-        """(n,) True beyond 5 scales of the surroundings, and for observations without a value."""
+        """(n,) True for errors above 5 local scales, and for observations without a value."""
         with np.errstate(invalid="ignore"):
             return ~(self.errors <= CLIP * self.local_scale)
 
     @cached_property
     def is_clean(self) -> NDArray[np.bool_]:
-        """(n,) True for observations whose track has no outlier, which would move its point."""
+        """(n,) True for observations of tracks without outliers (which would move the point)."""
         point = self.problem.observation_point
         spoiled = np.zeros(self.problem.num_points, bool)
         spoiled[point[self.is_outlier]] = True

@@ -1,16 +1,16 @@
 """Not refined: one more step would lower the cost considerably.
 
-Test. At a minimum the gradient by each free point and by each free pose vanishes, whatever else was
-held constant. With g = J^T W r and H = J^T W J of one point (or one pose), its own Newton step
+Test. At a minimum the gradient w.r.t. each free point and each free pose vanishes, whatever else
+was held constant. With g = J^T W r and H = J^T W J of one point (or one pose), its own Newton step
 lowers the cost 1/2 sum w e^2 by 1/2 g^T H^-1 g. The sum over the points (poses), relative to the
 cost, approximates the decrease by a common step. W are the weights rho'(e^2) of the loss of the
 solve. An unknown loss is tried: squares, soft_l1 and cauchy at 1 px; the smallest decrease is used.
 
 Threshold. At the true values, too, k parameters absorb noise: a share e = k / (2 observations) of
 the cost. The remainder, (1 - decrease) / (1 - e), must be below 0.8 for points or for poses. Nine
-models that others refined: 0.98 or more before division by 1 - e. Starts of synthetic scenes and a
-triangulated rig model: 0.5 or less. Poses of rigs, held ones, and those with priors are left out.
-Other tests need a minimum.
+models refined by other programs have 0.98 or more before division by 1 - e. Starts of synthetic
+scenes and a triangulated rig model: 0.5 or less. Poses of rigs, constant poses and poses with
+priors are left out. All other findings assume a model at its minimum.
 """
 
 from __future__ import annotations
@@ -58,10 +58,10 @@ def not_refined(measured: Measured) -> Finding | None:
 def shifted_pixels(measured: Measured) -> Finding | None:
     """Return the finding about a model whose pixels all have the same shift, or None.
 
-    A file with pixels from the corner, read as if from the centre of the image, has one residual
-    everywhere: its mean m explains the mean square, |m|^2 >= 0.9 mean e^2 (RMSE equals median), and
-    is 10 px or longer. A refinement would bend the model to absorb it. If no photograph gave the
-    size, the middle of the image is c - m, where the reader took it to be c (0 from the centre).
+    If pixels count from the corner but are read as if from the image centre, all residuals are
+    equal: its mean m explains the mean square, |m|^2 >= 0.9 mean e^2 (RMSE equals median), and is
+    10 px or longer. A refinement would bend the model to absorb it. If no photograph gave the size,
+    the middle of the image is c - m, where the reader took it to be c (0 from the centre).
     """
     command = measured.command
     residual = measured.residuals[measured.counted]

@@ -1,6 +1,6 @@
 """Command line to run next: the command of this run with other options.
 
-A flag of the run is replaced by the same flag of the advice. A flag that may be given several times
+A suggested flag replaces the same flag of the run. A flag that may be given several times
 (`--set`, a list of rules) is added instead, because each occurrence adds information.
 """
 
@@ -30,12 +30,12 @@ class NextCommand:
     given: Sequence[str] = ()  # flags that the next run repeats, each before its values
 
     def refine(self, *flags: str) -> str:
-        """Return `bundle refine` with the flags of this run and these, which replace the former."""
+        """Return `bundle refine` with this run's flags; the given ones replace or extend them."""
         words = self.after(*flags).given
         return shlex.join(["bundle", "refine", self.source, "-o", self.target, *words])
 
     def after(self, *flags: str) -> NextCommand:
-        """Return the object that makes commands for a run with these flags in addition."""
+        """Return a NextCommand for a run that has these flags, too."""
         advised = list(_occurrences(flags))
         replaced = {_name(one) for one in advised} - REPEATED
         kept = [
@@ -47,7 +47,7 @@ class NextCommand:
         return NextCommand(self.source, self.target, words)
 
     def with_flags_of(self, command: str) -> NextCommand:
-        """Return the object that makes commands for a run that also has a command's flags."""
+        """Return a NextCommand for a run that also has the flags of a command."""
         return self.after(*shlex.split(command)[5:])
 
     def value(self, flag: str, default: str) -> str:
@@ -58,7 +58,7 @@ class NextCommand:
         return default
 
     def other(self, command: str, *flags: str) -> str:
-        """Return another command on the input."""
+        """Return a command of another name on the same input."""
         return shlex.join(["bundle", command, self.source, *flags])
 
 

@@ -2,9 +2,9 @@
 
 Test. Errors are standardized (the model absorbs a part of each, by its leverage) and divided by the
 local noise, the scale of their surroundings (measured.py). Gaussian noise exceeds 6 scales once in
-65 million observations. Real keypoints have heavier tails. These alone do no harm: an outlier
-matters by its share of the cost, which least squares minimises. With a share q of the cost beyond 6
-scales, the RMSE is larger by 1 / sqrt(1 - q).
+65 million observations. Real keypoints have heavier tails. These alone do no harm: what matters is
+the share of the cost that the outliers have. With a share q of the cost beyond 6 scales, the RMSE
+is larger by 1 / sqrt(1 - q).
 
 Threshold. At least 3 observations, and q >= 0.2: RMSE inflated by 12 % or more.
 
@@ -14,13 +14,13 @@ psi^2, which is the variance of the gradient: with the share q they move the mod
 of its standard deviation. At noise near the scale c of the loss, outliers of 15 to 60 px have
 q < 0.003, and rounds that delete them change the position errors by factors of 1.00 +- 0.04 (25
 scenes): no command helps. They keep q >= 0.2 only if c is much larger than the noise. Then the
-advice is 2.4 times the noise, where the Cauchy loss is 94 % efficient for Gaussian noise.
+suggested scale is 2.4 times the noise, where the Cauchy loss is 94 % efficient for Gaussian noise.
 
 A scale c below the noise wastes good observations: the loss is 76 % efficient at c = 1 noise, 55 %
-at half of it, and needs twice the steps. So the scale is advised, too, if it is below 1.5 times the
-noise (86 %). The noise is that of the model after a robust solve, because outliers bend the model.
-On 16 scenes with noise of 0.3 to 1 px and motion, position errors fell to 0.63 of those of least
-squares at c = 1 px, and to 0.58 at c = 2.4 times the noise.
+at half of it, and needs twice the steps. So the scale is suggested, too, if it is below 1.5 times
+the noise (86 %). The noise is that of the model after a robust solve, because outliers bend the
+model. On 16 scenes with noise of 0.3 to 1 px and motion, position errors fell to 0.63 of those of
+least squares at c = 1 px, and to 0.58 at c = 2.4 times the noise.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from bundle.model.losses import evaluate_loss
 BEYOND = 6.0
 SHARE = 0.2
 EFFICIENT, SMALLEST = 2.4, 1.5
-"""Scale of the Cauchy loss, by the noise: the best, and that below which it is advised."""
+"""Scale of the Cauchy loss over the noise: the best one, and the largest that is suggested."""
 BOUNDED = ("cauchy", "tukey", "arctan")
 """Losses whose influence vanishes for large errors."""
 FEWEST_OUTLIERS = 3

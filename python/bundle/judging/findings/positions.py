@@ -1,26 +1,26 @@
 r"""Measured positions against the model: sigmas, single wrong positions, drift of the scale.
 
-East and north are one group of axes, up is the other: receivers know heights several times less
-well. The residual of image i in units of its sigma has the length d_i in a group; for right sigmas
-d_i^2 is chi^2 with as many degrees of freedom as measured axes (median 1.386 for two, 0.455 for
-one).
+East and north are one group of axes, up is the other: receivers measure heights several times less
+accurately. Let d_i be the length of image i's residual in a group, in sigmas; if the sigmas are
+right, d_i^2 is chi^2 with as many degrees of freedom as measured axes (median 1.386 for two, 0.455
+for one).
 
 Wrong sigmas. The ratio of a group is the root of median d^2 over its expected median. It exceeds 2,
-and 1 by 3 of its standard errors, over at least 6 images. The command gives the sigmas that the
-residuals show, per group. If the file has sigmas, the command gives factors on them.
+and 1 by 3 of its standard errors, over at least 6 images. The command sets the sigmas of each group
+from the residuals. If the file has sigmas, the command gives factors on them.
 
 Single wrong positions. In at most a third of the images, the residual over all axes exceeds 5
 sigmas, after division by the ratio of each group (at least 1). If outliers or a small lens bend the
-model, the test uses the model without them. If motion that no command removes bends it, no sigmas
-are advised, because larger sigmas would allow more bending.
+model, the test uses the model without them. If it is bent by motion that no command removes, no
+sigmas are suggested, because larger sigmas would allow more bending.
 
 Drift. Priors pull the model, so that a drift shows little in the residuals. If these show any
 tension (a ratio above 1.5, or a residual above 5 sigmas), the model is solved without positions,
 and with a larger lens if its own is too small. With its centres c and the positions p, the scale of
 a part of the images is s = sum |p - mean p| / sum |c - mean c|. That of the first half of the
 images in their order and that of the second differ by more than 9 % and by 5 standard errors; the
-error of each is sigma / (spread sqrt n). Smaller sigmas are advised while more than 3 % of drift is
-left in the model with its positions, if a solve with them from the start of the run has a usable
+error of each is sigma / (spread sqrt n). Smaller sigmas are suggested while more than 3 % of drift
+is left in the model with its positions, if a solve with them from the start of the run has a usable
 result. The start is far from a bent model, so that the first steps must be short. If no solve has a
 usable result, the images contradict the drift.
 """
@@ -61,7 +61,7 @@ OUTLIER = 5.0
 FEWEST = 6
 DRIFT, DRIFT_ERRORS = 0.09, 5.0
 LEFT = DRIFT / 3
-"""Remaining drift of the model solved with positions, above which smaller sigmas are advised."""
+"""Least remaining drift of the model solved with positions to suggest smaller sigmas."""
 RADIUS_FLAG = "--initial-trust-region-radius"
 DAMPED = (1.0, 0.01)
 """Radii of the first step where longer steps go too far."""
@@ -140,8 +140,8 @@ def positions_of_start(measured: Measured) -> Finding | None:
     """Return the finding about positions that a start contradicts, or None.
 
     Their sigmas are so small that they pull the cameras away before the images can follow. The
-    command gives the sigmas that the start shows, so that the images decide. A scale below 1 was
-    advised against a drift and stays.
+    command sets the sigmas from the residuals at the start, so that the images decide. A scale
+    below 1 was suggested against a drift and stays.
     """
     rows, priors = _used(measured)
     if len(rows) < FEWEST:
@@ -164,7 +164,7 @@ def positions_of_start(measured: Measured) -> Finding | None:
 def position_offset(measured: Measured) -> Finding | None:
     """Return the finding about an offset of positions from control points, or None.
 
-    ``solving/survey_checks.py`` has the test. Without the offset, a focal length absorbs it.
+    ``solving/survey_checks.py`` has the test. Focal lengths absorb an offset that is not modelled.
     """
     offset = None if measured.survey is None else measured.survey.offset
     if offset is None or offset.is_estimated or not offset.is_significant:
@@ -209,7 +209,7 @@ def _sigma_command(measured: Measured, given: list[float], factors: list[float])
 
 
 def _pair(values: list[float]) -> str:
-    """Return a horizontal and a vertical number with two digits, one word if they are equal."""
+    """Return a horizontal and a vertical number with two digits; a single one if they are equal."""
     words = [f"{value:.2g}" for value in values if value < UNKNOWN_SIGMA]
     return "/".join(dict.fromkeys(words))
 
@@ -450,7 +450,7 @@ def _sums(problem: Problem, rows: list[int], priors: list[Any], covariances: Flo
     poses = problem.cam_from_world[rows]
     back = np.swapaxes(rotation_matrices(poses[:, :4]), 1, 2)
     antennas = _antennas(problem, rows, priors)
-    # With b = R^T (a - t), the derivative by the rotation w is R^T [a - t]x = [b]x R^T, by t -R^T.
+    # With b = R^T (a - t), db/dw is R^T [a - t]x = [b]x R^T for the rotation w, and db/dt is -R^T.
     jacobian = np.concatenate([cross_matrices(antennas) @ back, -back], axis=2)
     spread = jacobian @ covariances @ np.swapaxes(jacobian, 1, 2)
     sums = np.zeros((2, 2))

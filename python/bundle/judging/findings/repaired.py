@@ -1,20 +1,20 @@
-"""A model as it would be without a fault that was found, for the tests that follow.
+"""Solve a model again without a fault that was found, for the tests that follow.
 
-One fault causes symptoms of others. Outliers of a least-squares fit bend cameras, a lens model that
-is too small makes focal lengths differ, a rolling shutter bends, wrong positions pull images away.
+One fault causes symptoms of others. Outliers of a least-squares fit and rolling shutters bend the
+model, a lens model that is too small makes focal lengths differ, wrong positions pull images away.
 So the tests run in stages. If a stage finds a fault, the model is solved again from its present
 values with the remedy of the finding: a cauchy loss, a larger lens model, a rolling shutter, or no
-positions. The next stage looks at that model. It reports faults of the original only. If the
-robust solve does not converge, the fault has destroyed the model, and no later stage can be
-trusted. That of a larger lens or a shutter begins at a minimum; a few steps are enough. Later
+positions. The next stage looks at that model. Only faults that the original also has are reported.
+If the robust solve does not converge, the fault has destroyed the model, and no later stage can be
+trusted. A solve with a larger lens or a shutter starts at a minimum; a few steps are enough. Later
 stages need only large changes, so both solves may end at a cost that is 1e-4 too high. This takes a
 third of the steps, and slow steps near the minimum do not count as failures. Positions that bend a
 model take it far from the minimum without them, and the return is slow, because a drift costs
 little. So that solve has more steps and a smaller tolerance.
 
 The second solve takes about as long as the first. It is made for models of at most 50,000
-observations and 100 images; of larger ones, later stages look at the model itself, without the
-tests that its fault would mislead.
+observations and 100 images; of larger ones, later stages look at the model itself, without those
+tests that the fault would mislead.
 """
 
 from __future__ import annotations
@@ -80,10 +80,10 @@ def repaired(
 ) -> Measured | None:
     """Return the model solved again with a robust loss; None if it fails.
 
-    Its commands begin with the same repair, because its findings hold only after it.
+    Printed commands begin with the same repair, because findings on this model hold only after it.
 
-    "" is the present lens model, and no shutter. If positions, which are left out, bend the model,
-    the solve has more steps.
+    "" is the present lens model, and no shutter. The solve has no positions. With `is_bent` (they
+    have bent the model), it takes more steps.
     """
     options = measured.options.replace(
         loss="cauchy",

@@ -1,14 +1,14 @@
-r"""Residuals of some images without what poses and intrinsics can still explain.
+r"""Residuals of some images after the projection orthogonal to poses and intrinsics.
 
 An error of a lens or of a motion leaves a field of residuals, and poses and intrinsics have
 absorbed a part of it. What remains is orthogonal to their derivatives. A candidate column a (the
-derivative of the residuals by a missing parameter) must lose the same part before it is compared:
-by the theorem of Frisch, Waugh and Lovell the coefficient of a in a joint least-squares fit with
-the columns B is that of the regression of (I - P) r on (I - P) a, where P projects onto B. Here B
-has the six columns of the pose of each image, and the focal and distortion columns of each camera.
-The projections are successive, which is exact: first the poses, image by image, from all columns,
-then what remains of the intrinsics, camera by camera. Points are not projected out: their errors
-differ from point to point and act as noise.
+derivative of the residuals w.r.t. a missing parameter) must lose the same part before it is
+compared: by the theorem of Frisch, Waugh and Lovell the coefficient of a in a joint least-squares
+fit with the columns B is that of the regression of (I - P) r on (I - P) a, where P projects onto B.
+Here B has the six columns of the pose of each image, and the focal and distortion columns of each
+camera. The projections are successive, which is exact: first the poses, image by image, from all
+columns, then what remains of the intrinsics, camera by camera. Points are not projected out: their
+errors differ from point to point and act as noise.
 
 A column of one image only, a_i, is zero in all other rows. With an orthonormal basis Q of the
 intrinsics of a camera and its rows Q_i, a_i^T (I - Q Q^T) a_i = a_i^T a_i - (Q_i^T a_i)^2.
@@ -229,7 +229,7 @@ class SystematicResiduals:
 
 
 def _is_first(problem: Problem) -> NDArray[np.bool_]:
-    """Return the mask of observations that repeat no other one: a feature found twice counts once.
+    """Return the mask of distinct observations: a feature that was detected twice counts once.
 
     Positions are compared to a tenth of a pixel.
     """

@@ -1,17 +1,16 @@
 r"""Measured gravity, orientations and headings that contradict most others of their kind.
 
 A robust fit first turns the model to the measurements and removes the mean of each kind. So it
-finds a few wrong measurements although they pull the model, and a model that is not aligned yet
-gives no finding. The length a_i of the remaining turn in its sigmas has a chi distribution with
-k = 1, 2 or 3 degrees of freedom.
+finds a few wrong measurements although they pull the model, and it gives no finding for a model
+that is not aligned yet. The length a_i of the remaining turn in its sigmas has a chi distribution
+with k = 1, 2 or 3 degrees of freedom.
 
 Single images. a_i is above max(1, ratio) times the quantile that the largest of n good ones exceeds
 with a probability of 0.1 %, and above 1 degree, in less than half of the images. The ratio is the
 median of a_i over that of the chi distribution.
 Wrong sigmas. The ratio exceeds 2, and 1 by 3 of its standard errors, over at least 6 images. The
 median of n lengths has the relative standard error c_k / sqrt(n), with c_k = 1 / (2 f(m) m), m the
-median and f the density of the chi distribution. The command gives the sigma that the residuals
-show.
+median and f the density of the chi distribution. The command sets the sigma from the residuals.
 """
 
 from __future__ import annotations

@@ -33,7 +33,7 @@ SECONDS_PER_PREEMPTION = 0.005
 
 @dataclass(frozen=True, kw_only=True)
 class SolveFacts:
-    """Facts of a solve. None: unknown or not applicable."""
+    """Facts of a solve. None if unknown or not applicable."""
 
     method: str = ""  # name of the method in a comparison; "" elsewhere
     options: Entry = field(default_factory=dict)  # options by name, enumerations in upper case
@@ -373,7 +373,7 @@ def _slowed(environment: Entry, num_threads: float | None) -> float:
 
 
 def is_busy(environment: Entry, num_threads: int | None) -> bool:
-    """Return True if other work left too few cores for the threads of a solve."""
+    """Return True if other processes left too few cores for the threads of a solve."""
     load, cores = environment.get("load_before"), environment.get("num_cores")
     if load is None or cores is None:
         return False

@@ -1,4 +1,4 @@
-"""Reports of refine, vio and compare, as a triage reads them, and their shape."""
+"""Reports of refine, vio and compare as read by triage, and checks of their structure."""
 
 from __future__ import annotations
 
@@ -80,8 +80,8 @@ def _whole(text: str) -> float:
 def same_input(old: SolveReport, new: SolveReport) -> None:
     """Refuse reports of different commands or inputs.
 
-    A file may have another name in each run, and its contents may grow under the same name. An
-    input with another name and another size is another input.
+    A file may have another name in each run, and its contents may grow under the same name. Inputs
+    are different if both name and size differ.
     """
     place = shown(new.path)
     if old.command != new.command:
@@ -267,7 +267,7 @@ SHAPES = {
 
 
 def check_shape(value: Any, shape: Any, place: str, name: str = "") -> None:
-    """Refuse a value that lacks entries of its shape.
+    """Refuse a value that lacks required entries.
 
     ``shape``: expected shape. ``name``: names of the entries that lead to the value, such as
     "summary.final_cost".

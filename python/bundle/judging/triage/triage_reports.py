@@ -1,7 +1,7 @@
 """``triage``: the cause of the difference between two reports of one input.
 
-A comparison holds solves by many methods. A cause of one method is a cause of the whole, except the
-machine: its load changes all times, so that the median ratio over the methods decides.
+A report of compare contains solves by many methods. A cause of one method is a cause of all, except
+the machine: its load changes all times, so that the median ratio over the methods decides.
 """
 
 from __future__ import annotations
@@ -401,7 +401,7 @@ def find_ordering(two: Difference) -> TriageCause | None:
 
 
 def find_prior(two: Difference) -> TriageCause | None:
-    """Look for a denser Lambda that variables and measurements do not explain."""
+    """Detect a Lambda that is denser than variables and measurements explain."""
     if two.old.initial_cost is None:  # a window: the prior is known
         ratio = two.ratio("prior_columns")
         is_same_window = two.old.options.get("window") == two.new.options.get("window")

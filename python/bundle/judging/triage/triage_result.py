@@ -1,4 +1,4 @@
-"""Result of a triage: causes, their words and evidence, and differences without effect."""
+"""Result of a triage: causes with sentences and evidence, and differences without effect."""
 
 from __future__ import annotations
 

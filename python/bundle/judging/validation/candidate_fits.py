@@ -95,7 +95,7 @@ class CandidateFit:
 
 
 def fit_candidates(candidates: Sequence[Candidate], fitting: Fitting) -> list[CandidateFit]:
-    """Return the fits of all candidates, in their order. A candidate that cannot start has none."""
+    """Return the fits of all candidates, in their order. Without a valid start: none."""
     fits = [CandidateFit(candidate=candidate) for candidate in candidates]
     chains: dict[Any, list[CandidateFit]] = {}
     for fit in fits:
@@ -223,7 +223,7 @@ class _Run:
 #
 # A held-out residual r of a point X contains the noise of the measurement and the error of X, which
 # comes from the noise of the observations that were fitted. With equal noise sigma, poses and
-# lenses known, and the Jacobian J (2, 3) of the projection by X, its covariance is
+# lenses known, and the Jacobian J (2, 3) of the projection with respect to X, its covariance is
 #
 #     sigma^2 S,    S = I + J_h (sum over fitted observations J^T J)^-1 J_h^T,
 #
@@ -245,7 +245,7 @@ _Floats = NDArray[np.float64]
 def prediction_covariances(
     problem: Problem, folds: NDArray[np.int16], cheirality: str = "auto"
 ) -> _Floats:
-    """Return S of each observation at a fit to all; NaN for observations in no fold (-1)."""
+    """Return S of each observation at the fit to all observations; NaN without a fold (-1)."""
     jacobians = linearize(problem, cheirality).d_point
     if problem.observation_sigma is not None:
         jacobians = jacobians / problem.observation_sigma[:, None, None]

@@ -158,8 +158,8 @@ def with_cameras(
 ) -> tuple[Problem, tuple[str, ...]]:
     """Return the problem with the cameras of a candidate, and the rules that tie them.
 
-    Points do not change. Merged cameras start at their mean. With ``keep_scale`` their images
-    move to keep their scale, else poses do not change.
+    Points do not change. Merged cameras start at their mean. With ``keep_scale``, images move along
+    their axis to keep their scale.
     """
     model, share = candidate.camera_model, candidate.share
     if model and len(set(problem.camera_models)) > 1:

@@ -77,7 +77,7 @@ def judged(
     flags: str,
     begun: float,
 ) -> Validation:
-    """Return the validation of at least one fit."""
+    """Return the result of the validation; at least one fit is required."""
     problem = fitting.problem
     rows = np.flatnonzero(fitting.folds >= 0)
     residuals = np.stack(
@@ -376,11 +376,11 @@ def _command(fit: CandidateFit, fitting: Fitting, source: str, flags: str) -> st
 #
 # Where motion is found, by this or by the row test, a lens per image is vetoed. If the shutter
 # explains the residuals, the scores of the shared lenses are those with the shutter, which compare
-# lens with lens. But a shutter also absorbs a term that all images lack, such as fx / fy. Motion
-# that varies from image to image moves such a term by chance only, and the standard error over the
-# images contains this chance: a shared lens is vetoed, too, if without a shutter it predicts worse
-# than the best one by more than the quantile 0.9995 of Student's t with (images - 1) degrees of
-# freedom: t^2 has the distribution F(1, images - 1).
+# lens with lens. But a shutter also absorbs a lens term that is missing in all images, such as fx /
+# fy. Motion that varies from image to image moves such a term by chance only, and the standard
+# error over the images contains this chance: a shared lens is vetoed, too, if without a shutter it
+# predicts worse than the best one by more than the quantile 0.9995 of Student's t with (images - 1)
+# degrees of freedom: t^2 has the distribution F(1, images - 1).
 #
 # Fits, positions and commands do not include it: a separate test compares its gain with the loss of
 # certainty (:func:`bundle.judging.findings.images.gain_of_shutter`).

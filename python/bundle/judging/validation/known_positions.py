@@ -1,4 +1,4 @@
-"""Errors of a fit at check points and measured positions, and certainty of its positions.
+"""Errors of a fit at check points and measured positions, and the sigmas of its positions.
 
 Check points do not influence the fit. Measured positions of images are priors of the fit: their
 residuals show whether positions and pixels agree, but more parameters always improve the agreement.
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 class KnownErrors(NamedTuple):
-    """Root mean squares of distances in space, in the unit of the survey; NaN without any."""
+    """Root mean squares of 3-D distances, in the unit of the survey; NaN without any."""
 
     check_points: float  # at check points
     positions: float  # at measured positions of images
@@ -90,7 +90,7 @@ class Certainty(NamedTuple):
 
 
 def certainty(prepared: Prepared, full: Result) -> Certainty:
-    """Return the certainty of a fit to all observations."""
+    """Return the position sigmas of a fit to all observations."""
     try:
         sound = _sound(prepared, full)
         found = covariance(

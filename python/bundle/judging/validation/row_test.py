@@ -20,7 +20,7 @@ give the variance of a slope without an assumption on the noise (sandwich; White
 shear is sum ((w_y e_x + w_x e_y) / 2)^2 n / (n - 3). Observations beyond 5 sigma are left out,
 sigma = median error / 1.1774. Duplicated points repeat measurements; each counts once.
 
-If all images share what the lens lacks, a slope b_i with variance v_i varies about the weighted
+If all images lack the same lens terms, a slope b_i with variance v_i varies about the weighted
 mean of its camera by noise only:
 
     Q = sum (b_i - mean)^2 / v_i
@@ -38,11 +38,11 @@ in the mean of squares. A variance is relevant if it raises the RMS by 1 %, the 
 decision. The
 anisotropy alone proves no motion: cameras may differ in fx / fy. Last, the shear must also remain
 where each image may have its own lens: in the exact test (:mod:`.shear_score`), significant at 5 %
-or twice as large as its noise. With few images the first may be out of reach.
+or twice as large as its noise. With few images 5 % may be out of reach.
 
-Motion along the columns leaves anisotropy only, and with few images neither is clear. Where the sum
-of both Q is beyond the quantile 1 - 1e-4 of 2 d degrees of freedom, motion is suspected: a rolling
-shutter is tried (:mod:`.rolling_fits`).
+Motion along the columns shows in the anisotropy only, and with few images neither test is clear.
+Where the sum of both Q is beyond the quantile 1 - 1e-4 of 2 d degrees of freedom, motion is
+suspected: a rolling shutter is tried (:mod:`.rolling_fits`).
 
 Slopes do not distinguish rows from columns. A motion (a, b) y and a motion (b, -a) x differ by a
 rotation and a scale of the image, which the pose absorbs.
@@ -231,7 +231,7 @@ def _is_confirmed(score: ShearScore) -> bool:
 # Cameras with really different lenses bend the points between them, and so leave some shear in each
 # other's residuals. This test measures the shear that remains if every image has its own lens.
 #
-# Let r be the residuals and J the derivatives by all that is free: poses, points, the lenses of the
+# Let r be the residuals and J their Jacobian w.r.t. all that is free: poses, points, lenses of the
 # fit, and per image the fields of a lens, with x, y from the centre of the image and s = x^2 + y^2:
 #
 #     (x, y), (s x, s y)               focal length, radial distortion

@@ -55,14 +55,14 @@ def validate(
     """Compare lens models, sharings and losses by how well they predict observations.
 
     The observations are divided into folds (:mod:`bundle.model.folds`), the same for all
-    candidates. Each candidate is fitted to all observations but a fold, and predicts this fold. Its
-    score is the RMS of the normalised errors of all folds, clipped at 3 sigmas. The recommended
-    candidate is the one with the fewest parameters among those that predict as well as the best:
-    within 2 standard errors or 1 %, unless its cameras moved or the best one is much less certain
-    (:mod:`bundle.judging.validation.validation_result`). Errors at repeated measurements (points
-    that occur twice) do not count in the decision. Where the residuals of shared lenses show motion
-    or a rolling shutter, and one lens with a shutter predicts as well as any lenses per image
-    (:mod:`bundle.judging.validation.judgement`), the latter are vetoed, and shared lenses are
+    candidates. Each candidate is fitted to all observations except those of a fold, and predicts
+    this fold. Its score is the RMS of the normalised errors of all folds, clipped at 3 sigmas. The
+    recommended candidate is the one with the fewest parameters among those that predict as well as
+    the best: within 2 standard errors or 1 %, unless its cameras moved or the best one is much less
+    certain (:mod:`bundle.judging.validation.validation_result`). Errors at repeated measurements
+    (points that occur twice) do not count in the decision. Where the residuals of shared lenses
+    show motion or a rolling shutter, and one lens with a shutter predicts as well as any lenses per
+    image (:mod:`bundle.judging.validation.judgement`), the latter are vetoed, and shared lenses are
     compared beside a shutter.
 
     Args:
@@ -157,7 +157,7 @@ def _folds(problem: Problem, num_folds: int, seed: int) -> NDArray[np.int16]:
 
 
 def _candidates(problem: Problem, *wanted: Any) -> list[Candidate]:
-    """Return the candidates of the request."""
+    """Return the requested candidates."""
     candidates = default_candidates(problem, *wanted)
     if len(candidates) > MOST_CANDIDATES:
         raise InputError(

@@ -336,7 +336,7 @@ def verdict_of(
 def present_candidate(
     records: Sequence[ValidatedCandidate], problem: Problem, chosen: ValidatedCandidate
 ) -> int:
-    """Return the index of the input's models and sharing, with the chosen loss; -1: none."""
+    """Return the index of the input's own candidate with the chosen loss; -1: none."""
     used = {problem.camera_models[camera] for camera in set(problem.image_camera.tolist())}
     own = groups_of(problem, "input").tobytes()
     for k, one in enumerate(records):

@@ -15,7 +15,7 @@ have an effect:
 
 A model can represent this lens if it has the same mapping of rays and all its coefficients. EUCM
 with alpha = 0 and the division models with k = 0 are perspective. FOV with omega = 0 is perspective
-as well, but its derivatives by omega are zero there, which would stall other solvers. Therefore
+as well, but its derivatives w.r.t. omega are zero there, which would stall other solvers. Therefore
 perspective lenses are converted to FOV by a fit.
 """
 

@@ -282,8 +282,8 @@ def source_records(source: Any) -> SourceRecords | None:
         source = source.reconstruction()
     if not is_source(source):
         raise InputError(
-            "source: expected a pycolmap.Reconstruction, the source of a problem from a BAL file, "
-            f"or None, found {type(source).__name__}"
+            "source: expected None, a pycolmap.Reconstruction or the source of a problem that a "
+            f"BAL file gave, found {type(source).__name__}"
         )
     if isinstance(source, ImportedSource):
         return source.records()

@@ -130,7 +130,7 @@ def compare(
     ``timeout`` and options of :class:`bundle.PoseGraphOptions`. ``progress`` is called with the
     name of each method.
 
-    A :class:`FactorGraph` of reprojections is compared as the problem that it states, one of
+    A :class:`FactorGraph` of reprojections is compared as the problem that it represents, one of
     relative poses as the pose graph; :meth:`FactorGraph.as_problem` and
     :meth:`FactorGraph.as_pose_graph` return these for a solve by the recommended method. For any
     other factor graph, Ceres with each linear solver and trust region is compared with a QR
@@ -257,7 +257,7 @@ def compare(
 
 
 def _stated(graph: FactorGraph, options: Any, changes: Mapping[str, Any]) -> tuple[Any, Any]:
-    """Return the pose graph or problem that a graph states, or the graph itself, with options."""
+    """Return the pose graph or problem that a graph represents, or the graph, with options."""
     if (poses := pose_graph_of(graph)) is not None:
         return poses.graph, options
     if (same := problem_of(graph)) is not None:

@@ -243,7 +243,7 @@ _TRACE = ("iteration", "cost", "step_is_successful", "cumulative_time_in_seconds
 
 
 def read_comparison(path: str | os.PathLike[str]) -> Comparison:
-    """Return the comparison that ``bundle compare --json FILE`` wrote.
+    """Read a comparison from the report of ``bundle compare --json FILE``.
 
     It has all runs, repeats, iterations and conditions, so that ``bundle.pictures`` and
     ``bundle.html.write_comparison`` draw the same figures as at the time of the measurement.

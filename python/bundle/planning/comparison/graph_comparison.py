@@ -1,8 +1,8 @@
 """Comparison of solver methods on a pose graph or a factor graph, with one recommendation.
 
 A factor graph of relative poses or of reprojections is compared as the pose graph or the problem
-that it states (``compare_methods.py``). Any other is solved by Ceres with each linear solver and
-trust region, and by a QR factorisation of its Jacobian.
+that it represents (``compare_methods.py``). Any other is solved by Ceres with each linear solver
+and trust region, and by a QR factorisation of its Jacobian.
 
 ``graph_distance`` is in sigmas of the covariance. Let X_a and X_b be two solutions with the same
 constant poses, and Lambda = J^T W J the information of all edges at X_b, with the weights W of the
@@ -280,7 +280,7 @@ def _listed(name: str, values: Any) -> tuple[Any, ...]:
 
 
 def _command(graph: PoseGraph, options: PoseGraphOptions, method: GraphMethod) -> str:
-    """Return the command, without options that a solve would choose by itself."""
+    """Return the command, without options that equal the automatic choice."""
     chosen = method.options(options)
     held, _, _ = _core.hold_poses(graph)
     if chosen.num_threads == _core.hardware_threads():

@@ -1,4 +1,4 @@
-"""One worker process: start, messages, limits, all kinds of ends, and what it runs.
+"""One worker process: start, messages, limits, ways to end, and its work.
 
 Memory of a process, and a limit on it.
 

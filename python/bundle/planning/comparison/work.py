@@ -1,7 +1,7 @@
 """Runs of a comparison: one worker process after the other, and their outcomes.
 
 At a minimum, every method stops after a step, and times are meaningless. A seeded perturbation of
-relative size s gives a start from which all methods must work. With n standard normal:
+relative size s gives a start at which no method has converged. With n standard normal:
 
     centre of a pose    c + s D n,  D: median distance of its observed points
     rotation of a pose  Exp(s n) R, about its centre
@@ -9,7 +9,7 @@ relative size s gives a start from which all methods must work. With n standard 
     focal lengths       (1 + s n) f, at least f / 2; one n per camera
 
 All sizes are relative to distances, so that the image moves by about s f pixels whatever the scale
-of the scene. Values that the options hold constant, and poses of rigs' sensors, stay.
+of the scene. Constant parameters and poses of sensors on rigs are not perturbed.
 """
 
 from __future__ import annotations
@@ -163,7 +163,7 @@ class Work:
         )
 
     def _is_settled(self, index: int, method: Method) -> bool:
-        """Return True if another run is not worthwhile: one failed or took long."""
+        """Return True if a run is not repeated because it failed or took long."""
         for end in self.ends.get((index, method), []):
             if end.measurement is None:
                 return True

@@ -139,7 +139,7 @@ class FactorGraphInspection(Displayed, Tabular):
         num_factors: number of factors, or of edges.
         manifolds: number of variables by manifold.
         kinds: number of factors by class.
-        block_size: 3 for a pose graph in the plane (SE(2)), 6 in space (SE(3)); 0 if variables have
+        block_size: 3 for a pose graph in 2D (SE(2)), 6 in 3D (SE(3)); 0 if variables have
             sizes of their own.
         num_columns: number of free coordinates.
         num_free_variables: variables with a free coordinate; the costs are for these.

@@ -1,7 +1,7 @@
 """Time of a step of a factor graph that Ceres solves: measured factors, counted matrices.
 
 A step evaluates the residuals of all factors at the candidate, and residuals and Jacobians at the
-accepted point. Factors are code of a user, so that this time is measured: a sample of each kind of
+accepted point. Factors are user code, so that their time is measured: a sample of each kind of
 factor is solved as a graph of its own, with the times of both evaluations.
 
 The rest is counts multiplied by rates of the machine. A factor has r residuals, and k free

@@ -266,7 +266,7 @@ def explain(methods: Sequence[MethodInspection], best: int, density: float) -> s
 def _rival(
     methods: Sequence[MethodInspection], chosen: MethodInspection
 ) -> MethodInspection | None:
-    """Return the best method with another linear solver, of the same backend if possible."""
+    """Return the best method with another linear solver, with the same backend if possible."""
     others = [
         method
         for method in methods

@@ -7,7 +7,7 @@ small solves of the solver that it predicts: rates include the instruction set, 
 threads of the machine.
 
 With the counts a_ij of solve i and its time t_i, the rates x minimise the squares of the relative
-errors, sum_i (sum_j a_ij x_j / t_i - 1)^2, under the condition that no rate is negative: a time
+errors, sum_i (sum_j a_ij x_j / t_i - 1)^2, under the condition that no rate is negative: a rate
 that the solves cannot separate from others becomes 0, instead of the difference of two large ones.
 
 Other processes distort times. Rates that do not reproduce the times of their solves are therefore

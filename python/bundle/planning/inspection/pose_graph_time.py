@@ -1,9 +1,9 @@
-"""Time of a step of a pose graph: counts multiplied by rates, which small solves of it measure.
+"""Time of a step of a pose graph: counts multiplied by rates that small solves measure.
 
 A Gauss-Newton step linearises the edges, factorises the normal equations panel by panel
 (``cpp/core/linear/supernodal_cholesky.cpp``) and moves the poses. Its time is a sum of
 
-- a constant, and times per edge and per pose, each in the plane and in space;
+- a constant, and times per edge and per pose, each in 2D and in 3D;
 - a time per update of a slice of a panel by another panel, and per block row that an update has to
   locate;
 - flops of the updates and flops of the panels' own columns, at two rates, and a time per value of
@@ -138,7 +138,7 @@ def calibrate(num_threads: int) -> Rates:
 
 
 def _with_efficiency(rates: Rates) -> Rates:
-    """Measure the share of the time saved by ideal threads that the machine's threads save."""
+    """Measure the time that the machine's threads save, relative to ideal threads."""
     found = []
     for kind, poses, ordering in (("near", 5000, "amd"), ("loops", 3000, "metis")):
         graph = made_graph(kind, poses * rates.num_threads, 6, seed=99)

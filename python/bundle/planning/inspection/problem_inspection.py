@@ -101,10 +101,10 @@ def inspect(
     of their factor in each elimination order, with the predicted time of a step. Of the options,
     pose graphs take only ``num_threads``.
 
-    A :class:`FactorGraph` of reprojections is inspected as the problem that it states, one of
-    relative poses as the pose graph that it states; the result is equal. For any other factor graph
-    the result is a :class:`FactorGraphInspection`, with the same table of orders. The graph decides
-    which coordinates are constant; only ``num_threads`` of the options has an effect.
+    A :class:`FactorGraph` of reprojections is inspected as the problem that it represents, one of
+    relative poses as the pose graph; the result is equal. For any other factor graph the result is
+    a :class:`FactorGraphInspection`, with the same table of orders. The graph decides which
+    coordinates are constant; only ``num_threads`` of the options has an effect.
 
     Args:
         problem: Problem, path of one, or pycolmap.Reconstruction; not modified.
@@ -154,7 +154,7 @@ def _inspect_factor_graph(
     recalibrate: bool,
     **changes: Unpack[SolveKeywords],
 ) -> Inspection | FactorGraphInspection:
-    """Inspect the pose graph or problem that a factor graph states, otherwise the graph itself."""
+    """Inspect the pose graph or problem that a factor graph represents, otherwise the graph."""
     if (same := problem_of(graph)) is not None:
         asked = options_of_graph(same, SolveOptions.of(options, changes, "inspect"))
         return inspect(same.problem, asked, recalibrate=recalibrate)
@@ -207,7 +207,7 @@ class _Inspector:
 
     @cached_property
     def _auto(self) -> tuple[str, bool]:
-        """Choice of ``auto``, and True if conjugate gradients would not form S."""
+        """Choice of ``auto``; True if it is conjugate gradients without forming S."""
         if all(method.backend == "CERES" for method in self.methods()):
             return "", False
         pattern = self._pattern

@@ -257,7 +257,7 @@ def find_rank_limit(predictions: Sequence[RankPrediction]) -> RankLimit | None:
 
 
 def _waste(row: RankPrediction) -> dict[str, float]:
-    """Return the seconds, summed over all processes, that a single process would not need."""
+    """Return the overhead in seconds, summed over all processes, relative to a single process."""
     count = row.num_processes
     alone = count * row.efficiency * row.time_per_step_in_seconds  # t(1)
     divided = alone - row.first_time_per_step_in_seconds

@@ -167,7 +167,7 @@ def _rotations(poses: Floats) -> Floats:
 
 
 def _of_variables(graph: FactorGraph) -> tuple[Floats, Floats]:
-    """Return positions and rotations of poses, points of the plane or of space."""
+    """Return positions (2-D or 3-D) and rotations of poses and points."""
     variables = list(graph.variables.values())
     is_planar = not any(variable.manifold == "se3" for variable in variables)
     size = 2 if is_planar else 3

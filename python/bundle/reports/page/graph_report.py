@@ -109,7 +109,7 @@ def write_graph_report(
 def error_kinds(facts: GraphFacts) -> list[dict[str, Any]]:
     """Return count, chi2 before and after, and expected chi2 of each kind of edges.
 
-    The ratio of both is NaN away from a minimum, where the expectation does not hold.
+    Their ratio is NaN away from a minimum, where the expectation is not valid.
     """
     redundancy = np.full(len(facts.chi2), np.nan)
     if facts.diagnosis is not None:

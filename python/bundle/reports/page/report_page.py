@@ -317,7 +317,7 @@ class _Page:
         given: Covariance | None,
         constraints: Constraints | Iterable[str | Rule],
     ) -> Certainty | None:
-        """Return the certainty; None, with a note, if it cannot be computed."""
+        """Return the covariances; None, with a note, if they cannot be computed."""
         if given is None:
             source = self.problem if self.result is None else self.result
             try:
@@ -397,7 +397,7 @@ def report(
 
     The page of a graph has chi2 by kind of edge against its expectation, the worst edges, rank and
     certainty, convergence, the cost of each elimination order, and its trajectory in two and three
-    dimensions. A :class:`FactorGraph` of reprojections has the page of the problem that it states.
+    dimensions. A :class:`FactorGraph` of reprojections has the page of its problem.
 
     Args:
         source: problem, pose graph or factor graph; the path of a problem or of a pose graph; or

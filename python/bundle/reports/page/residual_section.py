@@ -1,4 +1,4 @@
-"""Sections on residuals over image planes and on certainty."""
+"""Sections on residuals over image planes and on covariances."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ FEW_IDS = 4
 def field_sections(
     fields: Sequence[ResidualField], num_cameras: int, rows: Mapping[str, RowResiduals]
 ) -> list[Section]:
-    """Return the figures of all fields; all but those of the first field are details.
+    """Return the figures of all fields; those of the first one are not details.
 
     ``num_cameras`` counts cameras with observations; ``rows`` are residuals by row, by label.
     """
@@ -332,7 +332,7 @@ WORDS = (
 
 
 def projection_sections(known: Sequence[ProjectionUncertainty]) -> list[Section]:
-    """Return the figures of each camera; all but those of the first camera are details."""
+    """Return the figures of each camera; those of the first one are not details."""
     sections = []
     for index, one in enumerate(known):
         figures = [

@@ -60,7 +60,7 @@ class Verdict:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Judged:
-    """The parts of a report that verdicts are made of; None where a part is unknown."""
+    """The parts of a report from which verdicts follow; None if a part is unknown."""
 
     problem: Problem
     result: Result | None

@@ -378,7 +378,7 @@ def planned(
 
 
 def _use(one: Proposal, path: str, flags: str) -> str:
-    """Return the command that takes a measured proposal, with the flags of the run."""
+    """Return the command that uses a proposal once it is measured, with the flags of the run."""
     more = [flag for flag in one.then if flag.split()[0] not in flags.split()]
     return " ".join(
         [shlex.join(["bundle", "refine", path, "-o", "measured"]), *more, flags]

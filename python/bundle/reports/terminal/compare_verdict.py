@@ -55,7 +55,7 @@ def headline(comparison: Comparison) -> list[str]:
 
 
 def doubted(comparison: Comparison) -> str:
-    """Return the reason why the fastest method is not recommended; "": it is."""
+    """Return the reason why the fastest method is not recommended; "" if it is."""
     if any(_unfinished(comparison)):
         return "no solve with the lowest cost converged; allow more steps (--max-iterations)"
     return "the machine was busy, so that times are not valid" if any(_busy(comparison)) else ""

@@ -282,7 +282,7 @@ def inspected_shape(
     cameras, points, track = shape.values()
     terms = [
         ("invert V_p", "27 per point", counts.points),
-        ("W V^-1 W^T", f"162 for each of {counts.num_block_products} products", counts.products),
+        ("W V^-1 W^T", f"162 per product, {counts.num_block_products} products", counts.products),
         ("factorise S", f"n^3 / 3, n = 6 x {cameras} = {counts.num_reduced_unknowns}",
          counts.reduced),
         ("together", "points eliminated first", counts.schur),

@@ -255,7 +255,7 @@ def merged_report(
     output: dict[str, str],
     lost: Sequence[str],
 ) -> Report:
-    """Return the report: shared images, merged parts, remaining freedoms, and the next step."""
+    """Return the report: shared images, merged parts, undetermined directions, next step."""
     counts, shared = merged.counts, plural(len(merged.shared_images), "shared image")
     rows = []
     for label, path, problem in zip("AB", paths, problems, strict=True):
@@ -296,7 +296,7 @@ def merged_report(
     undetermined = merged.free_before - merged.free_before // 2 - merged.determined
     left = ""
     if undetermined > 0:
-        left = f" {plural(undetermined, 'degree')} of freedom between the models stay open."
+        left = f" {plural(undetermined, 'degree')} of freedom between the models are undetermined."
     headline = [
         f"Merged by {shared}: joined {joined}, added {plural(counts.num_images, 'image')} and "
         f"{plural(counts.num_points_added, 'point', grouped=True)}.{left}",

@@ -214,7 +214,7 @@ def _part(solved: Result) -> list[tuple[str, str]]:
     cameras = f"{'camera' if len(shared) == 1 else 'cameras'} {few(shared)}"
     return [
         ("", adjusted),
-        ("", f"{cameras} also have constant images, whose errors change (--fix-cameras)"),
+        ("", f"{cameras} also serve constant images (--fix-cameras keeps their errors)"),
     ]
 
 

@@ -154,7 +154,7 @@ class Group:
 
 
 def check_components(groups: Iterable[Group]) -> Group | None:
-    """Return a group of a connected component with more than MOST_SHARED shared numbers, or None.
+    """Return a group of a component that has more than MOST_SHARED shared numbers, or None.
 
     The core has one block for all shared numbers of connected cameras.
     """
@@ -217,7 +217,7 @@ class Groups:
         return True
 
     def all(self) -> list[Group]:
-        """Return the groups of more than one member, members ascending."""
+        """Return the groups with several members, in ascending order."""
         members: dict[Member, list[tuple[Member, float]]] = {}
         for member in sorted(self._parent):
             root, times = self._find(member)

@@ -35,9 +35,9 @@ class Flatness:
     """Distances of points from their best plane, as the function of a factor.
 
     Let C be the points minus their mean, e_1, e_2 and n the axes of its singular value
-    decomposition, n that of the least, c_k = C e_k, and r = C n. Of all planes, the one through the
-    mean with the normal n has the least sum of squared distances, which are r. So offset and normal
-    are eliminated as exactly as by a Schur complement, with
+    decomposition, n that of the smallest singular value, c_k = C e_k, and r = C n. Of all planes,
+    the one through the mean with the normal n has the least sum of squared distances, which are r.
+    So offset and normal are eliminated as exactly as by a Schur complement, with
 
         dr = dC n + sum_k c_k e_k^T dn,  e_k^T dn = (e_k^T dC^T r + c_k^T dC n) / (|r|^2 - |c_k|^2).
 
@@ -228,7 +228,7 @@ class _Values:
         return camera_models()[self._problem.camera_models[row]][j]
 
     def of(self, prior: KnownPrior) -> tuple[float, ...] | None:
-        """Return the value of a prior's parameter; None if its subject has been removed."""
+        """Return the value of the parameter; None if its camera, image or point was removed."""
         kind, key = prior.subject
         row = self.row(kind, key)
         if row is None:
@@ -272,7 +272,7 @@ def _prior_end(prior: KnownPrior, first: _Values, last: _Values) -> PriorEnd | N
 def _plane_ends(
     prior: KnownPrior, flatness: Flatness, before: Problem, after: Problem
 ) -> Iterator[PriorEnd]:
-    """Yield the outcome of each point on an estimated plane."""
+    """Yield the outcome of the rule for each point on an estimated plane."""
     starts, ends = flatness.distances(before), flatness.distances(after)
     for key, start, end in zip(flatness.points, starts, ends, strict=True):
         yield PriorEnd(

@@ -274,14 +274,12 @@ class _Resolver(ConstantParts):
             self._priors.append(KnownPrior(number, (kind, key), name, value, sigma))
 
     def _flatten(self, number: int, rule: On) -> None:
-        """Lay points on a plane that the solve estimates."""
+        """Add the factor of points on a plane that the solve estimates."""
         (shape,) = rule.parameters
         rows, is_level = self._chooser.indices(rule), shape == "level plane"
         ids = tuple(self._problem.point_ids[rows].tolist())
         if any(self._is_outside("point", key) for key in ids):
-            raise InputError(
-                f"{rule.place}: expected points of the refined images on an unknown plane"
-            )
+            raise InputError(f"{rule.place}: an unknown plane needs points of refined images only")
         self._expect_first(number, ("on", shape, ids), f"the {shape} of these points")
         least = 2 if is_level else 4
         if not least <= len(ids) <= MOST_ON_A_PLANE:
@@ -489,7 +487,7 @@ def _columns(model: str, name: str) -> tuple[int, ...]:
 
 
 def _and_f(names: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the names, and also "f" if the model has two focal lengths."""
+    """Return the parameter names of a model, with "f" if it has two focal lengths."""
     return ("f", *names) if "fx" in names and "f" not in names else names
 
 

@@ -215,7 +215,5 @@ def _bound(name: str, names: tuple[str, ...], values: Any) -> NDArray[np.float64
         )
     if np.isnan(array).any():
         parameter = names[int(np.argmax(np.isnan(array)))]
-        raise InputError(
-            f"{name}: expected numbers, or infinity without a bound, found nan ({parameter})"
-        )
+        raise InputError(f"{name}: expected numbers (infinity: no bound), found nan ({parameter})")
     return array

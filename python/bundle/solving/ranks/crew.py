@@ -1,4 +1,4 @@
-"""Processes of a divided solve, and the data that they exchange."""
+"""Processes of a divided solve, and their messages."""
 
 from __future__ import annotations
 

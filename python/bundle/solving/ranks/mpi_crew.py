@@ -38,7 +38,7 @@ class MpiCrew:
         self.is_told_to_end = False
 
     def interrupt(self, *_signal: object) -> None:
-        """End the solve after its iteration with the best state, or raise KeyboardInterrupt.
+        """End the solve with the best state after an iteration, or raise KeyboardInterrupt.
 
         An exception within a sum would leave the other ranks waiting.
         """
@@ -57,7 +57,7 @@ class MpiCrew:
             _any_size(self._comm).send(job, rank)
 
     def release(self) -> None:
-        """Mark the other ranks as waiting again."""
+        """Record that the other ranks wait for a job again."""
         self.is_solving = False
 
     def ranks(self) -> Ranks:

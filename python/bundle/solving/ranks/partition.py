@@ -208,6 +208,6 @@ def reason_to_be_alone(options: dict[str, Any], core_factors: Any) -> str:
 
 
 def warning(reason: str, num_ranks: int) -> str:
-    """Return the warning that the other ranks waited."""
+    """Return the warning that a solve was not divided."""
     others = "the other one" if num_ranks == 2 else f"the other {num_ranks - 1}"
     return f"One process solved, and {others} waited. {reason}"

@@ -1,4 +1,4 @@
-"""Checkpoint: the file from which a killed run continues, and the adjustment between two of them.
+"""Checkpoint: the file from which a killed run continues; adjustment in segments between files.
 
 It is a NumPy archive (.npz). It holds the start values of the next solve, the masks of the
 observations and points that passed the filters, and the record of the run so far. It also holds a
@@ -8,7 +8,7 @@ temporary file in the same folder, flush it, rename it). A kill at any instant l
 checkpoint.
 
 A checkpoint takes 24 bytes per point, 56 per image (and per frame of a rig), 48 more per image with
-a rolling shutter, and one bit per observation. Its cost is this size and the wait for the disk.
+a rolling shutter, and one bit per observation. It costs the time to write this size to the disk.
 """
 
 from __future__ import annotations

@@ -185,7 +185,7 @@ def _sums(count: int, columns: Any) -> _Sums:
 
 
 def _mixed(words: _Sums) -> _Sums:
-    """Return words whose every bit depends on all bits (the finalizer of SplitMix64)."""
+    """Mix words so that every bit depends on all input bits (the finalizer of SplitMix64)."""
     words = words + np.uint64(0x9E3779B97F4A7C15)
     words = (words ^ (words >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     words = (words ^ (words >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)

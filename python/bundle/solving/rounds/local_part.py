@@ -5,7 +5,7 @@ one of these points. They take part, so that their observations constrain the po
 the problem is treated in one of two ways.
 
 "fixed": The neighbours are constant. Points that no named image sees do not reach the solver.
-Intrinsics of cameras that took a named image are refined, other cameras are constant. If such a
+Intrinsics of the cameras of named images are refined, other cameras are constant. If such a
 camera also took constant images, their projections change; the record of the part names it.
 
 "marginal": The neighbours and their cameras are unknowns, too. The rest is marginalized to a prior
@@ -150,7 +150,7 @@ class LocalPart:
         self.factors, self.factors_of_rest = tuple(here), tuple(there)
 
     def of(self, whole: Problem) -> LocalPart:
-        """Return the same part of the full problem at other values."""
+        """Return this part of the full problem for other values."""
         return LocalPart(whole, self.named_ids, self._given, marginal=self.is_marginal)
 
     def check_observed(self) -> None:

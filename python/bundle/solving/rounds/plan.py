@@ -208,7 +208,7 @@ def _filtered(problem: Problem, good: _Mask, limits: RoundOptions, always: _Mask
 def _of_suspects(problem: Problem, errors: _Floats, tested: _Floats) -> _Floats:
     """Return the largest tested error of each point, if it exceeds the noise; 0 for all others.
 
-    Errors that do not exist stay NaN.
+    Undefined errors stay NaN.
     """
     largest = np.zeros(problem.num_points)
     np.fmax.at(largest, problem.observation_point, tested)
@@ -342,7 +342,7 @@ class State:
 
 
 def _left_of(mask: _Mask, left: _Mask) -> _Mask:
-    """Return a mask reduced by `left`, which has one entry per True entry of the mask."""
+    """Return a mask without those of its True entries that are False in `left`."""
     out = mask.copy()
     out[mask] = left
     return out

@@ -12,11 +12,11 @@ present values, and all its unknowns except neighbours and their cameras are eli
 numbers per image. Eliminating the neighbours as well would give an equivalent prior on the refined
 points. That prior would be dense over thousands of points. With the neighbours as unknowns the
 points stay independent, so that both backends can eliminate them one by one. The two priors agree
-to second order. This one also relinearizes the observations of the points by the neighbours.
+to second order. This one also relinearizes the neighbours' observations of the points.
 
 A robust loss of the rest enters with its weights rho' at the present values.
 
-If nothing fixes the gauge, rest and part can rotate, move and scale together. These similarities N
+If nothing fixes the gauge, the whole problem can rotate, move and scale. These similarities N
 are the motions that change neither a residual of the part nor the prior. The gauge is fixed by
 keeping the neighbours in place on average: the displacement d of the neighbours, in units of
 Lambda's diagonal D^(1/2), must have no component along N. As a term of Lambda this is Q Q^T with Q

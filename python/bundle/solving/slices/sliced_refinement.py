@@ -73,7 +73,7 @@ class SliceCrew(Crew, Protocol):
         """Send a job to the other ranks, which accept no other job until it ends."""
 
     def release(self) -> None:
-        """Mark the other ranks as waiting again."""
+        """Record that the other ranks wait for a job again."""
 
 
 @dataclass(frozen=True)
