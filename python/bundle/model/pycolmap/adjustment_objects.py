@@ -31,7 +31,7 @@ from bundle.model.pycolmap.reconstruction import (
     ids_of_points,
     is_valid,
     lengths_of_tracks,
-    pixels_of,
+    records_of,
 )
 
 if TYPE_CHECKING:
@@ -269,30 +269,30 @@ def _with_others(
     tracks, sorted_ids = lengths_of_tracks(points), np.sort(inside.point_id)
     seen = np.searchsorted(sorted_ids, ids, "right") - np.searchsorted(sorted_ids, ids)
     are_longer = tracks > seen  # new points are often in these images alone
-    longer = compress(points, are_longer.tolist())
-    elements = [element for point in longer for element in point.track.elements]
-    of_images = list(map(attrgetter("image_id"), elements))
-    are_others = [image_id not in images for image_id in of_images]
-    if not any(are_others):
+    getters = vars(pycolmap.TrackElement)  # attrgetter takes a third longer
+    of_images, keypoints = list[int](), list[int]()
+    for point in compress(points, are_longer.tolist()):  # objects freed at once leave warm memory
+        elements = point.track.elements
+        of_images += map(getters["image_id"].fget, elements)
+        keypoints += map(getters["point2D_idx"].fget, elements)
+    of_points = np.repeat(ids[are_longer].astype(np.int64), tracks[are_longer])
+    rows = np.array([of_images, keypoints, of_points], np.int64).T
+    rows = rows[~np.isin(rows[:, 0], np.fromiter(images, np.int64, len(images)))]
+    if not len(rows):
         return inside
-    keypoints = list(map(attrgetter("point2D_idx"), compress(elements, are_others)))
-    rows = np.empty((len(keypoints), 3), np.int64)  # image, keypoint, point
-    rows[:, 0] = list(compress(of_images, are_others))
-    rows[:, 1] = keypoints
-    rows[:, 2] = np.repeat(ids[are_longer].astype(np.int64), tracks[are_longer])[are_others]
-    rows = rows[np.lexsort(rows.T[::-1])]
+    rows = rows[np.lexsort((rows[:, 1], rows[:, 0]))]  # points ascend already
     rows = rows[np.append(True, (rows[1:] != rows[:-1]).any(axis=1))]
     _check_elements(rows, np.isin(rows[:, 0], reconstruction.reg_image_ids()))
     image_ids, image = np.unique(rows[:, 0], return_inverse=True)
-    others = list(map(reconstruction.image, image_ids.tolist()))
-    counts = np.array([other.num_points2D() for other in others], np.int64)
+    seen_in = list(map(reconstruction.image, image_ids.tolist()))
+    counts = np.array([image.num_points2D() for image in seen_in], np.int64)
     _check_elements(rows, rows[:, 1] < counts[image])
-    seeing = [others[row] for row in image.tolist()]
-    found = list(map(pycolmap.Image.point2D, seeing, rows[:, 1].tolist()))
-    point_id = np.fromiter(map(attrgetter("point3D_id"), found), np.uint64, len(found))
-    _check_elements(rows, point_id == rows[:, 2].astype(np.uint64))
-    keypoint, xy = rows[:, 1].astype(np.int32), pixels_of(pycolmap.Point2DList(found))
-    return inside.joined(Observations(others, image.astype(np.int32), keypoint, point_id, xy))
+    seeing = [seen_in[row] for row in image.tolist()]
+    found = map(pycolmap.Image.point2D, seeing, rows[:, 1].tolist())
+    (records,) = records_of([pycolmap.Point2DList(found)])
+    _check_elements(rows, records["point_id"] == rows[:, 2].astype(np.uint64))
+    columns = image.astype(np.int32), rows[:, 1].astype(np.int32)
+    return inside.joined(Observations(seen_in, *columns, records["point_id"], records["xy"]))
 
 
 def _check_elements(elements: NDArray[np.int64], are_right: _Mask) -> None:

@@ -214,8 +214,7 @@ def _pixels_and_points(
     end = 0
     for first in range(0, len(images), _IMAGES_PER_FILE):
         some = slice(first, first + _IMAGES_PER_FILE)
-        keypoints = list(map(pycolmap.Image.get_observation_points2D, images[some]))
-        for found in _records_from_file(keypoints) or map(_records_from_objects, keypoints):
+        for found in records_of([image.get_observation_points2D() for image in images[some]]):
             start, end = end, end + len(found)
             xy[start:end], point_id[start:end] = found["xy"], found["point_id"]
     return xy, point_id
@@ -224,6 +223,11 @@ def _pixels_and_points(
 _IMAGES_PER_FILE = 64
 _RECORD = np.dtype([("xy", "<f8", 2), ("point_id", "<u8")])
 """Keypoint in COLMAP's images.bin."""
+
+
+def records_of(keypoints: list[pycolmap.Point2DList]) -> list[NDArray[Any]]:
+    """Return the "xy" and "point_id" of the keypoints of each image."""
+    return _records_from_file(keypoints) or list(map(_records_from_objects, keypoints))
 
 
 def _records_from_file(keypoints: list[pycolmap.Point2DList]) -> list[NDArray[Any]]:
