@@ -309,7 +309,13 @@ def good(blocks):
 @pytest.mark.parametrize(
     ("function", "blocks", "manifolds", "settings", "message"),
     [
-        (lambda b: (b[0], [np.ones((3, 2))]), [[1, 2]], None, {}, "Jacobian 0 of shape (2, 2)"),
+        (
+            lambda b: (b[0], [np.ones((3, 2))]),
+            [[1, 2]],
+            None,
+            {},
+            "0: expected shape (2, 2)",
+        ),
         (lambda b: (b[0][:1], [np.ones((2, 1))]), [[1, 2]], None, {}, "transposed?"),
         (lambda b: (b[0], []), [[1, 2]], None, {}, "expected 1 Jacobian,"),
         (lambda b: b[0].sum(), [[1, 2]], None, {}, "expected (residual, list of Jacobians)"),

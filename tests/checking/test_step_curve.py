@@ -7,11 +7,10 @@ import pytest
 
 import bundle
 from bundle.analysis.diagnosis.shutter_modes import shutter_jacobians
-from bundle.checking.function import SampleLines, SamplePoint
 from bundle.checking.jacobian_deviation import JacobianDeviation
 from bundle.checking.jacobians import ReprojectionLines
 from bundle.checking.residual_blocks import Manifold
-from bundle.checking.step_curve import Line, acquitted, walk
+from bundle.checking.step_curve import Line, SampleLines, SamplePoint, acquitted, walk
 from bundle.synthetic.video_scene import film
 from tests.checking.reprojection import check_few
 

@@ -1,4 +1,4 @@
-"""User-defined residual: calls, checks of shapes, and the points at which it is checked.
+"""User-defined residual: calls, and checks of what it returns.
 
 Functions such as ``math.sqrt`` raise outside their domain where NumPy returns nan. Both mean that
 the residual has no value there. Only the first call, which counts the residuals, must succeed.
@@ -8,36 +8,48 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
-import bundle._core as _core
 from bundle.base.arrays import as_array, check_type
-from bundle.base.records import dataclass
 from bundle.base.words import plural
-from bundle.checking.classify import rounds_to_single
-from bundle.checking.jacobian_deviation import Array, JacobianDeviation
-from bundle.checking.residual_blocks import Layout
-from bundle.checking.step_curve import Line, acquitted, walk
-from bundle.checking.tally import CHECKER_PRECISION
 from bundle.errors import InputError, brief
 
+Array = NDArray[np.float64]
 ResidualFunction = Callable[[list[Array]], tuple[Any, Sequence[Any]]]
 
 
 class UserFunction:
-    """Function of parameter blocks that returns residual and Jacobians.
+    """Function of several arrays that returns a residual and Jacobians; checks what it returns.
 
-    If the number of residuals is not given, the function is called once to find it.
+    ``sizes``: columns of each Jacobian. ``name``: beginning of messages. ``labels``: names of the
+    Jacobians in messages. ``is_vector``: refuse a residual of several rows and columns.
     """
 
     def __init__(
-        self, function: ResidualFunction, blocks: Sequence[Array], num_residuals: int = 0
+        self,
+        function: Callable[[list[Array]], Any],
+        sizes: Sequence[int],
+        name: str = "function",
+        labels: Sequence[str] = (),
+        is_vector: bool = False,
     ) -> None:
-        self.function = function
-        self.sizes = [len(block) for block in blocks]
-        self.num_residuals = num_residuals or len(self._residual(self._call(blocks)[0]))
+        self.function, self.sizes, self.name, self.is_vector = function, sizes, name, is_vector
+        self.labels = labels or [f"Jacobian {b}" for b in range(len(sizes))]
+        self.num_residuals = 0
+
+    @classmethod
+    def at(
+        cls, function: ResidualFunction, blocks: Sequence[Array], num_residuals: int = 0
+    ) -> Self:
+        """Return a function of blocks, called once if the number of residuals is not given."""
+        user = cls(function, [len(block) for block in blocks])
+        user.num_residuals = num_residuals
+        if not num_residuals:
+            user._parts(called(user.name, function, blocks))
+        return user
 
     @staticmethod
     def check_call(function: Any, blocks: Any) -> None:
@@ -57,199 +69,94 @@ class UserFunction:
         except ValueError:
             pass  # compiled functions have no signature
 
+    def __call__(
+        self, values: list[Array], jacobians: bool
+    ) -> tuple[Array, list[Array] | None] | None:
+        """Return residual and Jacobians for ``_core``; None if the residual is not finite."""
+        return self._finite(self.function(values), jacobians)
+
+    def core(self, blocks: list[Array], jacobians: bool) -> tuple[Array, list[Array] | None] | None:
+        """Return the same; None, too, where the function has no value."""
+        answer = self._inside(blocks)
+        found = None if answer is None else self._finite(answer, jacobians)
+        return None if found is None else (found[0].copy(), found[1])  # of a buffer used again
+
     def evaluate(self, blocks: Sequence[Array]) -> tuple[Array, Array]:
         """Return the residual (R,) and the Jacobians of all blocks, concatenated to (R, N)."""
         answer = self._inside(blocks)
         if answer is None:
-            return np.full(self.num_residuals, np.nan), np.full(
-                (self.num_residuals, sum(self.sizes)), np.nan
-            )
-        residual, jacobians = answer
-        values = self._residual(residual)
-        if len(values) != self.num_residuals:
-            raise InputError(
-                f"function: expected {plural(self.num_residuals, 'residual')} as in earlier "
-                f"calls, found {len(values)}"
-            )
-        return values, np.hstack(self._jacobians(jacobians))
+            size = self.num_residuals
+            return np.full(size, np.nan), np.full((size, sum(self.sizes)), np.nan)
+        residual, jacobians = self._parts(answer)
+        return residual.copy(), np.hstack(self._jacobians(jacobians))
 
-    def core(self, blocks: list[Array], jacobians: bool) -> tuple[Array, list[Array] | None] | None:
-        """Return the values for ``_core``; None if the residual is not finite."""
-        answer = self._inside(blocks)
-        if answer is None:
+    def _finite(self, answer: Any, jacobians: bool) -> tuple[Array, list[Array] | None] | None:
+        residual, given = self._parts(answer)
+        if not np.isfinite(residual).all():
             return None
-        residual, matrices = answer
-        values = self._residual(residual)
-        if not np.isfinite(values).all():
-            return None
-        return values, self._jacobians(matrices) if jacobians else None
+        return residual, self._jacobians(given) if jacobians else None
 
-    def _inside(self, blocks: Sequence[Array]) -> tuple[Any, Sequence[Any]] | None:
+    def _inside(self, blocks: Sequence[Array]) -> Any:
         try:
-            return self._call(blocks)
+            return called(self.name, self.function, blocks)
         except InputError:
             raise
         except (ArithmeticError, ValueError):
             return None
 
-    def _call(self, blocks: Sequence[Array]) -> tuple[Any, Sequence[Any]]:
-        given = [block.copy() for block in blocks]
-        answer = self.function(given)
-        check_unchanged("function", given, blocks)
+    def _parts(self, answer: Any) -> tuple[Array, Any]:
+        """Return the residual (R,), and the Jacobians as they are."""
         if not isinstance(answer, tuple | list) or len(answer) != 2:
             raise InputError(
-                f"function: expected (residual, list of Jacobians), found {type(answer).__name__}"
+                f"{self.name}: expected (residual, list of Jacobians), "
+                f"found {type(answer).__name__}"
             )
-        residual, jacobians = answer
-        if not isinstance(jacobians, list | tuple | np.ndarray):
+        residual = as_array(f"{self.name}: residual", answer[0])
+        if self.is_vector and residual.size != max(residual.shape, default=1):
             raise InputError(
-                f"function: expected a list of Jacobians, found {type(jacobians).__name__}"
+                f"{self.name}: residual: expected a 1-D array of numbers, found shape "
+                f"{residual.shape}"
             )
-        if isinstance(jacobians, np.ndarray) and jacobians.ndim == 0:
-            raise InputError("function: expected a list of Jacobians, found a single number")
-        return residual, list(jacobians)
-
-    @staticmethod
-    def _residual(residual: Any) -> Array:
-        values = as_array("function: residual", residual).reshape(-1).copy()
-        if not len(values):
-            raise InputError("function: expected at least one residual, found 0")
-        return values
-
-    def _jacobians(self, jacobians: Sequence[Any]) -> list[Array]:
-        if len(jacobians) != len(self.sizes):
+        residual = residual.reshape(-1)
+        if not len(residual):
+            raise InputError(f"{self.name}: expected at least one residual, found 0")
+        self.num_residuals = self.num_residuals or len(residual)
+        if len(residual) != self.num_residuals:
             raise InputError(
-                f"function: expected {plural(len(self.sizes), 'Jacobian')}, one per block, "
-                f"found {len(jacobians)}"
+                f"{self.name}: expected {plural(self.num_residuals, 'residual')} as in earlier "
+                f"calls, found {len(residual)}"
             )
-        result = []
-        for b, (jacobian, size) in enumerate(zip(jacobians, self.sizes, strict=True)):
-            matrix = as_array(f"function: Jacobian {b}", jacobian)
+        return residual, answer[1]
+
+    def _jacobians(self, given: Any) -> list[Array]:
+        is_list = isinstance(given, list | tuple) or (isinstance(given, np.ndarray) and given.ndim)
+        if not is_list or len(given) != len(self.sizes):
+            raise InputError(
+                f"{self.name}: expected {plural(len(self.sizes), 'Jacobian')}, one per variable, "
+                f"found {len(given) if is_list else brief(given)}"
+            )
+        matrices = []
+        for label, size, jacobian in zip(self.labels, self.sizes, given, strict=True):
+            place = f"{self.name}: {label}"
+            matrix = as_array(place, jacobian)
             expected = (self.num_residuals, size)
-            if matrix.shape != expected and not (
-                matrix.ndim == 1 and matrix.size == size and self.num_residuals == 1
-            ):
+            if matrix.ndim == 1 and self.num_residuals == 1:
+                matrix = matrix.reshape(1, -1)
+            if matrix.shape != expected:
                 hint = " (transposed?)" if matrix.shape == expected[::-1] else ""
-                raise InputError(
-                    f"function: expected Jacobian {b} of shape {expected}, "
-                    f"found {matrix.shape}{hint}"
-                )
-            result.append(matrix.reshape(expected))
-        return result
+                raise InputError(f"{place}: expected shape {expected}, found {matrix.shape}{hint}")
+            matrices.append(matrix)
+        return matrices
 
 
-def check_unchanged(name: str, given: Sequence[Array], before: Sequence[Array]) -> None:
-    """Raise an InputError if a call has changed its arguments."""
-    for b, (one, other) in enumerate(zip(given, before, strict=True)):
+def called(name: str, function: Callable[[list[Array]], Any], blocks: Sequence[Array]) -> Any:
+    """Call a function with copies of the blocks; refuse changes of its arguments."""
+    given = [block.copy() for block in blocks]
+    answer = function(given)
+    for b, (one, other) in enumerate(zip(given, blocks, strict=True)):
         if one.tobytes() != other.tobytes():
             raise InputError(
                 f"{name}: expected a function that does not change its arguments, found block {b} "
                 "changed by a call; compute with a copy of it"
             )
-
-
-Probe = tuple[bool, Array | None, Array | None, str]
-
-
-@dataclass(frozen=True, eq=False)
-class SamplePoint:
-    """Values of the blocks at which a function is checked; each point may have its own function."""
-
-    user: UserFunction
-    blocks: list[Array]
-
-    def evaluate(self) -> tuple[Array, Array]:
-        """Return the residual (R,) and the Jacobians of all blocks, concatenated to (R, N)."""
-        return self.user.evaluate(self.blocks)
-
-    def reference(
-        self, manifolds: list[tuple[str, list[int]]], minuends: Sequence[float] = ()
-    ) -> Any:
-        """Return the result of Richardson extrapolation.
-
-        ``minuends``: size of the numbers whose difference is each residual, if known: their
-        rounding errors are also those of the residual.
-        """
-        return _core.richardson_jacobian(
-            self.user.core, self.user.num_residuals, self.blocks, manifolds, list(minuends)
-        )
-
-    def rounds_to_single(self) -> bool:
-        """Return True if the function rounds a parameter to single precision."""
-        return rounds_to_single(lambda blocks: self.user.evaluate(blocks)[0], self.blocks)
-
-    def probe(self, manifolds: list[tuple[str, list[int]]]) -> Probe:
-        """Return the result of ceres::GradientChecker."""
-        return _core.gradient_checker(
-            self.user.core, self.user.num_residuals, self.blocks, manifolds, CHECKER_PRECISION
-        )
-
-    def reference_without(
-        self, parameter: int, manifolds: list[tuple[str, list[int]]]
-    ) -> Array | None:
-        """Return the reference with one parameter set to zero; None if it has none there."""
-        flat = np.concatenate(self.blocks)
-        flat[parameter] = 0.0
-        there = SamplePoint(self.user, np.split(flat, np.cumsum(self.user.sizes)[:-1]))
-        try:
-            if self.user.core(there.blocks, False) is None:
-                return None
-            values, uncertainty, *_ = there.reference(manifolds)
-        except Exception:  # the user's function may fail at a zero that it never meets
-            return None
-        return values if np.isfinite(uncertainty).all() else None
-
-
-@dataclass(frozen=True, eq=False)
-class SampleLines:
-    """Sample points with their residuals; lines through them along columns of the Jacobian."""
-
-    samples: Sequence[SamplePoint]
-    residuals: Sequence[Array]
-    layout: Layout
-
-    def appealed(
-        self,
-        deviations: JacobianDeviation,
-        samples: Sequence[int],
-        tolerance: float,
-        *,
-        along_manifold: bool,
-    ) -> JacobianDeviation:
-        """Return the deviations; a derivative at another scale makes an entry undecided."""
-        wrong = deviations.error > tolerance
-        if not wrong.any():
-            return deviations
-        uncertainty = deviations.uncertainty.copy()
-        off = np.abs(deviations.analytic - deviations.reference)
-        for k, j in zip(*np.nonzero(wrong.any(axis=1)), strict=True):
-            if not np.isfinite(deviations.analytic[k, :, j]).all():
-                continue
-            line = self.line(samples[k], int(j), along_manifold=along_manifold)
-            scale = deviations.scale[k, :, j]
-            found = acquitted(line, deviations.analytic[k, :, j], off[k, :, j], scale)
-            found &= wrong[k, :, j]
-            uncertainty[k, found, j] += off[k, found, j]
-        return JacobianDeviation(
-            deviations.analytic, deviations.reference, uncertainty, deviations.tolerance
-        )
-
-    def line(self, sample: int, column: int, *, along_manifold: bool) -> Line:
-        """Return the residuals at steps along a column of the Jacobian."""
-        at = self.samples[sample]
-        manifolds = self.layout.manifolds
-        sizes = [m.tangent_size if along_manifold else m.size for m in manifolds]
-        b = int(np.searchsorted(np.cumsum(sizes), column, side="right"))
-        direction = np.zeros(sizes[b])
-        direction[column - sum(sizes[:b])] = 1.0
-        is_curved = along_manifold and manifolds[b].is_curved
-
-        def values(step: float) -> Array | None:
-            blocks = [block.copy() for block in at.blocks]
-            move = step * direction
-            blocks[b] = manifolds[b].plus(blocks[b], move) if is_curved else blocks[b] + move
-            answer = at.user.core(blocks, False)
-            return None if answer is None else answer[0]
-
-        size = 1.0 if is_curved else float(at.blocks[b] @ direction)
-        return walk(values, self.residuals[sample], size)
+    return answer

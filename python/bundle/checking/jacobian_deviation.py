@@ -34,6 +34,8 @@ from bundle.interface.analysis_options import TOLERANCE
 
 Array = NDArray[np.float64]
 
+CHECKER_PRECISION = 1e-6
+"""Relative precision for ceres::GradientChecker, whose differences are not always more precise."""
 FLOOR = 1e-3
 """Smallest divisor of errors, as a fraction of the column's usual size."""
 ALIKE = 1e3

@@ -15,17 +15,10 @@ from bundle.base.records import dataclass
 from bundle.checking.classify import classify, float_precision
 from bundle.checking.evidence import Evidence, Finding
 from bundle.checking.gradient_report import GradientCheckerSummary, GradientReport, Offender
-from bundle.checking.jacobian_deviation import Array, JacobianDeviation
+from bundle.checking.jacobian_deviation import CHECKER_PRECISION, Array, JacobianDeviation
 from bundle.checking.residual_blocks import Block, Column
 from bundle.checking.step_curve import CheckDetails, Line, make_details, walk
-from bundle.checking.tally import (
-    CHECKER_PRECISION,
-    MOST_KEPT,
-    Tally,
-    Worst,
-    make_report,
-    undecided_points,
-)
+from bundle.checking.tally import MOST_KEPT, Tally, Worst, make_report, undecided_points
 from bundle.errors import InputError
 from bundle.interface.analysis_options import SAMPLES_PER_IMAGE, TOLERANCE
 from bundle.interface.option_fields import number

@@ -14,11 +14,11 @@ from bundle.base.arrays import as_array, as_flag, refuse_row
 from bundle.base.words import plural
 from bundle.checking.classify import classify, float_precision, is_single, stale
 from bundle.checking.evidence import EXPLAINED, Evidence, Finding, join_names
-from bundle.checking.function import Probe, ResidualFunction, SampleLines, SamplePoint, UserFunction
+from bundle.checking.function import ResidualFunction, UserFunction
 from bundle.checking.gradient_report import GradientCheckerSummary, GradientReport, Offender
 from bundle.checking.jacobian_deviation import Array, JacobianDeviation
 from bundle.checking.residual_blocks import Block, Column, Layout, ManifoldLike, Name, sample
-from bundle.checking.step_curve import CheckDetails, make_details
+from bundle.checking.step_curve import CheckDetails, Probe, SampleLines, SamplePoint, make_details
 from bundle.checking.tally import Tally, make_report, undecided_points
 from bundle.errors import InputError
 from bundle.interface.analysis_options import TOLERANCE
@@ -438,7 +438,7 @@ def check_function_at(
     seed = number("seed", seed, minimum=0, maximum=math.inf, whole=True)
     tolerance = number("tolerance", tolerance, above=0)
     layout = Layout.make(start, manifolds, names)
-    user = UserFunction(function, start)
+    user = UserFunction.at(function, start)
     rng = np.random.default_rng(seed)
     samples = [SamplePoint(user, start)]
     for _ in range(num_samples - 1):

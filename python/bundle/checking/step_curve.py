@@ -1,4 +1,4 @@
-"""Differences of a residual against the step size, and details of a check for its page.
+"""Differences of a residual against the step size at sample points, and details for a page.
 
 Along one parameter, with r the residual, there are three differences of each row:
 
@@ -20,12 +20,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+import bundle._core as _core
 from bundle.base.records import dataclass
-from bundle.checking.jacobian_deviation import Array, JacobianDeviation
+from bundle.checking.classify import rounds_to_single
+from bundle.checking.function import UserFunction
+from bundle.checking.jacobian_deviation import CHECKER_PRECISION, Array, JacobianDeviation
+from bundle.checking.residual_blocks import Layout
 
 HALVINGS = 44
 """Least number of steps; the last is at the resolution of double precision, for parameters of 1."""
@@ -48,19 +53,12 @@ Values = Callable[[float], Array | None]
 
 @dataclass(frozen=True, eq=False)
 class Line:
-    """Residuals along a parameter.
+    """Residuals along a parameter."""
 
-    Attributes:
-        steps: (S,) step sizes, each half of the one before.
-        center: (R,) residual at the point.
-        plus: (S, R) residuals at +h; NaN without a value.
-        minus: (S, R) residuals at -h.
-    """
-
-    steps: Array
-    center: Array
-    plus: Array
-    minus: Array
+    steps: Array  # (S,) step sizes, each half of the one before
+    center: Array  # (R,) residual at the point
+    plus: Array  # (S, R) residuals at +h; NaN without a value
+    minus: Array  # (S, R) residuals at -h
 
     @property
     def central(self) -> Array:
@@ -223,3 +221,110 @@ def curve_of(
 def _largest(values: Array, column: int) -> tuple[int, int, int]:
     k, row = np.unravel_index(int(np.argmax(values[..., column])), values.shape[:2])
     return int(k), int(row), column
+
+
+Probe = tuple[bool, Array | None, Array | None, str]
+
+
+@dataclass(frozen=True, eq=False)
+class SamplePoint:
+    """Values of the blocks at which a function is checked; each point may have its own function."""
+
+    user: UserFunction
+    blocks: list[Array]
+
+    def evaluate(self) -> tuple[Array, Array]:
+        """Return the residual (R,) and the Jacobians of all blocks, concatenated to (R, N)."""
+        return self.user.evaluate(self.blocks)
+
+    def reference(
+        self, manifolds: list[tuple[str, list[int]]], minuends: Sequence[float] = ()
+    ) -> Any:
+        """Return the result of Richardson extrapolation.
+
+        ``minuends``: size of the numbers whose difference is each residual, if known: their
+        rounding errors are also those of the residual.
+        """
+        return _core.richardson_jacobian(
+            self.user.core, self.user.num_residuals, self.blocks, manifolds, list(minuends)
+        )
+
+    def rounds_to_single(self) -> bool:
+        """Return True if the function rounds a parameter to single precision."""
+        return rounds_to_single(lambda blocks: self.user.evaluate(blocks)[0], self.blocks)
+
+    def probe(self, manifolds: list[tuple[str, list[int]]]) -> Probe:
+        """Return the result of ceres::GradientChecker."""
+        return _core.gradient_checker(
+            self.user.core, self.user.num_residuals, self.blocks, manifolds, CHECKER_PRECISION
+        )
+
+    def reference_without(
+        self, parameter: int, manifolds: list[tuple[str, list[int]]]
+    ) -> Array | None:
+        """Return the reference with one parameter set to zero; None if it has none there."""
+        flat = np.concatenate(self.blocks)
+        flat[parameter] = 0.0
+        there = SamplePoint(self.user, np.split(flat, np.cumsum(self.user.sizes)[:-1]))
+        try:
+            if self.user.core(there.blocks, False) is None:
+                return None
+            values, uncertainty, *_ = there.reference(manifolds)
+        except Exception:  # the user's function may fail at a zero that it never meets
+            return None
+        return values if np.isfinite(uncertainty).all() else None
+
+
+@dataclass(frozen=True, eq=False)
+class SampleLines:
+    """Sample points with their residuals; lines through them along columns of the Jacobian."""
+
+    samples: Sequence[SamplePoint]
+    residuals: Sequence[Array]
+    layout: Layout
+
+    def appealed(
+        self,
+        deviations: JacobianDeviation,
+        samples: Sequence[int],
+        tolerance: float,
+        *,
+        along_manifold: bool,
+    ) -> JacobianDeviation:
+        """Return the deviations; a derivative at another scale makes an entry undecided."""
+        wrong = deviations.error > tolerance
+        if not wrong.any():
+            return deviations
+        uncertainty = deviations.uncertainty.copy()
+        off = np.abs(deviations.analytic - deviations.reference)
+        for k, j in zip(*np.nonzero(wrong.any(axis=1)), strict=True):
+            if not np.isfinite(deviations.analytic[k, :, j]).all():
+                continue
+            line = self.line(samples[k], int(j), along_manifold=along_manifold)
+            scale = deviations.scale[k, :, j]
+            found = acquitted(line, deviations.analytic[k, :, j], off[k, :, j], scale)
+            found &= wrong[k, :, j]
+            uncertainty[k, found, j] += off[k, found, j]
+        return JacobianDeviation(
+            deviations.analytic, deviations.reference, uncertainty, deviations.tolerance
+        )
+
+    def line(self, sample: int, column: int, *, along_manifold: bool) -> Line:
+        """Return the residuals at steps along a column of the Jacobian."""
+        at = self.samples[sample]
+        manifolds = self.layout.manifolds
+        sizes = [m.tangent_size if along_manifold else m.size for m in manifolds]
+        b = int(np.searchsorted(np.cumsum(sizes), column, side="right"))
+        direction = np.zeros(sizes[b])
+        direction[column - sum(sizes[:b])] = 1.0
+        is_curved = along_manifold and manifolds[b].is_curved
+
+        def values(step: float) -> Array | None:
+            blocks = [block.copy() for block in at.blocks]
+            move = step * direction
+            blocks[b] = manifolds[b].plus(blocks[b], move) if is_curved else blocks[b] + move
+            answer = at.user.core(blocks, False)
+            return None if answer is None else answer[0]
+
+        size = 1.0 if is_curved else float(at.blocks[b] @ direction)
+        return walk(values, self.residuals[sample], size)

@@ -177,9 +177,6 @@ SAYS_NOTHING = ("undecided", "unstable")
 NAMED = 3
 """Largest number of places listed in a sentence."""
 
-CHECKER_PRECISION = 1e-6
-"""Relative precision for ceres::GradientChecker, whose differences are not always more precise."""
-
 
 def make_report(
     *,

@@ -27,30 +27,21 @@ GREY = 6
 
 @dataclass(frozen=True, eq=False)
 class Line:
-    """Line through points.
+    """Line through points."""
 
-    Attributes:
-        label: label in the legend; "": none.
-        x, y: (n,) each; NaN interrupts the line.
-        sigma: (n,) standard deviations of y, drawn as a band on both sides; None: no band.
-        is_limit: True for a bound, such as a budget: grey and dashed, a second bound dotted.
-        is_dotted: True for values without a line between them.
-        colour: index in the palette; None: position among the lines of the figure.
-        dash: line style.
-        error: (n,) standard errors of y, drawn as bars at each value; None: no bars.
-        opacity: opacity of the line, for many lines on top of each other.
-    """
-
-    label: str
+    label: str  # label in the legend; "": none. x, y: (n,) each; NaN interrupts the line.
     x: Array
     y: Array
+    # (n,) standard deviations of y, drawn as a band on both sides; None: no band
     sigma: Array | None = None
+    # True for a bound, such as a budget: grey and dashed, a second bound dotted
     is_limit: bool = False
-    is_dotted: bool = False
-    colour: int | None = None
-    dash: int = 0
+    is_dotted: bool = False  # True for values without a line between them
+    colour: int | None = None  # index in the palette; None: position among the lines of the figure
+    dash: int = 0  # line style
+    # (n,) standard errors of y, drawn as bars at each value; None: no bars
     error: Array | None = None
-    opacity: float = 1.0
+    opacity: float = 1.0  # opacity of the line, for many lines on top of each other
 
 
 @dataclass(frozen=True, eq=False)

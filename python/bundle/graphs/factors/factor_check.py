@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -23,10 +24,11 @@ import numpy as np
 import bundle._core as _core
 from bundle.base.arrays import as_flag
 from bundle.base.records import dataclass
-from bundle.checking.function import SamplePoint, UserFunction, check_unchanged
+from bundle.checking.function import UserFunction, called
 from bundle.checking.gradient_report import GradientReport
 from bundle.checking.residual_blocks import Block, Layout, Manifold, sample
 from bundle.checking.sample_check import check_samples
+from bundle.checking.step_curve import SamplePoint
 from bundle.errors import InputError, brief, check_keywords
 from bundle.graphs.factors.contents import GraphContents, factor_name
 from bundle.graphs.factors.factor_report import FactorCheck, Member
@@ -115,7 +117,7 @@ def _check(
     for at in values:
         size = points[0].user.num_residuals if points else 0
         here = _InTangentCoordinates(factor, at, tangent, size)
-        points.append(SamplePoint(UserFunction(here, here.origins, size), here.origins))
+        points.append(SamplePoint(UserFunction.at(here, here.origins, size), here.origins))
     return check_samples(points, layout, tolerance=tolerance, details=details)
 
 
@@ -245,7 +247,8 @@ def check_graph(
         arguments = factor.core_arguments(name, tuple(len(v.coordinates) for v in own))
         is_own = isinstance(factor, FunctionFactor)
         if is_own:
-            arguments = (_watched(name, *arguments),)
+            (user,) = arguments
+            user.function = partial(called, name, user.function)
         given = (
             factor.kind,
             name,
@@ -263,18 +266,6 @@ def check_graph(
 
     chosen = choose(kinds, most_of_a_kind)
     return check_each(map(make, chosen), settings, num_factors=len(factors), progress=progress)
-
-
-def _watched(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a function of a factor that refuses changes of its arguments."""
-
-    def call(values: list[Array], jacobians: bool) -> Any:
-        before = [value.copy() for value in values]
-        answer = function(values, jacobians)
-        check_unchanged(name, values, before)
-        return answer
-
-    return call
 
 
 def choose(kinds: Sequence[Hashable], most: int | None) -> list[int]:

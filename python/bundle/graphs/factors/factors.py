@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from bundle.base.arrays import FrozenArrays, as_array, as_flag, check_distinct, freeze
 from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
-from bundle.base.words import plural
+from bundle.checking.function import UserFunction
 from bundle.errors import InputError, brief
 from bundle.graphs.factors.variables import Array, Key, as_keys, as_row, check_key, variable_name
 from bundle.interface.option_fields import choice, number
@@ -420,62 +420,11 @@ class FunctionFactor(Factor):
 
     def core_arguments(self, name: str, sizes: tuple[int, ...]) -> tuple[Any, ...]:
         """See :meth:`Factor.core_arguments`."""
-        return (_CheckedFunction(self, name, sizes),)
+        labels = [f"{variable_name(key)}: Jacobian" for key in self.keys]
+        return (UserFunction(self._timed, sizes, name, labels, is_vector=True),)
 
-
-class _CheckedFunction:
-    """Wrapper of the user's function that checks the returned values for ``_core``."""
-
-    def __init__(self, factor: FunctionFactor, name: str, sizes: tuple[int, ...]) -> None:
-        self.factor, self.name, self.sizes = factor, name, sizes
-        self.num_residuals = 0
-
-    def __call__(self, values: list[Array], jacobians: bool) -> tuple[Array, Any] | None:
+    def _timed(self, values: list[Array]) -> Any:
         began = perf_counter()
-        answer = self.factor.function(values)
-        seconds = min(self.factor.seconds_a_call, perf_counter() - began)
-        self.factor._set("seconds_a_call", seconds)
-        if not isinstance(answer, tuple | list) or len(answer) != 2:
-            raise InputError(
-                f"{self.name}: expected (residual, list of Jacobians), "
-                f"found {type(answer).__name__}"
-            )
-        residual = as_array(f"{self.name}: residual", answer[0])
-        if residual.size != max(residual.shape, default=1):  # a column is accepted as a row
-            raise InputError(
-                f"{self.name}: residual: expected a 1-D array of numbers, found shape "
-                f"{residual.shape}"
-            )
-        residual = residual.reshape(-1)
-        if not self.num_residuals:
-            if not len(residual):
-                raise InputError(f"{self.name}: residual: expected at least one number, found 0")
-            self.num_residuals = len(residual)
-        if len(residual) != self.num_residuals:
-            raise InputError(
-                f"{self.name}: expected {plural(self.num_residuals, 'residual')} as in earlier "
-                f"calls, found {len(residual)}"
-            )
-        if not np.isfinite(residual).all():
-            return None
-        return residual, self._jacobians(answer[1]) if jacobians else None
-
-    def _jacobians(self, given: Any) -> list[Array]:
-        if not isinstance(given, list | tuple) or len(given) != len(self.sizes):
-            found = f"{len(given)}" if isinstance(given, list | tuple) else brief(given)
-            raise InputError(
-                f"{self.name}: expected a list of {plural(len(self.sizes), 'Jacobian')}, one "
-                f"per variable, found {found}"
-            )
-        matrices = []
-        for key, size, jacobian in zip(self.factor.keys, self.sizes, given, strict=True):
-            where = f"{self.name}: {variable_name(key)}: Jacobian"
-            matrix = as_array(where, jacobian)
-            expected = (self.num_residuals, size)
-            if matrix.ndim == 1 and self.num_residuals == 1:
-                matrix = matrix.reshape(1, -1)
-            if matrix.shape != expected:
-                hint = " (transposed?)" if matrix.shape == expected[::-1] else ""
-                raise InputError(f"{where}: expected shape {expected}, found {matrix.shape}{hint}")
-            matrices.append(matrix)
-        return matrices
+        answer = self.function(values)
+        self._set("seconds_a_call", min(self.seconds_a_call, perf_counter() - began))
+        return answer
