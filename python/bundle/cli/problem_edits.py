@@ -14,7 +14,7 @@ from bundle.interface.options import SolveOptions
 from bundle.interface.pose_graph_options import LoopOptions
 
 if TYPE_CHECKING:
-    from bundle.editing.edit_record import CameraEdits
+    from bundle.editing.camera_sharing import CameraEdits
     from bundle.graphs.loops.loop_closing import LoopClosing
     from bundle.model.problem import Problem
     from bundle.solving.constraints.rule_list import Constraints
@@ -53,7 +53,7 @@ def cameras_edited(
         return None
     if given.share_cameras is not None and given.split_cameras:
         raise InputError("--split-cameras: not valid with --share-cameras, found both")
-    from bundle.editing.edit_record import edit_cameras
+    from bundle.editing.camera_sharing import edit_cameras
 
     share = False if given.share_cameras is None else given.share_cameras
     with naming_flags(model="--camera-model", camera_ids="--share-cameras"):

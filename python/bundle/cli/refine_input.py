@@ -29,7 +29,7 @@ from bundle.solving.ranks.launch import current
 from bundle.solving.slices.scratch_size import RESIDENT_BYTES
 
 if TYPE_CHECKING:
-    from bundle.editing.edit_record import CameraEdits
+    from bundle.editing.camera_sharing import CameraEdits
     from bundle.model.problem import Problem
     from bundle.solving.slices.sliced_refinement import OutOfCoreRefinement, SlicedRefinement
 

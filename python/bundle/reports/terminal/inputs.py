@@ -16,7 +16,7 @@ from bundle.solving.parameter_changes import SensorChange, shutter_gain
 
 if TYPE_CHECKING:
     from bundle.analysis.statistics.description import RigSummary
-    from bundle.editing.edit_record import CameraEdits
+    from bundle.editing.camera_sharing import CameraEdits
     from bundle.editing.rolling_shutters import GlobalShutterModel
     from bundle.model.pose_graph_arrays import PoseGraph
     from bundle.solving.result import Result

@@ -49,7 +49,7 @@ from bundle.reports.terminal.refine import worst_sections
 from bundle.synthetic.blocks import SceneTally
 
 if TYPE_CHECKING:
-    from bundle.editing.edit_record import CameraEdits
+    from bundle.editing.camera_sharing import CameraEdits
     from bundle.editing.rolling_shutters import GlobalShutterModel
 
 

@@ -39,7 +39,7 @@ from bundle.solving.parameter_changes import CameraChange, camera_changes, senso
 from bundle.solving.result import Result
 
 if TYPE_CHECKING:
-    from bundle.editing.edit_record import CameraEdits
+    from bundle.editing.camera_sharing import CameraEdits
     from bundle.georeference.measurements import MeasurementErrors
     from bundle.graphs.loops.loop_closing import LoopClosing
     from bundle.inertial.offline.inertial_result import InertialAdjustment
