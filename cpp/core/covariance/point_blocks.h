@@ -65,7 +65,7 @@ class PointAssembler {
   /// Assembles the blocks of a free point.
   void Assemble(int point, PointBlocks* blocks);
 
-  /// The observations of the point assembled last, without those that do not count.
+  /// The observations that count of the point that was assembled last.
   int num_rows() const { return num_rows_; }
   const ObservationRows& row(int i) const { return rows_[i]; }
 

@@ -22,8 +22,8 @@ inline constexpr double kFlopsWorthThreads = 5e7;
 /// Supernodal Cholesky factorisation, analysed once. `structure` is sparse, with blocks in the
 /// order of the elimination, as in `ordering`. On return `structure` has the places of its
 /// values in the factor. `pool`: threads that the caller has, which must outlive the solver;
-/// nullptr: the solver starts its own if the factorisation takes long. No bit of a factor depends
-/// on the number of threads.
+/// nullptr: the solver starts its own if the factorisation takes long. The bits of a factor do not
+/// depend on the number of threads.
 std::unique_ptr<LinearSolver> MakeSparseSolver(const FillOrdering& ordering, int num_threads,
                                                BlockStructure* structure,
                                                ThreadPool* pool = nullptr);

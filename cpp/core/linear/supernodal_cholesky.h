@@ -18,7 +18,7 @@ class SupernodalCholesky {
 
   /// `values` is S in the layout of PlaceInFactor, zero outside of its blocks, and becomes L.
   /// Returns 0, or the order of a leading minor that is not positive definite; `values` are then
-  /// undefined. No bit depends on the number of threads. nullptr: this thread alone.
+  /// undefined. The bits do not depend on the number of threads. nullptr: this thread alone.
   int Factorize(double* values, ThreadPool* pool = nullptr);
 
   /// X = S^-1 X with the values of Factorize; num_columns x num_rhs, column-major. A single

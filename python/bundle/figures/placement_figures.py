@@ -340,7 +340,7 @@ def placement(problem: Problem, record: Mapping[str, Any]) -> Placement:
         system = record["reference_system"]
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise InputError(
-            "georeference: expected what georeference.json of bundle refine holds, found "
+            "georeference: expected the entries of bundle refine's georeference.json, found "
             f"{type(error).__name__} at {error}"
         ) from None
     return Placement(None if system is None else str(system), images, targets)

@@ -3,7 +3,7 @@
 Latitude and longitude are three rationals, degrees, minutes and seconds, and a letter. The altitude
 is in metres, with its sign in a separate tag. EXIF does not define whether it is above sea level or
 above the ellipsoid, and receivers differ. It is used unchanged
-(``bundle.georeference.reference_system`` has the consequence).
+(``bundle.georeference.reference_system`` states the error).
 
 Pillow reads the tags of JPEG, TIFF, DNG, PNG and WebP without decoding pixels. (The package
 ExifRead cannot read tags of WebP and the tag of the accuracy.)

@@ -54,8 +54,8 @@ def hold_out(
         problem: the problem, which is not changed; also the path of one, or a
             pycolmap.Reconstruction.
         percent: share of the observations to hold out, above 0 and at most 50. Fewer are held out
-        if only two images see most of the points. seed: whole number; another seed gives another
-        choice.
+            if only two images see most of the points.
+        seed: whole number; another seed gives another choice.
 
     Returns:
         The problem without the held-out observations, with all its images and points; and the

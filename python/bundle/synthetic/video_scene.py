@@ -313,7 +313,7 @@ class PhoneWalk(Motion):
         self._speed = np.radians(rng.uniform(0.7, 1.0))  # per frame
 
     def views(self, times: Array) -> tuple[Array, Array, Array]:
-        """Return the views; see the class of the base."""
+        """Return the views; see the base class."""
         angle = self._start + self._speed * times
         height = 1.0 + 0.12 * np.sin(2 * np.pi * times / 70 + self._bob[0])
         distance = 2.2 + 0.1 * np.sin(times / 37 + self._bob[1])
@@ -360,7 +360,7 @@ class DroneGrid(Motion):
         self._relief, self._turns = relief, turns
 
     def views(self, times: Array) -> tuple[Array, Array, Array]:
-        """Return the views; see the class of the base."""
+        """Return the views; see the base class."""
         strips = self.strips
         along = times - self._pause * strips
         sign = np.where(strips % 2 == 0, 1.0, -1.0)
@@ -404,7 +404,7 @@ class Car(Motion):
         self._sway = rng.uniform(0, 2 * np.pi, 4)
 
     def views(self, times: Array) -> tuple[Array, Array, Array]:
-        """Return the views; see the class of the base."""
+        """Return the views; see the base class."""
         sway = self._sway
         yaw = 0.06 * np.sin(times / 30 + sway[0])
         side = 0.8 * np.sin(times / 45 + sway[1])
