@@ -105,8 +105,8 @@ FIGURES = {
     "linear": chart(*LINES),
     "logarithmic": chart(*LINES, x=logarithmic(X), y=logarithmic([0.1, 10.0])),
     "square": chart(
-        *LINES, **dict(zip("xy", square((5.0, 2.0), 6.0, ("east", "north")), strict=True)),
-        is_plan=True,
+        *LINES, is_plan=True,
+        **dict(zip("xy", square((-4, -4), (14, 8), ("east", "north"), 0.0), strict=True)),
     ),
 }  # fmt: skip
 
@@ -260,7 +260,7 @@ def test_both_write_the_note():
 
 
 def test_ellipses_dots_and_vectors_stand_where_they_are():
-    x, y = square((0.0, 0.0), 3.0, ("east", "north"))
+    x, y = square((-3.0, -3.0), (3.0, 3.0), ("east", "north"), 0.0)
     at, step = np.array([[1.0, 2.0]]), np.array([[0.5, -0.25]])
     figure = chart(
         Dots(at), Ellipses(np.array([np.diag([4.0, 1.0])]), 1), Vectors(at, step), x=x, y=y,
@@ -410,11 +410,18 @@ def test_factors_are_round(value, rounded):
 
 
 def test_a_square_is_as_wide_by_high_as_the_area_of_a_chart():
-    x, y = square((1.0, -2.0), 5.0, ("a", "b"))
+    x, y = square((-1.0, -6.0), (3.0, 2.0), ("a", "b"), 0.25)
     width, height = svg.WIDTH - svg.LEFT - svg.RIGHT, svg.HEIGHT - svg.TOP - svg.BOTTOM
     assert (x.high - x.low) / width == pytest.approx((y.high - y.low) / height)
     assert (y.low, y.high) == (-7.0, 3.0)
     assert isinstance(x, Axis) and (x.label, y.label) == ("a", "b")
+    wide, _ = square((-100.0, 0.0), (300.0, 1.0), ("", ""), 0.0)
+    assert (wide.low, wide.high) == pytest.approx((-100.0, 300.0))
+    place, _ = square((7.0, 7.0), (7.0, 7.0), ("", ""))
+    assert place.low < 7.0 < place.high
+    largest = np.finfo(float).max
+    far, _ = square((-largest / 2, 0.0), (largest / 2, 0.0), ("", ""))
+    assert math.isfinite(far.low) and math.isfinite(far.high)
 
 
 @pytest.mark.parametrize(("y", "low"), [([2.0, 3.0], 0.0), ([-2.0, 3.0], -2.0)])
@@ -425,7 +432,6 @@ def test_axes_of_lines_begin_at_zero_unless_values_are_below(y, low):
     assert axis.low == 0.0 if low == 0.0 else axis.low <= low
 
 
-@pytest.mark.parametrize("mark", [Cells(np.ones((2, 2)), 1.0, ""), Photo("data:,")])
-def test_a_chart_refuses_marks_of_image_planes(mark):
+def test_a_chart_refuses_marks_of_image_planes():
     with pytest.raises(KeyError):
-        drawing(chart(mark))
+        drawing(chart(Photo("data:,")))

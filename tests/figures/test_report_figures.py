@@ -167,3 +167,11 @@ def test_the_marks_of_several_lenses_are_those_of_all(problem):
     far = dataclasses.replace(near, corner_radius=near.corner_radius + 5)
     (places,) = marks(lens_figure({"camera 1": near, "camera 2": far}), Places)
     assert places.at == {"observed": near.observed_radius, "corner": far.corner_radius}
+
+
+def test_a_lens_without_distortion_has_no_figure():
+    problem = make_problem(model="PINHOLE", num_images=2, num_points=20, shared=True)
+    curve = lens_curve(problem, 0, np.diag([1.0, 1.0, 4.0, 4.0]))
+    assert lens_figure({"now": curve}) is None
+    before = dataclasses.replace(curve, distortion=curve.distortion - 5.0)
+    assert lens_figure({"before": before, "after": curve}) is not None

@@ -85,16 +85,18 @@ def change(before: float, after: float) -> str:
 
 
 def duration(value: float) -> str:
-    """Format a duration as "55 ms" or "1.2 s", with three digits; "-" if it is unknown."""
+    """Format a duration as "6.2 µs", "55 ms" or "1.2 s", with three digits; "-": unknown."""
     if not math.isfinite(value) or value < 0:
         return "-"
+    if value < 0.9995e-3:
+        return f"{1e6 * value:.3g} µs"
     if value < 0.9995:
         return f"{1e3 * value:.3g} ms"
     return f"{value:.3g} s" if value < 1e4 else f"{value:.1e} s"
 
 
 def span(time: float) -> str:
-    """Format a duration from "5 ms" to "3 days"; "-" if it is unknown."""
+    """Format a duration from "6.2 µs" to "3 days"; "-" if it is unknown."""
     if not math.isfinite(time) or time < 0:
         return "-"
     if time >= 2 * 86400:
@@ -103,7 +105,7 @@ def span(time: float) -> str:
         return f"{time / 3600:.1f} h"
     if time >= 1:
         return f"{time:.1f} s" if time >= 10 else f"{time:.2f} s"
-    return f"{1e3 * time:.3g} ms"
+    return duration(time)
 
 
 def plural(count: int, singular: str, many: str | None = None, *, grouped: bool = False) -> str:

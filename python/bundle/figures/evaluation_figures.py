@@ -11,7 +11,6 @@ from bundle.base.words import number
 from bundle.checking.step_curve import StepCurve
 from bundle.figures.marks import (
     GREY,
-    SHAPE,
     Array,
     Cells,
     Dots,
@@ -49,12 +48,19 @@ def error_figures(found: Evaluation) -> list[Figure]:
     x = np.arange(found.num_shared, dtype=float)
     is_image = found.association.by in ("name", "base name", "stem")
     label = "image in the order of names" if is_image else "pose in the order of time"
-    shown = _drawn(found)
-    names = [found.association.names[row] for row in shown.tolist()]
-    return [
-        _errors(name, title, (label, y_label), x[shown], y[shown], names, y)
-        for name, title, y_label, y in rows
-    ]
+    drawn, figures = _drawn(found), []
+    for name, title, y_label, y in rows:
+        shown = drawn[np.isfinite(y[drawn])]
+        names = tuple(found.association.names[row] for row in shown.tolist())
+        rms = ErrorStatistics.of(y[np.isfinite(y)]).rmse
+        ends, level = x[[0, -1]], np.full(2, rms)
+        limit = Line(f"rms {number(rms)}", ends, level, is_limit=True, colour=GREY, dash=1)
+        dots = Dots(np.column_stack([x, y])[shown], (), names)
+        y_axis = linear([0.0, *(1.05 * y[shown]).tolist()], y_label)
+        figures.append(
+            Figure(name=name, title=title, x=linear(x, label), y=y_axis, marks=(dots, limit))
+        )
+    return figures
 
 
 def _drawn(found: Evaluation) -> NDArray[np.int64]:
@@ -65,29 +71,6 @@ def _drawn(found: Evaluation) -> NDArray[np.int64]:
     return np.union1d(even, worst)
 
 
-def _errors(
-    name: str,
-    title: str,
-    labels: tuple[str, str],
-    x: Array,
-    y: Array,
-    names: Sequence[str],
-    whole: Array,
-) -> Figure:
-    known = np.isfinite(y)
-    shown = tuple(n for n, is_known in zip(names, known, strict=True) if is_known)
-    rms = ErrorStatistics.of(whole[np.isfinite(whole)]).rmse
-    ends = x[[0, -1]]
-    limit = Line(f"rms {number(rms)}", ends, np.full(2, rms), is_limit=True, colour=GREY, dash=1)
-    return Figure(
-        name=name,
-        title=title,
-        x=linear(x.tolist(), labels[0]),
-        y=linear([0.0, *(1.05 * y[known]).tolist()], labels[1]),
-        marks=(Dots(np.column_stack([x, y])[known], (), shown), limit),
-    )
-
-
 def paths_figure(found: Evaluation) -> Figure:
     """Return the centres of A and B, seen along the direction in which B extends least."""
     middle = found.reference.mean(axis=0)
@@ -96,14 +79,9 @@ def paths_figure(found: Evaluation) -> Figure:
     step = there - here
     both = np.vstack([there, here])
     low, high = both.min(axis=0), both.max(axis=0)
-    half, center = (high - low) / 2, (low + high) / 2
-    reach = 1.1 * max(float(half[0]) / SHAPE, float(half[1])) or 1.0
     unit = found.unit if found.unit == "m" else "units of B"
-    x, y = square(
-        (float(center[0]), float(center[1])),
-        reach,
-        (f"first axis [{unit}]", f"second axis [{unit}]"),
-    )
+    x, y = square(low, high, (f"first axis [{unit}]", f"second axis [{unit}]"), 0.1)
+    reach = (y.high - y.low) / 2
     rows = _drawn(found)
     names = tuple(found.association.names[row] for row in rows.tolist())
     longest = float(np.hypot(*step.T).max())
@@ -176,19 +154,10 @@ def error_figure(found: Validation) -> Figure:
     for colour, share in enumerate(dict.fromkeys(one.share for one in chosen)):
         rows = sorted((one for one in chosen if one.share == share), key=_size)
         x = np.array([max(_size(one), 1) for one in rows], float)
-        for dash, (name, kind) in enumerate(
-            (("held out", "held_out_rmse"), ("fitted", "fitted_clipped_rmse"))
-        ):
+        kinds = {"held out": "held_out_rmse", "fitted": "fitted_clipped_rmse"}
+        for dash, (name, kind) in enumerate(kinds.items()):
             y = np.array([getattr(one, kind) for one in rows])
-            marks.append(
-                Line(
-                    f"{rows[0].sharing}, {name}",
-                    x,
-                    y,
-                    colour=colour,
-                    dash=dash,
-                )
-            )
+            marks.append(Line(f"{rows[0].sharing}, {name}", x, y, colour=colour, dash=dash))
             values += y[np.isfinite(y)].tolist()
         counts += x.tolist()
     names = tuple(_label(one) for one in chosen)
@@ -213,6 +182,9 @@ def difference_figure(found: Validation) -> Figure:
     spread = 2 * found.decision.standard_errors[order]
     limit = found.rule.threshold * found.decision.scores[found.best]
     ends = np.array([0.5, len(order) + 0.5])
+    words = f"{100 * found.rule.threshold:g} % of the best"
+    names = tuple(_label(found.candidates[k]) for k in order)
+    colours = tuple(int(k == found.recommended) for k in order)
     return Figure(
         name="difference",
         title="Difference to the best, with two standard errors",
@@ -220,19 +192,8 @@ def difference_figure(found: Validation) -> Figure:
         y=linear([*(y - spread), *(y + spread), limit], "difference [sigma]", low=None),
         marks=(
             Line("candidates", place, y, is_dotted=True, error=spread),
-            Line(
-                f"{100 * found.rule.threshold:g} % of the best",
-                ends,
-                np.full(2, limit),
-                colour=GREY,
-                dash=1,
-            ),
-            Dots(
-                np.column_stack([place, y]),
-                tuple(int(k == found.recommended) for k in order),
-                names=tuple(_label(found.candidates[k]) for k in order),
-                is_labelled=len(order) <= 12,
-            ),
+            Line(words, ends, np.full(2, limit), colour=GREY, dash=1),
+            Dots(np.column_stack([place, y]), colours, names, is_labelled=len(order) <= 12),
         ),
     )
 
@@ -321,26 +282,19 @@ def step_figure(curve: StepCurve, tolerance: float) -> Figure:
     to_reference = _relative(differences - curve.reference, curve)
     error = abs(curve.analytic - curve.reference) / curve.scale
     ends = np.array([steps.min(), steps.max()]) if len(steps) else np.array([1e-16, 1.0])
-    lines = [
-        Line("to your Jacobian", steps, to_given, colour=1 if curve.is_wrong else 0),
-        *(
-            [Line("to the reference", steps, to_reference, colour=0, dash=1)]
-            if curve.is_wrong
-            else []
-        ),
-        Line("tolerance", ends, np.full(2, tolerance), colour=GREY, dash=1),
-    ]
-    floor = f" Floor: the error, {error:.1e}." if curve.is_wrong else ""
+    lines = [Line("to your Jacobian", steps, to_given, colour=1 if curve.is_wrong else 0)]
+    note = f"{curve.place[:1].upper()}{curve.place[1:]}: {curve.analytic:.6g}"
+    if curve.is_wrong:
+        lines.append(Line("to the reference", steps, to_reference, colour=0, dash=1))
+        note += f", should be {curve.reference:.6g}. Floor: the error, {error:.1e}"
+    lines.append(Line("tolerance", ends, np.full(2, tolerance), colour=GREY, dash=1))
     return Figure(
         name="step_curve",
         title=f"{curve.parameter}, row {curve.residual}: {'wrong' if curve.is_wrong else 'right'}",
         x=logarithmic(ends, "step size h"),
         y=logarithmic([*to_given, *to_reference, tolerance, 1.0], "relative distance of D(h)"),
         marks=tuple(lines),
-        note=f"{curve.place[:1].upper()}{curve.place[1:]}: {curve.analytic:.6g}, should be "
-        f"{curve.reference:.6g}.{floor}"
-        if curve.is_wrong
-        else f"{curve.place[:1].upper()}{curve.place[1:]}: {curve.analytic:.6g}.",
+        note=f"{note}.",
     )
 
 

@@ -45,9 +45,10 @@ WIDE = 20.0
 """Ratio of sigmas above which the axis is logarithmic."""
 
 
-def lens_figure(curves: Mapping[str, LensCurve], title: str = "", note: str = "") -> Figure:
+def lens_figure(curves: Mapping[str, LensCurve], title: str = "", note: str = "") -> Figure | None:
     """Return the figure of distortion against the distance from the principal point, by label.
 
+    None without distortion, as of pinhole cameras.
     The curve "before" is grey and dashed. The others have sigma bands; marks are at the farthest
     observation and the farthest image corner of all. More than 6 curves are faint, without labels
     and bands.
@@ -74,7 +75,7 @@ def lens_figure(curves: Mapping[str, LensCurve], title: str = "", note: str = ""
     heights = np.concatenate([np.zeros(0), *ends])
     heights = heights[np.isfinite(heights)]
     if (np.abs(heights) < NONE).all():
-        heights = np.array([-1.0, 1.0])
+        return None
     reach = [x for line in lines for x in line.x.tolist()]
     reach += places.values()
     return Figure(

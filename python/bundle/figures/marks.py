@@ -15,7 +15,7 @@ from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import field, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from bundle.base.records import dataclass
 
@@ -269,12 +269,16 @@ def logarithmic(values: Iterable[float], label: str = "") -> Axis:
     return Axis(10.0**first, 10.0**last, ticks, is_logarithmic=True, label=label)
 
 
-def square(center: tuple[float, float], reach: float, labels: tuple[str, str]) -> tuple[Axis, Axis]:
-    """Return axes of equal scale on a chart; y extends by ``reach`` on both sides of the centre."""
-    halves = (reach * SHAPE, reach)
+def square(
+    low: ArrayLike, high: ArrayLike, labels: tuple[str, str], margin: float = 0.05
+) -> tuple[Axis, Axis]:
+    """Return axes of equal scale on a chart that contain a box, with a margin on each side."""
+    low, high = (np.asarray(end, float) / 2 for end in (low, high))  # sums could overflow
+    across, up = ((1 + margin) * (high - low)).tolist()
+    reach = max(across / SHAPE, up, 1e-9)
     x, y = (
         linear([middle - half, middle + half], label, low=None)
-        for middle, half, label in zip(center, halves, labels, strict=True)
+        for middle, half, label in zip(low + high, (reach * SHAPE, reach), labels, strict=True)
     )
     return x, y
 
@@ -382,7 +386,7 @@ def line_figure(
     bands = [(line.y, line.sigma) for line in lines if line.sigma is not None]
     y = _finite([line.y for line in lines] + [y + sign * s for y, s in bands for sign in (-1, 1)])
     if is_plan and len(x) and len(y):
-        axes = _plan(x, y, (x_label, y_label))
+        axes = square((x.min(), y.min()), (x.max(), y.max()), (x_label, y_label))
     elif is_logarithmic:
         axes = linear(x, x_label), logarithmic(y, y_label)
     else:
@@ -390,14 +394,6 @@ def line_figure(
     return Figure(
         name=name, title=title, x=axes[0], y=axes[1], marks=marks, note=note, is_plan=is_plan
     )
-
-
-def _plan(x: Array, y: Array, labels: tuple[str, str]) -> tuple[Axis, Axis]:
-    ends = [(values.min() / 2, values.max() / 2) for values in (x, y)]  # sums could overflow
-    middle = [low + high for low, high in ends]
-    half = [high - low for low, high in ends]
-    reach = max(1.05 * half[0] / SHAPE, 1.05 * half[1], 1e-3)
-    return square((middle[0], middle[1]), reach, labels)
 
 
 def _finite(parts: Iterable[Array]) -> Array:

@@ -10,11 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.base.records import dataclass
+from bundle.base.words import plural
 from bundle.errors import InputError
 from bundle.figures.marks import (
     GREY,
-    SHAPE,
     Array,
+    Axis,
+    Cells,
     Dots,
     Ellipses,
     Figure,
@@ -22,8 +24,10 @@ from bundle.figures.marks import (
     round_down,
     square,
 )
+from bundle.figures.residual_field import principal_point
 from bundle.georeference.alignment_result import root_mean_square
 from bundle.model.cameras import param_kinds, project
+from bundle.model.lenses.exact_image import pixel_rays
 from bundle.model.problem import Problem
 from bundle.model.rigid_motions import rotation_matrices
 
@@ -31,10 +35,11 @@ ROLES = {"control": 0, "check": 1, "image": 5}
 """Colour indices by role; others are grey."""
 
 ERRORS = ("error east [m]", "error north [m]")
+PLAN = ("east [m]", "north [m]")
+CELLS = (24, 37)
+"""Rows and columns of the map of overlap: square cells in the shape of a chart."""
 MOST_BOUNDED = 10_000
 """Number of points whose extent is searched."""
-MOST_VIEWED = 500
-"""Number of points whose images are counted."""
 FARTHEST = 1.2
 """Largest drawn error of an image without influence, relative to the height of the plan."""
 
@@ -46,12 +51,12 @@ def target_figure(place: Placement) -> Figure | None:
         return None
     residuals = np.array([target.residual[:2] for target in known])
     sigmas = sorted({(float(target.sigma[0]), float(target.sigma[1])) for target in known})
-    reach = 1.15 * max(float(np.abs(residuals).max()), *(max(pair) for pair in sigmas))
+    reach = max(float(np.abs(residuals).max()), *(max(pair) for pair in sigmas))
     controls = np.array([target.residual[:2] for target in known if target.role == "control"])
     ellipses = [Ellipses(np.array([np.diag(np.square(pair)) for pair in sigmas]), 2)]
     if len(controls):
         ellipses.append(Ellipses(_moment(controls)[None], 0))
-    x, y = square((0.0, 0.0), max(reach, 1e-9), ERRORS)
+    x, y = square((-reach, -reach), (reach, reach), ERRORS, 0.15)
     note = (
         "Blue: control points, with the ellipse of their root mean square; orange: check points; "
         "green: one standard deviation of the survey. Names with errors of height."
@@ -68,8 +73,8 @@ def position_figure(place: Placement) -> Figure | None:
     if not known:
         return None
     residuals = np.array([image.residual[:2] for image in known])
-    reach = 1.15 * max(float(np.abs(residuals).max()), 1e-9)
-    x, y = square((0.0, 0.0), reach, ERRORS)
+    reach = float(np.abs(residuals).max())
+    x, y = square((-reach, -reach), (reach, reach), ERRORS, 0.15)
     return Figure(
         name="position_errors",
         title="Errors of positions",
@@ -94,10 +99,8 @@ def plan_figure(place: Placement, centers: Array) -> Figure | None:
         return None
     others = centers[: 0 if groups["images"] else None, :2]
     every = np.vstack([others, *(one.position[:2] for group in groups.values() for one in group)])
-    low, high = every.min(axis=0), every.max(axis=0)
-    half, middle = (high - low) / 2, (low + high) / 2
-    reach = 1.1 * max(float(half[0]) / SHAPE, float(half[1]), 1e-6)
-    x, y = square((float(middle[0]), float(middle[1])), reach, ("east [m]", "north [m]"))
+    x, y = square(every.min(axis=0), every.max(axis=0), PLAN, 0.1)
+    reach = (y.high - y.low) / 2
     marks: list[Any] = [Dots(others, (GREY,) * len(others), radius=2.0)]
     note = "Lines go towards the measurement"
     for noun, group in groups.items():
@@ -118,6 +121,25 @@ def plan_figure(place: Placement, centers: Array) -> Figure | None:
     return Figure(
         name="plan", title="Plan", x=x, y=y, marks=tuple(marks), note=f"{note}.", is_plan=True
     )
+
+
+def overlap_figure(dimensions: Block, centers: Array) -> Figure | None:
+    """Return the map of the images that see the ground, with cameras; None if it is unknown.
+
+    Nothing hides the ground: the frames of images contain it.
+    """
+    if not dimensions.area > 0:
+        return None
+    x, y = dimensions.axes
+    images = dimensions.images
+    titles = tuple(plural(int(count), "image") for count in images.ravel())
+    cells = Cells(images, float(images.max()), "images", titles, (3.0,))
+    dots = Dots(centers[:, :2], (GREY,) * len(centers), radius=2.0)
+    note = "Inside the line: 3 images or more. Dots: cameras. What hides the ground is ignored."
+    return Figure(
+        name="overlap", title="Images whose frame contains the ground", x=x, y=y,
+        marks=(cells, dots), note=note, is_plan=True,
+    )  # fmt: skip
 
 
 def _dots(group: Sequence[PlacedImage | PlacedTarget], at: Array, is_labelled: bool) -> Dots:
@@ -224,19 +246,28 @@ class Block:
     # length and width of the smallest rectangle around the points from above, without 1 % at each
     # side [m]
     extent: tuple[float, float]
-    overlap: float  # median number of images whose frame contains a point
+    axes: tuple[Axis, Axis]  # east and north of the map of overlap
+    images: Array  # number of images whose frame contains the ground, in each cell of the map
+
+    @property
+    def area(self) -> float:
+        """Area of ground in the frames of two images or more [m^2]."""
+        width, height = (axis.high - axis.low for axis in self.axes)
+        return width * height * float((self.images > 1).mean())
 
     @property
     def sentence(self) -> str:
         """All known dimensions in words."""
         length, width = self.extent
         words = [f"Points over {length:.3g} x {width:.3g} m"]
+        if self.area > 0:
+            area = f"{self.area:.3g} m²" if self.area < 1e3 else f"{self.area / 1e4:.3g} ha"
+            overlap = np.median(self.images[self.images > 1])
+            words.append(f"{area} of ground in two images or more ({overlap:.0f} in the median)")
         if self.height > 0:
             words.append(f"cameras {self.height:.3g} m above them")
         if math.isfinite(self.ground_pixel):
             words.append(f"{100 * self.ground_pixel:.3g} cm per pixel (GSD)")
-        if math.isfinite(self.overlap):
-            words.append(f"{self.overlap:.0f} images see a point (median)")
         return ", ".join(words) + "."
 
 
@@ -249,12 +280,14 @@ def block(problem: Problem) -> Block | None:
     forward = rotation_matrices(problem.cam_from_world[:, :4])[:, 2]
     depth = np.abs(np.einsum("ni,ni->n", rays, forward[image]))
     order = np.argsort(image, kind="stable")
+    axes, ground = _ground(problem.points, problem.projection_centers)
     heights = np.split(-rays[order, 2], np.flatnonzero(np.diff(image[order])) + 1)
     return Block(
         height=float(np.median([np.median(one) for one in heights])),
         ground_pixel=float(np.median(depth / focal_lengths(problem)[problem.image_camera[image]])),
         extent=_extent(problem.points[:, :2]),
-        overlap=_overlap(problem),
+        axes=axes,
+        images=_views(problem, ground).reshape(CELLS),
     )
 
 
@@ -280,21 +313,41 @@ def _extent(plan: NDArray[np.float64]) -> tuple[float, float]:
     return length, width
 
 
-def _overlap(problem: Problem) -> float:
-    if not problem.camera_sizes[problem.image_camera].all():
-        return math.nan
-    rows = np.linspace(0, problem.num_points - 1, min(problem.num_points, MOST_VIEWED))
-    points = problem.points[rows.astype(np.int64)]
-    turns = rotation_matrices(problem.cam_from_world[:, :4])
+def _ground(points: Array, centers: Array) -> tuple[tuple[Axis, Axis], Array]:
+    """Return axes of a map around points and cameras, and (n, 3) the middles of its cells.
+
+    A middle has the mean height of the points in its cell, or in all cells.
+    """
+    ends = [np.percentile(part, [1, 99], axis=0) for part in (points, centers)]
+    low, high = np.minimum(*ends)[0, :2], np.maximum(*ends)[1, :2]
+    axes = square(low, high, PLAN, 0.3)
+    edges = [np.linspace(a.low, a.high, n + 1) for a, n in zip(axes, CELLS[::-1], strict=True)]
+    heights = np.clip(points[:, 2], *ends[0][:, 2])
+    x, y = points[:, :2].T
+    total, count = (np.histogram2d(x, y, edges, weights=each)[0] for each in (heights, None))
+    mean = np.where(count > 0, total / np.maximum(count, 1), heights.mean())
+    east, north = np.meshgrid(*(0.5 * (edge[1:] + edge[:-1]) for edge in edges))
+    ground: Array = np.stack([east, north, mean.T], axis=-1)[::-1]  # the northernmost row first
+    return axes, ground.reshape(-1, 3)
+
+
+def _views(problem: Problem, points: Array) -> Array:
+    """Return the number of images whose frame contains each of (n, 3) points; NaN if unknown."""
     views = np.zeros(len(points))
-    for turn, pose, camera in zip(
-        turns, problem.cam_from_world, problem.image_camera.tolist(), strict=True
-    ):
-        model = problem.camera_models[camera]
+    turns = rotation_matrices(problem.cam_from_world[:, :4])
+    frame = np.indices((9, 9)).reshape(2, -1).T / 8
+    for camera, size in enumerate(problem.camera_sizes):
+        model, widest = problem.camera_models[camera], -1.0
         params = problem.camera_params[camera, : len(param_kinds(model))]
-        xy, valid = project(model, params, points @ turn.T + pose[4:])
-        views += valid & (xy >= 0).all(axis=1) & (xy <= problem.camera_sizes[camera]).all(axis=1)
-    return float(np.median(views))
+        if principal_point(problem, camera) is not None:  # beyond its frame, a lens may fold
+            rays, is_seen = pixel_rays(model, params, frame * size)
+            widest = float(rays[is_seen, 2].min(initial=1.0))
+        for image in np.flatnonzero(problem.image_camera == camera):
+            ahead = points @ turns[image].T + problem.cam_from_world[image, 4:]
+            xy, valid = project(model, params, ahead)
+            valid &= ahead[:, 2] >= widest * np.linalg.norm(ahead, axis=1)
+            views += valid & ((xy >= 0) & (xy <= size)).all(axis=1)
+    return views if problem.camera_sizes[problem.image_camera].all() else math.nan * views
 
 
 def placement(problem: Problem, record: Mapping[str, Any]) -> Placement:

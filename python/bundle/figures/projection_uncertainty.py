@@ -152,12 +152,13 @@ def projection_uncertainty(
     )  # fmt: skip
     if not np.isfinite(terms).any():
         return None
+    counts, _, _ = np.histogram2d(xy[:, 0], xy[:, 1], (columns, lines), box.reshape(2, 2).T)
     low, middle, high = np.quantile(distances, [0.01, 0.5, 0.99]).tolist()
     return ProjectionUncertainty(
         camera_id=int(problem.camera_ids[camera]),
         model=model,
         box=box,
-        count=_counts(xy, box, columns, lines),
+        count=counts.T.astype(np.int64),
         distance=middle,
         range=(min(low, middle / 10), max(high, 30 * middle)),
         terms=terms.reshape(lines, columns, 3, 2, 2),
@@ -278,10 +279,3 @@ def _middles(box: Array, columns: int, rows: int) -> Array:
     y = box[1] + (np.arange(rows) + 0.5) * (box[3] - box[1]) / rows
     across, down = np.meshgrid(x, y)
     return np.column_stack([across.ravel(), down.ravel()])
-
-
-def _counts(xy: Array, box: Array, columns: int, rows: int) -> NDArray[np.int64]:
-    left, top, right, bottom = box
-    edges = np.linspace(top, bottom, rows + 1), np.linspace(left, right, columns + 1)
-    counts = np.histogram2d(xy[:, 1], xy[:, 0], bins=edges)[0]
-    return counts.astype(np.int64)

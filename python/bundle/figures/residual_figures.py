@@ -112,18 +112,12 @@ def _highest(counts: dict[str, np.ndarray]) -> float:
 
 def _normal(histogram: ResidualHistogram, label: str) -> tuple[Array, Array]:
     """Return a normal distribution fitted to the middle of a histogram, as counts per bin."""
-    sigma = max(histogram.sigma[label], 1e-300)
-    edges = histogram.edges
+    sigma, edges = max(histogram.sigma[label], 1e-300), histogram.edges
     inside = float(histogram.coordinates[label].sum())
     total = inside / max(1.0 - histogram.share_outside[label], 1e-12)
+    top = total * (edges[1] - edges[0]) / (sigma * np.sqrt(2 * np.pi))
     x = np.linspace(edges[0], edges[-1], 121)
-    y = (
-        total
-        * (edges[1] - edges[0])
-        / (sigma * np.sqrt(2 * np.pi))
-        * np.exp(-0.5 * (x / sigma) ** 2)
-    )
-    return x, y
+    return x, top * np.exp(-0.5 * (x / sigma) ** 2)
 
 
 def field_figures(field: ResidualField) -> tuple[Figure, ...]:

@@ -16,7 +16,6 @@ from bundle.base.tails import chi2_tail
 from bundle.base.words import amount, plural
 from bundle.figures.marks import (
     GREY,
-    SHAPE,
     Axis,
     Bars,
     Dots,
@@ -80,13 +79,12 @@ def covisibility_figure(graph: CovisibilityGraph) -> Figure:
     radius = float(np.clip(30 / np.sqrt(max(len(positions), 1)), 0.8, 3.4))
     marks.append(Dots(positions, (GREY,) * len(positions), radius=radius))
     low, high = (f(positions, axis=0, initial=0.0) for f in (np.min, np.max))
-    middle, half = (low + high) / 2, 1.05 * (high - low) / 2
-    reach = max(float(half[0]) / SHAPE, float(half[1]), 1e-9)
-    x, y = square((float(middle[0]), float(middle[1])), reach, ("", ""))
+    x, y = square(low, high, ("", ""))
     # A street seen from above is a line, and edges on a line would overlap.
+    half = (high - low) / 2
     stretched = bool(0 < half[1] < NARROWEST * half[0])
     if stretched:
-        y = Axis(float(middle[1] - 2 * half[1]), float(middle[1] + 2 * half[1]), ())
+        y = Axis(float(low[1] - half[1]), float(high[1] + half[1]), ())
     words = f"{plural(len(positions), 'image', grouped=True)}, "
     words += f"{plural(graph.num_pairs, 'pair shares points', 'pairs share points', grouped=True)}"
     if len(graph.edges) < graph.num_pairs:
@@ -251,11 +249,8 @@ def _plan(graph: DrawnGraph, across: int, up: int) -> Figure:
         begin, end = places[graph.worst].swapaxes(0, 1)
         marks.append(_line("worst edges", _segments(places, graph.worst), 1))
         marks.append(Vectors(begin, end - begin, 1))
-    low, high = _box(places)
-    middle = (low + high) / 2
-    reach = max(float((high - low).max()) / 2 * 1.05, 1e-9)
     names = (AXES[across], AXES[up])
-    x, y = square((float(middle[0]), float(middle[1])), reach, names)
+    x, y = square(*_box(places), names)
     drawn = len(others) < len(graph.others)
     return Figure(
         name=f"plan_{names[0]}{names[1]}",

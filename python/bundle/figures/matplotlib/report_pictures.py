@@ -153,7 +153,9 @@ def draw_lens_curves(ax: Axes, curves: Sequence[LensCurve]) -> None:
     for curve in curves:
         check_type("curves", curve, LensCurve)
     named = {f"camera {curve.camera_id}": curve for curve in curves}
-    draw(ax, lens_figures.lens_figure(named))
+    figure = lens_figures.lens_figure(named)
+    if figure is not None:
+        draw(ax, figure)
 
 
 def draw_projection_uncertainty(

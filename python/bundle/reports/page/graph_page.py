@@ -124,15 +124,9 @@ def write_graph_structure(
         ]
     data = None
     if count <= MOST_VARIABLES:
+        size, edges = graph.tangent_size, pattern.edges
         graphs = [
-            inspect_graph(
-                pattern.edges,
-                count,
-                order,
-                names=names,
-                block_size=graph.tangent_size,
-                record_steps=True,
-            )
+            inspect_graph(edges, count, order, names=names, block_size=size, record_steps=True)
             for order in STEPPED
         ]
         hint = "Choose an order, and eliminate pose by pose; a new edge is fill."

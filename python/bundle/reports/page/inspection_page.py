@@ -104,14 +104,9 @@ def _with_rivals(graph: GraphInspection) -> list[GraphInspection]:
     """Return a graph under its own order first, then under other orders for comparison."""
     if graph.num_variables > MOST_VARIABLES:
         return [graph]
+    count, names, sizes = graph.num_variables, graph.names, graph.block_sizes
     rivals = [
-        inspect_graph(
-            graph.edges,
-            graph.num_variables,
-            ordering,
-            names=graph.names,
-            block_size=graph.block_sizes,
-        )
+        inspect_graph(graph.edges, count, ordering, names=names, block_size=sizes)
         for ordering in STEPPED
         if ordering != graph.ordering
     ]

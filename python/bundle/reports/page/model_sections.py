@@ -19,6 +19,7 @@ from bundle.figures.marks import Figure
 from bundle.figures.placement_figures import (
     Placement,
     block,
+    overlap_figure,
     plan_figure,
     position_figure,
     target_figure,
@@ -147,6 +148,7 @@ ROWS = 12
 
 ROWS_OPEN = 20
 """Number of control points up to which their table is open."""
+_UNKNOWN = (math.nan, math.nan)
 CE90, LE90 = 1.5175, 1.6449
 """90 % quantiles of normal errors over their RMS: of the horizontal length, and of a height."""
 
@@ -158,7 +160,8 @@ def placement_sections(place: Placement, problem: Problem) -> list[Section]:
     words = "Metres east, north, up: model minus measurement."
     words += f" Coordinates were read in {system}." if system else ""
     plan = plan_figure(place, problem.projection_centers)
-    figures = (plan, target_figure(place), position_figure(place))
+    overlap = None if dimensions is None else overlap_figure(dimensions, problem.projection_centers)
+    figures = (plan, overlap, target_figure(place), position_figure(place))
     return [
         Section(
             title="Control points and positions",
@@ -172,9 +175,8 @@ def placement_sections(place: Placement, problem: Problem) -> list[Section]:
 
 
 def _rms(place: Placement) -> list[Table]:
-    """Return RMS errors, those that measure accuracy first, and their means and deviations."""
-    head = ["RMS error", "count", "east [m]", "north [m]", "up [m]", "horizontal [m]", "total [m]",
-            "CE90 [m]", "LE90 [m]"]  # fmt: skip
+    """Return RMS errors, those that measure accuracy first, and what is left without their mean."""
+    head = ["RMS error", "count", "east [m]", "north [m]", "up [m]", "horizontal [m]", "total [m]"]
     names = {
         "check": "check points",
         "left out": "control points, each left out",
@@ -185,24 +187,21 @@ def _rms(place: Placement) -> list[Table]:
     for kind, name in names.items():
         errors, rms = place.errors(kind), place.rms(kind)
         if np.isfinite(rms).any():
-            of_90 = [CE90 * rms[3], LE90 * rms[2]]
-            rows.append([name, f"{len(errors)}", *map(_metres, [*rms, *of_90])])
-            means.append([name, f"{len(errors)}", *map(_spread, errors.T)])
+            known = [column[np.isfinite(column)] for column in errors.T]
+            ends = [(one.mean(), one.std(ddof=1)) if len(one) > 1 else _UNKNOWN for one in known]
+            east, north, up = (deviation for _, deviation in ends)
+            of_90 = CE90 * rms[3], LE90 * rms[2], CE90 * math.hypot(east, north), LE90 * up
+            rows.append([name, f"{len(errors)}", *map(_metres, rms)])
+            words = [f"{mean:+.4f} ± {d:.4f}" if math.isfinite(d) else "-" for mean, d in ends]
+            means.append([name, *words, *map(_metres, of_90)])
     legend = (
         "CE90, LE90: horizontal and vertical errors that 90 % of points do not exceed, if errors "
-        "are normal and equal in east and north."
-    )
-    shift = (
+        "are normal and equal in east and north; relative: without their mean, as between points. "
         "A mean far from 0 beside its deviation is systematic, such as a wrong datum of heights."
     )
-    head_of_means = ["mean ± standard deviation", *head[1:5]]
-    tables = [Table.of(head, rows, legend=legend), Table.of(head_of_means, means, legend=shift)]
-    return tables if rows else []
-
-
-def _spread(errors: NDArray[np.float64]) -> str:
-    known = errors[np.isfinite(errors)]
-    return f"{known.mean():+.4f} ± {known.std(ddof=1):.4f}" if len(known) > 1 else "-"
+    head_of_means = ["mean ± standard deviation", *head[2:5], "CE90 [m]", "LE90 [m]",
+                     "relative CE90 [m]", "relative LE90 [m]"]  # fmt: skip
+    return [Table.of(head, rows), Table.of(head_of_means, means, legend=legend)] if rows else []
 
 
 def _targets(place: Placement) -> Section:
@@ -293,7 +292,7 @@ def lens_sections(
     for curve in curves:
         width, height = problem.camera_sizes[index[curve.camera_id]].tolist()
         kinds.setdefault((curve.model, width, height), []).append(curve)
-    figures: list[Figure] = []
+    figures: list[Figure | None] = []
     earlier = {curve.camera_id: curve for curve in before}
     for (model, width, height), group in kinds.items():
         if len(group) == 1:
@@ -304,15 +303,17 @@ def lens_sections(
         named = {f"camera {curve.camera_id}": curve for curve in group}
         figures.append(lens_figure(named, name))
         figures += _focal(problem, sorted(index[curve.camera_id] for curve in group), sigmas)
+    drawn = [figure for figure in figures if figure is not None]
+    text = [words] if any(figure.name == "distortion" for figure in drawn) else []
     cameras = most_observed_cameras(problem)
     title = "Parameters"
     if len(cameras) < problem.num_cameras:
         title += f" of the {plural(len(cameras), 'camera')} with most observations"
     table = _parameters(problem, initial, cameras, sigmas)
     if len(cameras) == 1:
-        return [Section(title="Lenses", text=[words], figures=figures, tables=[table])]
+        return [Section(title="Lenses", text=text, figures=drawn, tables=[table])]
     return [
-        Section(title="Lenses", text=[words], figures=figures),
+        Section(title="Lenses", text=text, figures=drawn),
         Section(title=title, tables=[table], is_detail=True),
     ]
 
@@ -356,7 +357,7 @@ def _parameters(
     return Table.of(head, rows, left=3, most=40)
 
 
-def _single(curve: LensCurve, before: LensCurve | None) -> Figure:
+def _single(curve: LensCurve, before: LensCurve | None) -> Figure | None:
     curves = {"now": curve}
     if before is not None and not (
         len(before.radius) == len(curve.radius)

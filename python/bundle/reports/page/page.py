@@ -59,9 +59,14 @@ def heading(title: str, name: str = "") -> str:
     return tag("h2", escape(title), id=anchor)
 
 
+def prose(words: str) -> str:
+    """Return words as markup; lines do not break within an option such as ``--max-error``."""
+    return re.sub(r"--[a-z][\w-]*", r'<span class="option">\g<0></span>', escape(words))
+
+
 def lead(sentences: Sequence[str]) -> str:
     """Return the verdict of a page; its first sentence is bold."""
-    first, *rest = map(escape, sentences)
+    first, *rest = map(prose, sentences)
     return tag("p", tag("strong", first), " ", " ".join(rest), class_="headline")
 
 
@@ -113,7 +118,7 @@ def write_page(
         tag("title", escape(title)),
         tag("style", asset("page.css")),
     ]
-    body = [tag("h1", escape(headline or title)), _contents(sections), tag("main", *sections)]
+    body = [tag("h1", prose(headline or title)), _contents(sections), tag("main", *sections)]
     page = tag("html", tag("head", *head), tag("body", *body, scripts), lang="en")
     atomic.write_text(path, f"<!doctype html>\n{page}\n")
 

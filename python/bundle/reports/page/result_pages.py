@@ -27,7 +27,7 @@ from bundle.judging.evaluation.check_points import CheckPointEvaluation
 from bundle.judging.evaluation.evaluation_result import Evaluation
 from bundle.planning.comparison.comparison_result import Comparison
 from bundle.planning.comparison.graph_comparison import GraphComparison
-from bundle.reports.page.page import lead, tag, write_page
+from bundle.reports.page.page import lead, prose, tag, write_page
 from bundle.reports.page.table import findings_list, rendered
 from bundle.reports.sections import Column, Report, Section, Table
 from bundle.reports.terminal.compare import compared
@@ -39,8 +39,8 @@ from bundle.reports.terminal.vio_reports import odometry_facts, odometry_headlin
 def write_reported(report: Report, path: str | os.PathLike[str]) -> None:
     """Write a report as one self-contained HTML file."""
     headline, *more = report.headline or [report.title]
-    sections = [tag("p", escape(sentence)) for sentence in more]
-    sections += [tag("p", escape(sentence), class_="warn") for sentence in report.warnings]
+    sections = [tag("p", prose(sentence)) for sentence in more]
+    sections += [tag("p", prose(sentence), class_="warn") for sentence in report.warnings]
     sections += [findings_list(report.findings), *rendered(report.sections)]
     write_page(as_path(path), report.title, sections, headline=headline)
 

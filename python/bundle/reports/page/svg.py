@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from html import escape
 from typing import Any, ClassVar
 
@@ -13,6 +13,7 @@ from bundle.figures.marks import (
     Array,
     Axis,
     Bars,
+    Cells,
     Dots,
     Ellipses,
     Figure,
@@ -25,7 +26,7 @@ from bundle.figures.marks import (
     short,
 )
 from bundle.reports.page.page import tag
-from bundle.reports.page.svg_planes import plane
+from bundle.reports.page.svg_planes import cells, plane, scale
 
 COLOURS = 10
 """Colours of a page, ``--c0`` and so on."""
@@ -78,31 +79,21 @@ def stacked_bars(mark: StackedBars) -> str:
     longest = max(totals.values(), default=1.0) or 1.0
     texts = {name: f"{total:.3g}{mark.unit}" for name, total in totals.items()}
     room = _room(texts.values())
-    phases: Sequence[str] = list(next(iter(mark.rows.values()), {}))
     cells = []
+    paints = {
+        phase: "background:var(--rest)" if phase == "rest" else f"background:var(--c{k % COLOURS})"
+        for k, phase in enumerate(next(iter(mark.rows.values()), {}))
+    }
     for name, parts in mark.rows.items():
         pieces = [
-            tag(
-                "div",
-                class_="bar",
-                title=f"{phase}: {value:.3g}{mark.unit}",
-                style=f"{_width(value / longest, room)};background:{_paint(index, phase)}",
-            )
-            for index, (phase, value) in enumerate(parts.items())
-        ]
+            tag("div", class_="bar", title=f"{phase}: {value:.3g}{mark.unit}",
+                style=f"{_width(value / longest, room)};{paints[phase]}")
+            for phase, value in parts.items()
+        ]  # fmt: skip
         cells += _row(name, "".join(pieces), texts[name])
     swatches = [
-        tag(
-            "li",
-            tag(
-                "span",
-                class_="swatch",
-                style=f"background:{_paint(index, phase)}",
-                aria_hidden="true",
-            ),
-            escape(phase),
-        )
-        for index, phase in enumerate(phases)
+        tag("li", tag("span", class_="swatch", style=paint, aria_hidden="true"), escape(phase))
+        for phase, paint in paints.items()
     ]
     return tag("div", *cells, class_="bars") + tag("ul", *swatches, class_="legend")
 
@@ -121,10 +112,6 @@ def _row(name: str, bar: str, words: str) -> list[str]:
     value = tag("div", escape(words), class_="value")
     label = escape(name).replace("_", "_<wbr>")
     return [tag("div", label), tag("div", bar, value, class_="track")]
-
-
-def _paint(index: int, phase: str) -> str:
-    return "var(--rest)" if phase == "rest" else f"var(--c{index % COLOURS})"
 
 
 WIDTH, HEIGHT = 480, 320
@@ -167,7 +154,8 @@ def drawing(figure: Figure) -> str:
         "svg", *chart.axes(), *inside,
         viewBox=f"0 0 {WIDTH} {HEIGHT}", role="img", aria_label=label,
     )  # fmt: skip
-    return made + _legend(figure.legend) if figure.legend else made
+    made += _legend(figure.legend) if figure.legend else ""
+    return made + "".join(map(scale, figure.marks))
 
 
 _ROWS: dict[type, Callable[..., str]] = {Bars: bars, StackedBars: stacked_bars, Matrix: matrix}
@@ -216,6 +204,9 @@ class _Chart:
         """Return a mark; empty if it has no points on the axes."""
         return self._KINDS[type(mark)](self, mark)
 
+    def _cells(self, mark: Cells) -> str:
+        return cells(mark, np.array([LEFT, TOP]), (WIDTH - LEFT - RIGHT, HEIGHT - TOP - BOTTOM))
+
     def _line(self, line: Line) -> str:
         path = "" if line.is_dotted else self._path(line.x, line.y)
         return _curve(line, path) if path else ""
@@ -261,6 +252,7 @@ class _Chart:
 
     _KINDS: ClassVar[dict[type, Callable[..., str]]] = {
         Line: _line, Steps: _steps, Dots: _dots, Ellipses: _ellipses, Vectors: _vectors,
+        Cells: _cells,
     }  # fmt: skip
 
     def _pair(self, xy: Array) -> tuple[float, float]:

@@ -48,7 +48,7 @@ def plane(figure: Figure) -> str:
         preserveAspectRatio="xMinYMid",
         class_="photographed" if photographed else None,
     )  # fmt: skip
-    return drawing + "".join(map(_scale, figure.marks))
+    return drawing + "".join(map(scale, figure.marks))
 
 
 class _Plane:
@@ -66,22 +66,7 @@ class _Plane:
         return self._KINDS[type(mark)](self, mark)
 
     def _cells(self, mark: Cells) -> str:
-        rows, columns = mark.values.shape
-        wide, high = self.width / columns, self.height / rows
-        drawn = []
-        for cell, value in enumerate(mark.values.ravel().tolist()):
-            if not np.isfinite(value):
-                continue
-            row, column = divmod(cell, columns)
-            share = min(value / mark.top, 1.0) if mark.top > 0 else 0.0
-            title = tag("title", escape(mark.titles[cell])) if mark.titles else ""
-            drawn.append(
-                tag("rect", title, data_cell=cell, x=f"{PAD + column * wide:.1f}",
-                    y=f"{PAD + row * high:.1f}", width=f"{wide + 0.2:.1f}",
-                    height=f"{high + 0.2:.1f}", fill_opacity=f"{share:.3f}")
-            )  # fmt: skip
-        lines = contours(mark.values, mark.levels, (wide, high), PAD) if mark.levels else ""
-        return tag("g", *drawn, class_="heat") + lines
+        return cells(mark, np.array([PAD, PAD]), (self.width, self.height))
 
     def _vectors(self, mark: Vectors) -> str:
         start, step = self._places(mark.at), self._unit * mark.step
@@ -148,12 +133,34 @@ class _Plane:
         return places
 
 
-def _scale(mark: Any) -> str:
+def cells(mark: Cells, corner: Array, size: tuple[float, float]) -> str:
+    """Return cells and contours over an area with its (2,) top left corner, width and height."""
+    rows, columns = mark.values.shape
+    wide, high = size[0] / columns, size[1] / rows
+    left, top = corner.tolist()
+    drawn = []
+    for cell, value in enumerate(mark.values.ravel().tolist()):
+        if not np.isfinite(value):
+            continue
+        row, column = divmod(cell, columns)
+        share = min(value / mark.top, 1.0) if mark.top > 0 else 0.0
+        title = tag("title", escape(mark.titles[cell])) if mark.titles else ""
+        drawn.append(
+            tag("rect", title, data_cell=cell, x=f"{left + column * wide:.1f}",
+                y=f"{top + row * high:.1f}", width=f"{wide + 0.2:.1f}",
+                height=f"{high + 0.2:.1f}", fill_opacity=f"{share:.3f}")
+        )  # fmt: skip
+    lines = contours(mark.values, mark.levels, (wide, high), corner) if mark.levels else ""
+    return tag("g", *drawn, class_="heat") + lines
+
+
+def scale(mark: Any) -> str:
+    """Return what the colours of a mark mean; empty for a mark without a scale of colours."""
     if isinstance(mark, Cells):
         words = f"{short(float(f'{mark.top:.3g}'))} {mark.unit}".strip()
         ends = [tag("span", "0"), tag("span", class_="ramp"), tag("span", escape(words))]
         return tag("p", *ends, class_="scale")
-    if not isinstance(mark, Dots):
+    if not isinstance(mark, Dots) or mark.directions is None:
         return ""
     parts = []
     for index, name in enumerate(("right", "down", "left", "up")):
@@ -213,10 +220,12 @@ def contour(values: Array, level: float) -> Array:
     return np.array(segments).reshape(-1, 2, 2)
 
 
-def contours(values: Array, levels: Sequence[float], cell: tuple[float, float], pad: float) -> str:
+def contours(
+    values: Array, levels: Sequence[float], cell: tuple[float, float], corner: Array
+) -> str:
     """Return contours with labels of their levels; values are those in the middles of cells.
 
-    ``cell`` is the width and height of a cell, ``pad`` the margin to the left and above.
+    ``cell`` is the width and height of a cell, ``corner`` the top left corner of the first.
     """
     rows, columns = values.shape
     middle = np.array([columns, rows]) / 2
@@ -225,7 +234,7 @@ def contours(values: Array, levels: Sequence[float], cell: tuple[float, float], 
         segments = contour(values, level)
         if not len(segments):
             continue
-        ends = pad + segments * cell
+        ends = corner + segments * cell
         path = "".join(f"M{a[0]:.1f} {a[1]:.1f}L{b[0]:.1f} {b[1]:.1f}" for a, b in ends)
         lines.append(tag("path", d=path, data_level=f"{level:g}"))
         # Spread the labels around the middle, so that labels of neighbours do not overlap.
@@ -233,8 +242,8 @@ def contours(values: Array, levels: Sequence[float], cell: tuple[float, float], 
         offset = segments.mean(axis=1) - middle
         along = offset @ towards / np.maximum(np.linalg.norm(offset, axis=1), 1e-9)
         x, y = ends.mean(axis=1)[int(np.argmax(along))]
-        width, height = np.array([columns, rows]) * cell
-        x, y = np.clip([x, y], [pad + 18, pad + 10], [pad + width - 18, pad + height - 10])
+        inside = np.array([18, 10])
+        x, y = np.clip([x, y], corner + inside, corner + 2 * middle * cell - inside)
         if (np.abs(taken - [x, y]) < [40, 14]).all(axis=1).any():
             continue
         taken = np.vstack([taken, [x, y]])

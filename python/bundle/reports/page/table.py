@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.interface.finding import Finding
-from bundle.reports.page.page import command_box, heading, tag
+from bundle.reports.page.page import command_box, heading, prose, tag
 from bundle.reports.page.svg import draw
 from bundle.reports.sections import Section, Table
 
@@ -58,15 +58,12 @@ def table(
             for cell, kind, label in zip(row[1:], kinds[1:], head[1:], strict=True)
         ]
         lines.append(tag("tr", name, *cells, class_="best" if index == best else None))
-    heading = tag(
-        "tr",
-        *(
-            tag("th", escape(name), scope="col", class_=kind)
-            for name, kind in zip(head, kinds, strict=True)
-        ),
+    titles = (
+        tag("th", escape(name), scope="col", class_=kind)
+        for name, kind in zip(head, kinds, strict=True)
     )
     size = "wide" if len(head) > MOST_COLUMNS else None
-    inner = tag("table", tag("thead", heading), tag("tbody", *lines), class_=size)
+    inner = tag("table", tag("thead", tag("tr", *titles)), tag("tbody", *lines), class_=size)
     return tag("div", inner, class_="scroll", tabindex=0)
 
 
@@ -119,7 +116,7 @@ def _is_detail(section: Section | str) -> bool:
 def _finding(found: Finding) -> str:
     command = command_box(found.command) if found.command else ""
     kind = "finding problem" if found.is_problem else "finding"
-    return tag("div", tag("p", escape(found.sentence)), command, class_=kind)
+    return tag("div", tag("p", prose(found.sentence)), command, class_=kind)
 
 
 def _section(section: Section) -> str:
@@ -131,8 +128,8 @@ def _section(section: Section) -> str:
     if len(figures) == len(tables) == 1:  # the table has room beside the figure
         tables, figures = [], [*figures, tag("div", *tables, class_="beside")]
     parts = [
-        *(tag("p", escape(str(words)), class_="quiet") for words in section.text),
-        *(tag("p", escape(words), class_=kind) for words in section.notes),
+        *(tag("p", prose(str(words)), class_="quiet") for words in section.text),
+        *(tag("p", prose(words), class_=kind) for words in section.notes),
         *tables,
         tag("div", *figures, class_="grid") if figures else "",
         command_box(section.command) if section.command else "",

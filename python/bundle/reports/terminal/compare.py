@@ -338,7 +338,7 @@ def _method_of(row: Any) -> Method:
 
 
 def _cost(value: float) -> str:
-    return f"{value:.9e}" if math.isfinite(value) else "-"
+    return f"{value:.10g}" if math.isfinite(value) else "-"
 
 
 OF_COMPARISON = (
