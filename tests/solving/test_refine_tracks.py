@@ -506,6 +506,21 @@ def test_factors_of_points_are_refused(scene):
     assert bundle.refine_tracks(truth, database, factors=[image], hold_out=0).tracks
 
 
+@pytest.mark.parametrize(
+    "rule",
+    [
+        "points 4,7: position fixed",
+        "points 4,7: position prior sigma 1",
+        "points 4,7: on plane 0 0 1 0 sigma 9",
+        "points 4-9: on plane sigma 9",
+    ],
+)
+def test_rules_of_points_are_refused(scene, rule):
+    truth, database = scene
+    with pytest.raises(bundle.InputError, match=r"^constraints: [^\n]*found point 4$"):
+        bundle.refine_tracks(truth, database, constraints=[rule], fixed_image_ids=(1, 2))
+
+
 def test_problems_that_the_triangulator_would_bend_are_refused(scene):
     truth, database = scene
     sigmas = truth.replace(observation_sigma=np.ones(truth.num_observations))

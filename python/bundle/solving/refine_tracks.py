@@ -125,7 +125,8 @@ def refine_tracks(
         priors: measured positions of images and control points, as in :func:`bundle.solve`.
         align: as in :func:`bundle.solve`, before the first round.
         bounds: bounds of camera parameters, as in :func:`bundle.solve`.
-        constraints: rules, as in :func:`bundle.solve`, about the start of the first round.
+        constraints: rules, as in :func:`bundle.solve`, about the start of the first round; none of
+            points, which may be merged.
         hold_out: share of the observations in percent that a second run does not see; 0: no second
             run; None: 10, if the problem has tracks of three images. ``held_out`` of the result
             has its errors at the end, ``tracks`` those of each round.
@@ -256,10 +257,11 @@ class _Tracks:
         first = options.replace(loss=FIRST_LOSS) if options.loss == "trivial" else options
         self._first = prepare(request.at(request.problem, options=first))  # placed, with rules
         applied = self._first.applied
-        if applied is not None and applied.fixed_point_ids:
+        ruled = applied and (*applied.fixed_point_ids, *touched_ids(applied.factors)["point"])
+        if ruled:
             raise InputError(
-                "constraints: expected no constant points with database, which may merge them, "
-                f"found point {applied.fixed_point_ids[0]}"
+                "constraints: expected no rules of points with database, which may merge them, "
+                f"found point {ruled[0]}"
             )
         self._request, self._limits, self._matches = request, limits, matches
         self._tell, self._each, self._are_counted = tell, each, are_counted
