@@ -20,7 +20,7 @@ NEGLIGIBLE = 1e-12
 
 
 def zeros(evidence: Evidence) -> None:
-    """Find columns that are wrongly zero."""
+    """Find columns that are zero by mistake."""
     wrong = [j for j in evidence.wrong if not evidence.analytic[..., j].any()]
     if wrong:
         evidence.found(

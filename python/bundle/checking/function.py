@@ -76,7 +76,7 @@ class UserFunction:
         return self._finite(self.function(values), jacobians)
 
     def core(self, blocks: list[Array], jacobians: bool) -> tuple[Array, list[Array] | None] | None:
-        """Return the same; None, too, where the function has no value."""
+        """Return the same, and None where the function has no value."""
         answer = self._inside(blocks)
         found = None if answer is None else self._finite(answer, jacobians)
         return None if found is None else (found[0].copy(), found[1])  # of a buffer used again

@@ -374,7 +374,7 @@ class ReprojectionLines:
             alone = problem.select(images=[image], observations=[observation]).problem
 
         def rolling(moved: Array) -> Array | None:
-            """Return the residual by the core: the row depends on the point."""
+            """Return the core's residual, whose row depends on the point."""
             turn = rotation_matrices(quaternion_from_vector(moved[None, :3]))[0] @ rotation
             params, points = alone.camera_params.copy(), alone.points.copy()
             params[alone.image_camera[0], :num_params] = moved[6 : 6 + num_params]

@@ -2,7 +2,7 @@
 
 A row has the help, the arguments, and for each kind of INPUT the function of the API that is
 called and the function that makes its report. Functions are names, and arguments are declared
-when needed, so that a command imports only what it needs, and `bundle --help` next to nothing.
+when needed, so that a command imports only what it needs, and `bundle --help` hardly anything.
 """
 
 from __future__ import annotations

@@ -95,7 +95,7 @@ def _settings(run: Run) -> dict[str, Any]:
 def _check(
     source: str, thing: Any, settings: dict[str, Any], progress: Callable[[int], None]
 ) -> GradientReport | FactorCheck:
-    """Check what a user's file holds."""
+    """Check the object of a user's file."""
     from bundle.graphs.factors.checks import check_edges, check_gradients
     from bundle.graphs.factors.factor_graph import FactorGraph
     from bundle.graphs.factors.factors import Factor

@@ -200,7 +200,7 @@ def plan_pose_graph(run: Run) -> list[str]:
 
 
 def _timed(work: Any) -> tuple[float, Any]:
-    """Return the seconds of some work, and its result."""
+    """Run a function; return its time in seconds and its result."""
     begun = perf_counter()
     result = work()
     return perf_counter() - begun, result

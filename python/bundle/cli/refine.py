@@ -334,7 +334,7 @@ def _shifted_input(asked: Refinement, opened: Opened, solved: Result) -> tuple[F
     """Return the finding about pixels of the input that all have the same shift, or None.
 
     A refined principal point absorbs a shift without a bend. The RMSE is at least as large as the
-    shift: a small RMSE excludes a shift at no cost.
+    shift: a small RMSE excludes a shift without further work.
     """
     command = NextCommand(asked.source, asked.target, asked.given)
     is_far = opened.sliced is None and solved.reprojection_error_before.rmse >= SMALLEST_SHIFT

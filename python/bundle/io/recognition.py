@@ -71,7 +71,7 @@ def load_object(text: str) -> Any:
 
 
 def user_error(place: str, error: Exception, path: Path | None = None) -> InputError:
-    """Return an exception of a user's code as one line, with the line of the file that raised it.
+    """Return an exception of user code as one line, with the file and line that raised it.
 
     ``path``: file whose last line in the traceback is named; None: that of the last frame.
     """

@@ -1,9 +1,9 @@
 """Elimination of points from small normal equations, at NumPy level.
 
 With M = sum J_p^T J_p of a point and V = sum J_p^T [J r], its share of the normal equations of all
-else is -V^T M^-1 V. Directions of a point whose eigenvalue of M is below 1e-12 of the largest are
-undetermined, and left out. Points are taken in chunks, so that memory grows with the number of
-unknowns only.
+other unknowns is -V^T M^-1 V. Directions of a point whose eigenvalue of M is below 1e-12 of the
+largest are undetermined, and left out. Points are taken in chunks, so that memory grows with the
+number of unknowns only.
 """
 
 from __future__ import annotations

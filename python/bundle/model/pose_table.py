@@ -80,7 +80,7 @@ class PoseTable(Displayed):
 
     @classmethod
     def of_graph(cls, graph: PoseGraph) -> PoseTable:
-        """Return the poses of a graph with their names or ids; those of a plane lie at z = 0."""
+        """Return the poses of a graph with their names or ids; 2-D poses have z = 0."""
         poses = graph.poses
         if graph.dimension == 2:
             x, y, half = poses.T * [[1], [1], [0.5]]

@@ -12,8 +12,8 @@ Exp is that of SE(3), and m is in the camera's frame per height of the image:
 
 These are one-parameter subgroups: with another reference row r, T becomes Exp(r m) T and m stays.
 
-The row of a point is itself a function of the motion, because a point is read when its row is read:
-s is the solution of the fixed-point equation
+The row of a point is itself a function of the motion, because the point is seen when its row is
+read: s is the solution of the fixed-point equation
 
     s = pi_y(Exp(s m) T X) / height - 1/2.
 

@@ -2,7 +2,7 @@
 
 They have no observations, or each of their points is seen by one image only. Exports of learned
 models, such as those of VGGT without bundle adjustment, are of the latter kind: a point is a pixel
-with its depth, its residual is zero wherever the camera is, and nothing relates the images.
+with its depth, its residual is zero wherever the camera is, and nothing connects the images.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class PointOptions(Protocol):
 def are_images_unrelated(problem: ProblemArrays, options: PointOptions) -> bool:
     """Return True if all points are refined and no point is constant or observed twice.
 
-    Priors, factors and rules, which also relate images, are not considered.
+    Priors, factors and rules, which also connect images, are not considered.
     """
     if "points" not in options.refine or options.fixed_point_ids:
         return False
@@ -55,7 +55,7 @@ def are_images_unrelated(problem: ProblemArrays, options: PointOptions) -> bool:
 
 
 def require_tracks(problem: ProblemArrays, name: str, options: PointOptions) -> None:
-    """Refuse a problem whose refined points relate no images."""
+    """Refuse a problem whose refined points connect no images."""
     if are_images_unrelated(problem, options):
         raise InputError(
             f"{name}: expected points that several images see, found "

@@ -6,8 +6,8 @@ of NumPy on the numbers of the file (``Imported.project``). The reprojection err
 and by the problem must agree to 1e-6 pixels, in the mean square and in the median, or the file is
 refused with both numbers. A lens that was fitted may differ by the error of its fit.
 
-If the program used other axes than the format, both formulas have the same error. Such a file
-is refused by the side on which its points are: most of them must be in front of their cameras.
+If the program used other axes than the format, both formulas have the same error. Therefore most
+points must also be in front of their cameras.
 """
 
 from __future__ import annotations

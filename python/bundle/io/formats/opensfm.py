@@ -1,7 +1,7 @@
 """OpenSfM's reconstruction.json with tracks.csv, versions 0, 1 and 2.
 
-A shot has a rotation vector and a translation cam_from_world, or, in a rig, the poses
-rig_camera_from_instance and instance_from_world, whose product they are. tracks.csv is in the
+A shot has a rotation vector and a translation cam_from_world, or, in a rig,
+rig_camera_from_instance and instance_from_world, whose product is this pose. tracks.csv is in the
 folder of reconstruction.json or in the folder above; its lines for shots of the reconstruction and
 tracks with a point are the observations. Positions by GPS and the reference of the coordinates are
 kept for the writer.

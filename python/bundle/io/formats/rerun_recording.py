@@ -1,7 +1,7 @@
 """Writer of recordings for the viewer of rerun (``.rrd``): points, images with their observations.
 
 The entity ``/world/points`` has the points with colours; ``error`` (mean reprojection error in
-pixels, -1 without observations) and ``num_views`` of each point stand beside them. The entity
+pixels, -1 without observations) and ``num_views`` of each point are stored with them. The entity
 ``/world/images/NAME`` of each image is its pose, world_from_camera in COLMAP's axes (x right,
 y down, z forward), and a pinhole camera with its focal lengths and principal point;
 ``keypoints`` below it has its observations in pixels. A panorama has its pose only. All is static:

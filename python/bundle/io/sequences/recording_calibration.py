@@ -45,7 +45,7 @@ def find_calibration(
     camera: str,
     stamps: tuple[Any, Any],
 ) -> FoundCalibration:
-    """Read a calibration from given files, and what they lack from the recording's.
+    """Read a calibration from given files; missing values come from the recording's files.
 
     ``given``: files of ``--calibration``. ``stamps``: stamps of images and of samples, for rates
     that the files lack.

@@ -379,7 +379,7 @@ def delete_observations_behind(reconstruction: pycolmap.Reconstruction) -> None:
 
 
 def update_errors(reconstruction: pycolmap.Reconstruction) -> None:
-    """Recompute the reprojection errors that the points hold."""
+    """Recompute the reprojection errors that the points store."""
     reconstruction.update_point_3d_errors()
 
 

@@ -201,7 +201,7 @@ def _are_there(xy: Any, known: Any, found: NDArray[np.int32]) -> bool:
 
 
 def _nearest(xy: NDArray[np.float64], known: NDArray[np.float64]) -> NDArray[np.int32]:
-    """Return a keypoint near each observation, each keypoint once; -1: there is none.
+    """Return a keypoint near each observation, each keypoint once; -1 if there is none.
 
     Keypoints at one place (of several orientations) are taken in turn.
     """
