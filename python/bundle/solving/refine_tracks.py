@@ -125,8 +125,7 @@ def refine_tracks(
         priors: measured positions of images and control points, as in :func:`bundle.solve`.
         align: as in :func:`bundle.solve`, before the first round.
         bounds: bounds of camera parameters, as in :func:`bundle.solve`.
-        constraints: rules, as in :func:`bundle.solve`, about the start of the first round; none of
-            points, which may be merged.
+        constraints: rules of all but points, as in :func:`bundle.solve`, at the first start.
         hold_out: share of the observations in percent that a second run does not see; 0: no second
             run; None: 10, if the problem has tracks of three images. ``held_out`` of the result
             has its errors at the end, ``tracks`` those of each round.
