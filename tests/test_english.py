@@ -19,6 +19,7 @@ FOLDERS = ("benchmarks", "cpp", "examples", "python", "tests", "tools")
 FIRST_COMMIT = "4464b28"  # subjects are held from here on
 LONGEST_SUBJECT = 72
 CLAUSE = re.compile(r"(what|whether|how|of|that)\b", re.IGNORECASE)
+COMMENT = re.compile(r"^(?:_?[A-Z][A-Z0-9_]* = |    \w+: )[^#\n]*  # (.+)$", re.MULTILINE)
 DUMMY = re.compile(r"\b(found (none|one|others?|some|without|with|neither)|which is none)$")
 SUSPECT = re.compile(
     r"""["']\s*(what|whether|how|of|that)\b|\b(found|is)[\s"'f]+\w+["']""", re.IGNORECASE
@@ -41,14 +42,19 @@ class Texts(NamedTuple):
 
 @functools.cache
 def texts(path: Path) -> Texts:
-    """Return docstrings and /// comments, those of fields among them, and the literals.
+    """Return docstrings, comments beside constants and fields, /// comments, and the literals.
 
     Python is parsed, which takes time, only where one of them may begin or end with wrong words.
+    A comment may begin with "of": the unit of its number.
     """
     text = path.read_text(encoding="utf-8")
     if path.suffix != ".py":
         return of_cpp(text)
-    return of_python(text) if SUSPECT.search(text) else Texts([], [])
+    found = of_python(text) if SUSPECT.search(text) else Texts([], [])
+    for beside in COMMENT.finditer(text):
+        if CLAUSE.match(beside[1]) and not beside[1].startswith("of "):
+            found.descriptions.append((text.count("\n", 0, beside.start()) + 1, beside[1]))
+    return found
 
 
 def of_python(text: str) -> Texts:

@@ -36,8 +36,7 @@ from bundle.graphs.factors.same_problem import AsPoseGraph
 
 WEAK, GAP = 1e-6, 1e3
 
-SHARE = 0.1
-"""Share of the largest motion above which a sentence names a variable or a coordinate."""
+SHARE = 0.1  # share of the largest motion above which a sentence names a variable or a coordinate
 
 VARIABLES = Words(
     *("variable", "factor", "constant variable", "bundle.diagnose"),

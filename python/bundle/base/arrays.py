@@ -214,7 +214,7 @@ class Array(NamedTuple):
     # length of each axis: a number, or the name of a size. The first array with the name fixes the
     # size; until then messages show the name
     shape: tuple[int | str, ...]
-    values: str | Index = "any"  # what the numbers must be: a key of ``VALUES``, or an ``Index``
+    values: str | Index = "any"  # condition of the numbers: a key of ``VALUES``, or an ``Index``
     dtype: type = np.float64  # type of the array
     # what None stands for: a number in all places, "range" (0, 1, 2, ...), "none" (the field may
     # stay None) or "required"

@@ -92,11 +92,9 @@ def _load(module: str, variables: Mapping[str, str]) -> None:
 # Measured with 2 cores, plus a margin. LIBRARIES: NumPy, the C++ core, their threads and the first
 # matrix product on Debian 13, whose OpenBLAS takes 130 MB more than that of Debian 12. The second
 # constant: pycolmap. Each further core adds a stack and an arena of the heap.
-LIBRARIES = (620e6, 400e6)
-"""Bytes of address space and of data that `import bundle` takes."""
+LIBRARIES = (620e6, 400e6)  # bytes of address space and of data that `import bundle` takes
 
-PYCOLMAP = (330e6, 100e6)
-"""Bytes of address space and of data that `import pycolmap` takes."""
+PYCOLMAP = (330e6, 100e6)  # bytes of address space and of data that `import pycolmap` takes
 
 _PER_CORE = 80e6
 _MEASURED_CORES = 2
@@ -187,8 +185,7 @@ def interrupts_deferred() -> Iterator[None]:
 # can be shown: then nothing is logged.
 
 NAME = "bundle"
-LEVELS = {"debug": 10, "info": 20, "warning": 30}
-"""Levels of logging by name."""
+LEVELS = {"debug": 10, "info": 20, "warning": 30}  # levels of logging by name
 
 
 def log(level: str, message: str, *values: object) -> None:

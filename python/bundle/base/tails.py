@@ -11,8 +11,7 @@ from __future__ import annotations
 
 import math
 
-MOST_FREEDOM = 1e6
-"""Degrees of freedom above which F is a chi-squared distribution to six digits."""
+MOST_FREEDOM = 1e6  # degrees of freedom above which F is a chi-squared distribution to six digits
 
 
 def chi2_tail(value: float, freedom: int) -> float:
@@ -98,8 +97,7 @@ _MEDIANS = {
 }
 """Medians."""
 
-_NORMAL_QUANTILE = 3.2905267314918945
-"""99.95 % quantile of the standard normal distribution."""
+_NORMAL_QUANTILE = 3.2905267314918945  # 99.95 % quantile of the standard normal distribution
 
 _NORMAL_ONE_IN_A_MILLION = 4.753424308822899
 """Quantile of the standard normal distribution at 1 - 1e-6."""

@@ -9,8 +9,7 @@ from typing import Any, Protocol
 
 from bundle.errors import InputError
 
-_LISTED = 5
-"""Ids that a sentence lists before it counts the others."""
+_LISTED = 5  # ids that a sentence lists before it counts the others
 
 
 def join(words: Iterable[str]) -> str:
@@ -178,8 +177,7 @@ def sorted_ids(ids: Any, rows: Any) -> tuple[int, ...]:
     return tuple(sorted(ids[rows].tolist()))
 
 
-SHARE_OF_FREE_MEMORY = 0.9
-"""Fraction of the free memory that a solve may use."""
+SHARE_OF_FREE_MEMORY = 0.9  # fraction of the free memory that a solve may use
 
 _UNITS = {"": 1, "B": 1}
 for _power, _letter in enumerate("KMGT", start=1):

@@ -26,8 +26,7 @@ from bundle.checking.jacobian_deviation import Array, JacobianDeviation, norm
 # inverse.
 
 
-WORST_CONDITION = 1e8
-"""Largest condition number of a Jacobian that is inverted."""
+WORST_CONDITION = 1e8  # largest condition number of a Jacobian that is inverted
 
 
 def swapped_blocks(evidence: Evidence) -> None:
@@ -137,8 +136,7 @@ MISTAKES = (
 )
 """Kinds of findings, from the most specific ("a stale cache") to the most general."""
 
-FINE = 1e-4
-"""Largest error of columns that are wrong in their last digits."""
+FINE = 1e-4  # largest error of columns that are wrong in their last digits
 
 SIGNATURES: tuple[Callable[[Evidence], None], ...] = (
     row.conventions,

@@ -16,8 +16,7 @@ from bundle.checking.residual_blocks import Block, Column
 EXPLAINED = 1e-5
 """Largest fraction of the deviation that an accepted hypothesis may leave unexplained."""
 
-KNOWN = 0.1
-"""Largest relative uncertainty of a reference entry that can support a hypothesis."""
+KNOWN = 0.1  # largest relative uncertainty of a reference entry that can support a hypothesis
 
 ReferenceAt = Callable[[int, int], Array | None]
 

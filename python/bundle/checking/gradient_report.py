@@ -18,8 +18,7 @@ from bundle.interface.tabular import Tabular
 
 STYLES = {"correct": "green", "wrong": "red", "undecided": "yellow"}
 
-SHOWN = 5
-"""Number of findings in the repr; printing a report shows all."""
+SHOWN = 5  # number of findings in the repr; printing a report shows all
 
 
 @dataclass(frozen=True)

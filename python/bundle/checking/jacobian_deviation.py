@@ -36,16 +36,11 @@ Array = NDArray[np.float64]
 
 CHECKER_PRECISION = 1e-6
 """Relative precision for ceres::GradientChecker, whose differences are not always more precise."""
-FLOOR = 1e-3
-"""Smallest divisor of errors, as a fraction of the column's usual size."""
-ALIKE = 1e3
-"""Ratio of the sizes of rows up to which they share a unit."""
-CLEAR = 8
-"""Multiple of its uncertainty above which an entry determines the size of its row."""
-SWEEPS = 50
-"""Largest number of sweeps of the fit of sizes; one is exact if all entries are known."""
-SETTLED = 0.1
-"""Change of the logarithms of sizes in a sweep below which the fit ends."""
+FLOOR = 1e-3  # smallest divisor of errors, as a fraction of the column's usual size
+ALIKE = 1e3  # ratio of the sizes of rows up to which they share a unit
+CLEAR = 8  # multiple of its uncertainty above which an entry determines the size of its row
+SWEEPS = 50  # largest number of sweeps of the fit of sizes; one is exact if all entries are known
+SETTLED = 0.1  # change of the logarithms of sizes in a sweep below which the fit ends
 
 
 @dataclass(frozen=True, eq=False)

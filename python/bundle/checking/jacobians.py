@@ -33,14 +33,11 @@ from bundle.model.rigid_motions import (
 )
 
 CHUNK = 16384
-CENTER = 1e-3
-"""Relative rounding error of the derivatives above which a point is not checked."""
-ROUNDING_UNITS = 16
-"""Number of rounding errors that accumulate in a residual and its Jacobian."""
+CENTER = 1e-3  # relative rounding error of the derivatives above which a point is not checked
+ROUNDING_UNITS = 16  # number of rounding errors that accumulate in a residual and its Jacobian
 CLOSE_UNITS = 1024
 """Factor by which differences over a fraction of the depth amplify rounding errors."""
-MOST_DRAWN = 500
-"""Number of observations of a camera model of which a page shows the errors."""
+MOST_DRAWN = 500  # number of observations of a camera model of which a page shows the errors
 TURN = 0.3
 """Rotation [rad] from the origin of its chart at which every other observation is checked."""
 

@@ -34,19 +34,13 @@ from bundle.checking.residual_blocks import Layout
 
 HALVINGS = 44
 """Least number of steps; the last is at the resolution of double precision, for parameters of 1."""
-MOST_HALVINGS = 1074
-"""Largest number of steps, for tiny parameters."""
-LARGEST_STEP = 1 / 16
-"""First step, as a fraction of the parameter."""
+MOST_HALVINGS = 1074  # largest number of steps, for tiny parameters
+LARGEST_STEP = 1 / 16  # first step, as a fraction of the parameter
 LEAST_FIRST_STEP = 1 / 128
-CLOSE = 1e-6
-"""Largest difference of an acquitted entry, relative to its scale."""
-ROUNDING = 8
-"""Rounding errors of a difference, in units of the last place of the largest residual."""
-NOISY_STEPS = 8
-"""Number of the smallest steps, at which a residual changes by rounding errors only."""
-SHARE = 1e-2
-"""Largest difference of an acquitted entry, relative to its deviation."""
+CLOSE = 1e-6  # largest difference of an acquitted entry, relative to its scale
+ROUNDING = 8  # rounding errors of a difference, in units of the last place of the largest residual
+NOISY_STEPS = 8  # number of the smallest steps, at which a residual changes by rounding errors only
+SHARE = 1e-2  # largest difference of an acquitted entry, relative to its deviation
 
 Values = Callable[[float], Array | None]
 
@@ -137,10 +131,8 @@ def acquitted(line: Line, analytic: Array, deviation: Array, scale: Array) -> ND
     return found
 
 
-MOST_WRONG = 6
-"""Number of curves of wrong entries, one per column."""
-MOST_RIGHT = 4
-"""Number of curves of right entries, one per group of parameters."""
+MOST_WRONG = 6  # number of curves of wrong entries, one per column
+MOST_RIGHT = 4  # number of curves of right entries, one per group of parameters
 
 LineOf = Callable[[int, int], Line]
 """Function from the index of a point and a column to the residuals along it."""

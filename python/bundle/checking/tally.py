@@ -25,8 +25,7 @@ from bundle.interface.analysis_options import TOLERANCE
 EDGES = (0.0, *(10.0**exponent for exponent in range(-14, 2)), np.inf)
 """Limits of the histogram's bins."""
 
-MOST_KEPT = 200
-"""Number of wrong points that is enough to identify a mistake."""
+MOST_KEPT = 200  # number of wrong points that is enough to identify a mistake
 
 MOST_WORST = 10
 MOST_OF_A_COLUMN = 3
@@ -174,8 +173,7 @@ REASONS = {
 SAYS_NOTHING = ("undecided", "unstable")
 """Kinds of findings after which the Jacobians are neither correct nor wrong, but undecided."""
 
-NAMED = 3
-"""Largest number of places listed in a sentence."""
+NAMED = 3  # largest number of places listed in a sentence
 
 
 def make_report(

@@ -36,7 +36,7 @@ class Way(Row):
     """
 
     call: Name = ""  # function of the API
-    stage: str = ""  # what the progress calls it
+    stage: str = ""  # name of the step in the progress
     # arguments that are paths, which the API opens itself; otherwise INPUT is opened
     reads: str = ""
     options: str | type[Any] = ""  # option class of ``options``; "": there is none
@@ -72,7 +72,7 @@ def _detected(arguments: argparse.Namespace) -> str:
 class Command(Row):
     """Row of the table."""
 
-    help: str  # what the command does
+    help: str  # purpose of the command
     usage: str = ""  # words after the name in the usage; "": argparse lists all flags
     # function that gets ``bundle.cli.declarations`` and returns the declarations
     arguments: Callable[[Any], tuple[Any, ...]]

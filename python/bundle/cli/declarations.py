@@ -283,8 +283,7 @@ RELIABILITY_ARRAYS = argument(
     "standardized, minimal_detectable_error [px], external_bound and others",
     use=4,
 )
-SUFFIX = r"(\.txt(\.gz|\.bz2)?)?$"
-"""Suffix of a BAL file."""
+SUFFIX = r"(\.txt(\.gz|\.bz2)?)?$"  # suffix of a BAL file
 
 
 def path_beside(path: str, what: str, suffix: str) -> str:

@@ -23,11 +23,9 @@ from bundle.solving.ranks.launch import (
     use,
 )
 
-DELIVERY = 0.5
-"""Seconds that mpirun gets to forward a line of another process."""
+DELIVERY = 0.5  # seconds that mpirun gets to forward a line of another process
 
-DIVIDED = "refine"
-"""Command that several processes can run together."""
+DIVIDED = "refine"  # command that several processes can run together
 
 
 def run_command(main: Callable[[], int]) -> int:

@@ -15,8 +15,7 @@ from bundle.cli.error_lines import print_out
 from bundle.errors import InputError, brief, nearest, shown
 
 HELP_COLUMN, WIDEST = 28, 100
-MOST_FLAGS = 30
-"""Flags of a command up to which ``--help`` shows all of them."""
+MOST_FLAGS = 30  # flags of a command up to which ``--help`` shows all of them
 
 
 class _Formatter(argparse.HelpFormatter):

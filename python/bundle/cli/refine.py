@@ -245,8 +245,7 @@ def _has_wrong_jacobians(asked: Refinement, opened: Opened, progress: Progress) 
 
 # Outcome of `bundle refine`: findings, sigmas of refined readouts, and report page.
 
-MORE_STEPS = 4
-"""Factor on a limit of steps that did not suffice."""
+MORE_STEPS = 4  # factor on a limit of steps that did not suffice
 OUT_OF_VIEW = {"too_many_behind", "invalid_solution"}
 """Warnings of a solve whose steps left the cameras or the range of their parameters."""
 

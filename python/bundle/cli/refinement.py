@@ -57,7 +57,7 @@ class Refinement:
     """All values of the command line."""
 
     source: str  # path of INPUT
-    reading: ReadOptions  # what the file of INPUT does not tell
+    reading: ReadOptions  # facts that the file of INPUT lacks
     target: str  # path of OUTPUT
     format: str | None  # format of OUTPUT; None: determined by its name
     overwrite: bool  # True if OUTPUT may replace a model of other images
@@ -207,8 +207,7 @@ def _checkpoints_given(arguments: argparse.Namespace) -> CheckpointOptions:
     return given
 
 
-SHORTEST_TRACK = 2
-"""Length of the shortest tracks that COLMAP has."""
+SHORTEST_TRACK = 2  # length of the shortest tracks that COLMAP has
 
 
 def take_colmap_options(arguments: argparse.Namespace) -> None:

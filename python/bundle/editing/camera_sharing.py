@@ -27,8 +27,7 @@ from bundle.model.residuals import ReprojectionError, reprojection_error
 from bundle.model.rigid_motions import quaternion_rotate
 from bundle.model.shutter_motion import check_same_shutter, shutter_of_cameras
 
-MAX_ID = 2**32 - 2
-"""COLMAP's largest camera id."""
+MAX_ID = 2**32 - 2  # COLMAP's largest camera id
 
 
 def share_cameras(

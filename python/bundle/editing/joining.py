@@ -24,8 +24,7 @@ from bundle.base.records import dataclass
 from bundle.model.colmap.model_records import NO_POINT, ModelRecords
 from bundle.model.colmap.source_records import CAMERA, Sensor, frame_of_image, is_trivial
 
-FEWEST = 2
-"""Minimum observations left of a point of B that meets points of A but agrees with none."""
+FEWEST = 2  # minimum observations left of a point of B that meets points of A but agrees with none
 
 _Indices = NDArray[np.int64]
 

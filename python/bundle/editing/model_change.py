@@ -23,8 +23,7 @@ from bundle.model.lenses.exact_image import exact_params
 from bundle.model.lenses.lens_fit import fit_lens, lens_region
 from bundle.model.problem import Problem
 
-BAD_FIT = 1.0
-"""Largest error in pixels of an observation without a warning."""
+BAD_FIT = 1.0  # largest error in pixels of an observation without a warning
 
 MOST_WARNINGS = 5
 

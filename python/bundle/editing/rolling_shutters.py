@@ -20,8 +20,7 @@ from bundle.model.rolling_shutter import RollingShutter
 from bundle.model.shutter_motion import moved, project_each, read_positions
 
 ESTIMATE = "estimate"
-FIRST_READOUT = 0.5
-"""Start of an estimated readout that the input does not have."""
+FIRST_READOUT = 0.5  # start of an estimated readout that the input does not have
 
 
 def with_shutters(

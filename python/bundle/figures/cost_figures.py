@@ -14,8 +14,7 @@ from bundle.planning.comparison.comparison_result import Comparison, Performance
 from bundle.planning.comparison.graph_comparison import GraphComparison, GraphRun, best_cost
 from bundle.planning.comparison.measured_run import Method
 
-WIDE = 30.0
-"""Ratio of costs above which the axis is logarithmic."""
+WIDE = 30.0  # ratio of costs above which the axis is logarithmic
 
 
 def iteration_figure(cost: Array) -> Figure:
@@ -142,8 +141,7 @@ def _values(parts: Iterable[Array]) -> list[float]:
     return [value for part in parts for value in part.tolist()]
 
 
-MOST_DRAWN = 8
-"""Number of the fastest methods in a figure."""
+MOST_DRAWN = 8  # number of the fastest methods in a figure
 
 PHASES = {
     "set-up": "preprocessor_time_in_seconds",

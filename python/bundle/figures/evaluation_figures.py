@@ -32,8 +32,7 @@ from bundle.model.pose_table import ErrorStatistics
 MOST_DOTS = 2000
 """Number of poses that a figure draws, in addition to those with the largest errors."""
 
-LONGEST = 0.15
-"""Drawn length of the largest error, relative to the height of the figure."""
+LONGEST = 0.15  # drawn length of the largest error, relative to the height of the figure
 
 
 def error_figures(found: Evaluation) -> list[Figure]:
@@ -140,8 +139,7 @@ def lens_difference_figure(lens: LensDifference) -> Figure:
     )
 
 
-MOST_CURVES = 4
-"""Number of candidates in the distribution of errors."""
+MOST_CURVES = 4  # number of candidates in the distribution of errors
 
 
 def error_figure(found: Validation) -> Figure:
@@ -266,8 +264,7 @@ def _other(found: Validation) -> int:
     return next((k for k in _few(found) if k != found.recommended), found.recommended)
 
 
-SMALLEST = 1e-16
-"""Smallest error drawn; a difference may equal the Jacobian to the last digit."""
+SMALLEST = 1e-16  # smallest error drawn; a difference may equal the Jacobian to the last digit
 
 
 def step_figure(curve: StepCurve, tolerance: float) -> Figure:

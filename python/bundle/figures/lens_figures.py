@@ -35,14 +35,11 @@ from bundle.model.cameras import camera_models, project
 from bundle.model.lenses.exact_image import PERSPECTIVE, focal_and_center
 from bundle.model.problem import Problem
 
-NONE = 1e-6
-"""Limit in pixels below which distortion is a rounding error."""
+NONE = 1e-6  # limit in pixels below which distortion is a rounding error
 
-MOST_NAMED = 6
-"""Largest number of curves with a colour and a label each."""
+MOST_NAMED = 6  # largest number of curves with a colour and a label each
 
-WIDE = 20.0
-"""Ratio of sigmas above which the axis is logarithmic."""
+WIDE = 20.0  # ratio of sigmas above which the axis is logarithmic
 
 
 def lens_figure(curves: Mapping[str, LensCurve], title: str = "", note: str = "") -> Figure | None:

@@ -21,8 +21,7 @@ from bundle.base.records import dataclass
 
 Array = NDArray[np.float64]
 
-GREY = 6
-"""Index of grey in the palette."""
+GREY = 6  # index of grey in the palette
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,8 +215,7 @@ def direction_colours(vectors: NDArray[np.float64]) -> NDArray[np.uint8]:
 
 
 MOST_TICKS = 6
-LARGEST = 308
-"""Exponent of the largest power of ten that a double can hold."""
+LARGEST = 308  # exponent of the largest power of ten that a double can hold
 
 SHAPE = 410 / 266
 """Ratio of width to height of a chart: (480 - 58 - 12) / (320 - 10 - 44) on a page."""
@@ -306,8 +304,7 @@ def short(value: float) -> str:
     return f"{mantissa.removesuffix('.0')}e{int(exponent)}"
 
 
-NO_AXIS = Axis(0.0, 1.0, ())
-"""Axes of bar charts, which have no ranges."""
+NO_AXIS = Axis(0.0, 1.0, ())  # axes of bar charts, which have no ranges
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -48,11 +48,9 @@ from bundle.model.rigid_motions import cross_matrices, rotation_matrices
 Array = NDArray[np.float64]
 
 MOST_CELLS = 25
-AT_ONCE = 100_000
-"""Number of observations whose derivatives are in memory at the same time."""
+AT_ONCE = 100_000  # number of observations whose derivatives are in memory at the same time
 
-RANK = 1e-12
-"""Relative limit below which eigenvalues of the scaled M count as zero."""
+RANK = 1e-12  # relative limit below which eigenvalues of the scaled M count as zero
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -24,11 +24,9 @@ from bundle.model.cameras import param_kinds
 from bundle.model.problem import Problem
 from bundle.model.residuals import Residuals
 
-MOST_CAMERAS = 6
-"""Number of cameras with their own fields."""
+MOST_CAMERAS = 6  # number of cameras with their own fields
 
-SIGNIFICANT = 3.03
-"""Significance that 1 % of the cells exceed without systematic errors."""
+SIGNIFICANT = 3.03  # significance that 1 % of the cells exceed without systematic errors
 
 MOST_CELLS = 24
 PER_CELL = 12

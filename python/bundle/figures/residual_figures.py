@@ -29,11 +29,9 @@ from bundle.figures.residual_field import SIGNIFICANT, ResidualField, residual_f
 from bundle.model.problem import Problem
 from bundle.model.residuals import ImageError, Residuals, worst_of_errors
 
-MOST_IMAGES = 2000
-"""Number of images with a dot each; of more images every k-th has one."""
+MOST_IMAGES = 2000  # number of images with a dot each; of more images every k-th has one
 
-LONGEST = 0.08
-"""Drawn length of the largest residual, relative to the longer side of the image."""
+LONGEST = 0.08  # drawn length of the largest residual, relative to the longer side of the image
 
 CELL_NUMBERS = {
     "significance": ("Significance of the mean", "standard errors"),

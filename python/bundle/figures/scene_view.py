@@ -21,8 +21,7 @@ from bundle.model.rigid_motions import rotation_matrices
 
 MOST_POINTS = 60_000
 FARTHEST = 50.0
-USUAL = 0.5
-"""Tangent of half the field of view for cameras whose own is unknown."""
+USUAL = 0.5  # tangent of half the field of view for cameras whose own is unknown
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

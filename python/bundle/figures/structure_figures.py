@@ -31,10 +31,8 @@ from bundle.model.problem import Problem
 from bundle.model.ray_angles import enclose_angle
 
 STRONGEST_OF_EACH = 3
-NARROWEST = 0.2
-"""Ratio of height to width below which a graph is stretched."""
-STRENGTHS = 6
-"""Number of opacities of edges."""
+NARROWEST = 0.2  # ratio of height to width below which a graph is stretched
+STRENGTHS = 6  # number of opacities of edges
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,8 +199,7 @@ def _bars(name: str, title: str, names: list[str], counts: NDArray[np.int64]) ->
 
 Floats = NDArray[np.float64]
 
-MOST_EDGES = 6000
-"""Number of edges that a figure draws; of more, every k-th."""
+MOST_EDGES = 6000  # number of edges that a figure draws; of more, every k-th
 
 AXES = ("x", "y", "z")
 

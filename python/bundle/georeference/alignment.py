@@ -42,8 +42,7 @@ from bundle.model.problem import Problem
 FEWEST = 3
 LARGEST_SIGMA0 = 3.0
 """Threshold of sigma0 for a note that the sigmas are too small or the data contains an error."""
-NO_WEIGHT = 1e-6
-"""Weight rho' below which a measurement counts as removed by the robust loss."""
+NO_WEIGHT = 1e-6  # weight rho' below which a measurement counts as removed by the robust loss
 
 
 def align(

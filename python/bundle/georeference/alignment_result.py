@@ -20,8 +20,7 @@ from bundle.model.problem import Problem
 
 Triple = tuple[float, float, float]
 
-DETECTABLE = 4.6
-"""Sigmas of an error that the test of a point finds with a probability of 80 %."""
+DETECTABLE = 4.6  # sigmas of an error that the test of a point finds with a probability of 80 %
 
 
 @dataclass(frozen=True)

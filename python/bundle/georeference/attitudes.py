@@ -41,20 +41,14 @@ from bundle.model.rigid_motions import rotation_matrices
 Array = NDArray[np.float64]
 
 MOST_NAMED = 3
-MOST_IMAGES = 5
-"""Number of listed images that disagree."""
+MOST_IMAGES = 5  # number of listed images that disagree
 KEYS = {"gravity": "gravity", "orientation": "orientations", "heading": "headings"}
 """Entries of the JSON report, by the noun of the measurements."""
-FALSE_ALARM = 1e-3
-"""Probability that any of n good measurements counts as wrong."""
-FEWEST = 5
-"""Number of measurements from which their residuals, not their sigmas, give the spread."""
-FEWEST_SPREAD = 3
-"""Number of measurements below which their sigmas alone give the spread."""
-KEPT = 3.717
-"""Length of a residual in scales below which it counts as one of the agreeing ones."""
-TILT = 3.0
-"""Factor of the sigma by which the axes of a model that cannot turn may be wrong."""
+FALSE_ALARM = 1e-3  # probability that any of n good measurements counts as wrong
+FEWEST = 5  # number of measurements from which their residuals, not their sigmas, give the spread
+FEWEST_SPREAD = 3  # number of measurements below which their sigmas alone give the spread
+KEPT = 3.717  # length of a residual in scales below which it counts as one of the agreeing ones
+TILT = 3.0  # factor of the sigma by which the axes of a model that cannot turn may be wrong
 SMALLEST_TILT = math.radians(1)
 
 

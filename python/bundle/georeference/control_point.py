@@ -17,8 +17,7 @@ from bundle.interface.options import LOSSES
 ROLES = ("control", "check")
 SMALLEST, LARGEST = 1e-9, 1e9
 """Standard deviations outside these limits lose their squares in rounding."""
-FARTHEST = 1e12
-"""Largest coordinate in metres."""
+FARTHEST = 1e12  # largest coordinate in metres
 
 
 class Sigma(NamedTuple):
@@ -32,8 +31,7 @@ GCP_SIGMA = Sigma(0.02, 0.02)
 """Default sigma of surveyed positions. Horizontal and vertical sigmas are equal: if sigmas are far
 too small, a smaller horizontal sigma would make the fit tilt the model.
 """
-GCP_PIXEL_SIGMA = 0.5
-"""Default sigma of measurements in pixels."""
+GCP_PIXEL_SIGMA = 0.5  # default sigma of measurements in pixels
 
 
 class Measurement(NamedTuple):

@@ -31,8 +31,7 @@ from bundle.georeference.gps_positions import EXIF_TAGS, GpsPositions
 from bundle.georeference.reference_system import WGS84
 from bundle.georeference.text_lines import last_part
 
-_GPS = 0x8825
-"""Tag of the directory of GPS tags."""
+_GPS = 0x8825  # tag of the directory of GPS tags
 _LATITUDE, _LONGITUDE, _ALTITUDE_REFERENCE, _ALTITUDE, _POSITIONING_ERROR = 2, 4, 5, 6, 31
 """Tags of latitude and longitude. The tag of the letter (N, S, E, W) precedes each of them."""
 _BELOW = (1, 3)
@@ -212,8 +211,7 @@ def _any_size() -> Iterator[None]:
 NAMESPACE = "http://www.dji.com/drone-dji/"
 _XMP = b"http://ns.adobe.com/xap/1.0/\0"
 _START, _SCAN, _APP1 = 0xD8, 0xDA, 0xE1
-_LONE = {0x01, *range(0xD0, 0xD8)}
-"""Markers without a length."""
+_LONE = {0x01, *range(0xD0, 0xD8)}  # markers without a length
 
 
 class DjiRecord(NamedTuple):

@@ -23,12 +23,9 @@ from bundle.georeference.measurements import MeasurementErrors, Solved
 from bundle.georeference.point_check import OffsetCheck
 from bundle.georeference.similarity import Similarity
 
-SAME_BASELINE = 1e-3
-"""Relative change of a rig's baseline below which no note is given."""
-LARGE = 3.0
-"""Length of a residual in sigmas that 3 % of good positions exceed."""
-MOST_IMAGES = 5
-"""Number of listed images with large residuals."""
+SAME_BASELINE = 1e-3  # relative change of a rig's baseline below which no note is given
+LARGE = 3.0  # length of a residual in sigmas that 3 % of good positions exceed
+MOST_IMAGES = 5  # number of listed images with large residuals
 NOUNS = {"gps": "position", "control": "control point", "check": "check point"}
 
 

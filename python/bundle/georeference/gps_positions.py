@@ -24,8 +24,7 @@ from bundle.io.database_images import open_database
 from bundle.io.formats.file_values import Node, parsed, read_json
 from bundle.model.problem import Problem
 
-EXIF_TAGS = "EXIF tags"
-"""Prefix of the source of positions that come from the images themselves."""
+EXIF_TAGS = "EXIF tags"  # prefix of the source of positions that come from the images themselves
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -291,8 +290,7 @@ def _row(place: str, words: list[str]) -> list[float]:
 _WGS84 = 0
 _CARTESIAN = 1
 _SYSTEMS = {-1: "undefined", _WGS84: "WGS84", _CARTESIAN: "Cartesian"}
-_CAMERA = 0
-"""corr_sensor_type of a camera; an IMU has another one."""
+_CAMERA = 0  # corr_sensor_type of a camera; an IMU has another one
 
 
 def read_database_gps(path: Path) -> GpsPositions:
@@ -365,8 +363,7 @@ def _doubles(blob: object, count: int, place: str) -> NDArray[np.float64]:
 RECONSTRUCTION = "reconstruction.json"
 REFERENCE = "reference_lla.json"
 _NO_POINTS = 2**31  # an entry that no file has: the reader skips all points
-_NO_FIX = 1e5
-"""gps_dop in metres from which a shot has no position; OpenSfM writes 999999."""
+_NO_FIX = 1e5  # gps_dop in metres from which a shot has no position; OpenSfM writes 999999
 
 
 def read_opensfm_gps(path: Path) -> GpsPositions:

@@ -215,8 +215,7 @@ class ScaleBarOptions(Options):
     )
 
 
-ROBUST = ("prior_loss", "prior_loss_scale")
-"""Options of the loss of all priors."""
+ROBUST = ("prior_loss", "prior_loss_scale")  # options of the loss of all priors
 _ATTITUDES: dict[str, Any] = {
     "title": "gravity, orientations and headings",
     "meaning": "A model without positions is first rotated to fit them.",

@@ -39,19 +39,13 @@ if TYPE_CHECKING:  # avoids a cycle: survey calls check_readings
 
 UPRIGHT = 0.5
 """Uprightness above which a model is upright; below its negative, the model is upside down."""
-NO_WORSE = 1.2
-"""Largest ratio of residuals for which another interpretation counts as not worse."""
-BETTER = 3.0
-"""Smallest ratio of residuals that proves another interpretation."""
-TINY = 0.05
-"""Residual in sigmas below which a better fit is not significant."""
-SMALL = 0.5
-"""Residual in sigmas below which all interpretations count as equally good."""
-FEWEST = 7
-"""Smallest number of places for which a better fit is not a coincidence."""
+NO_WORSE = 1.2  # largest ratio of residuals for which another interpretation counts as not worse
+BETTER = 3.0  # smallest ratio of residuals that proves another interpretation
+TINY = 0.05  # residual in sigmas below which a better fit is not significant
+SMALL = 0.5  # residual in sigmas below which all interpretations count as equally good
+FEWEST = 7  # smallest number of places for which a better fit is not a coincidence
 FOOT = 0.3048
-MOST_OBSERVATIONS = 1_000_000
-"""Largest number of observations in use to determine the vertical."""
+MOST_OBSERVATIONS = 1_000_000  # largest number of observations in use to determine the vertical
 EXCHANGED = "columns 1 and 2 fit when exchanged"
 FEET = "heights fit as feet"
 

@@ -43,8 +43,7 @@ Array = NDArray[np.float64]
 Triple = tuple[float, float, float]
 
 LEAST_REDUNDANCY = 0.1
-SMALLEST = 1e-9
-"""Eigenvalue of Q, relative to 1, below which a direction is not checked at all."""
+SMALLEST = 1e-9  # eigenvalue of Q, relative to 1, below which a direction is not checked at all
 
 
 @dataclass(frozen=True)
@@ -245,8 +244,7 @@ def _along(value: float, sigma: float, plus: str, minus: str) -> str:
 
 LARGEST_ID = 2**63 - 1
 
-HELD = 1e16
-"""Information of the rotation: its uncertainty must not show in that of the offset."""
+HELD = 1e16  # information of the rotation: its uncertainty must not show in that of the offset
 
 _IDENTITY = (0.0, 0.0, 0.0, 1.0)
 _OF_IMAGES = ("cam_from_world", "image_ids", "image_camera", "image_frame", "image_sensor")

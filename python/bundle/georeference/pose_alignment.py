@@ -34,8 +34,7 @@ from bundle.georeference.similarity import Similarity, umeyama
 from bundle.georeference.similarity_fit import THINNEST
 from bundle.model.rigid_motions import quaternion_from_matrix, quaternion_multiply
 
-SMALLEST = 1e-100
-"""Length below which squares of coordinates lose digits."""
+SMALLEST = 1e-100  # length below which squares of coordinates lose digits
 
 SMALLEST_SPREAD = 1e-12
 """Ratio of the spread of centres to their magnitude below which they are at one place."""

@@ -35,8 +35,7 @@ from bundle.model.rigid_motions import rotation_matrices
 Array = NDArray[np.float64]
 
 FEWEST = 3
-NOT_COUNTING = 1e50
-"""Standard deviation beyond which a coordinate counts as unknown."""
+NOT_COUNTING = 1e50  # standard deviation beyond which a coordinate counts as unknown
 
 
 @dataclass(frozen=True)

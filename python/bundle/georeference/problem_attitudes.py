@@ -46,8 +46,7 @@ Array = NDArray[np.float64]
 KINDS = (OrientationPrior, GravityPrior, HeadingPrior)
 """Kinds of priors, in the order in which they turn the world."""
 
-STEEPEST = 5.0
-"""Least angle in degrees between the vertical and an axis with a heading."""
+STEEPEST = 5.0  # least angle in degrees between the vertical and an axis with a heading
 
 
 @dataclass(frozen=True, eq=False)
@@ -247,8 +246,7 @@ MEDIAN = {1: 0.6744897501960817, 2: 1.1774100225154747, 3: 1.5381722544550522}
 TUKEY = 4.685
 MOST_STARTS, MOST_JUDGES = 64, 2000
 MOST_STEPS = 100
-STEP = 1e-13
-"""Rotation in radians below which the steps end."""
+STEP = 1e-13  # rotation in radians below which the steps end
 
 
 @dataclass(frozen=True)

@@ -43,10 +43,8 @@ if TYPE_CHECKING:  # start-up: pyproj loads slowly
 
 Array = NDArray[np.float64]
 
-MARGIN = 1.0
-"""Largest distance from the area, in degrees, without a note."""
-FARTHEST = 20.0
-"""Distance from the area, in degrees, from which coordinates are refused."""
+MARGIN = 1.0  # largest distance from the area, in degrees, without a note
+FARTHEST = 20.0  # distance from the area, in degrees, from which coordinates are refused
 SURE = 70
 """Smallest confidence of PROJ, in percent, to match a text without a code to a system of its
 database.
@@ -278,8 +276,7 @@ class ReferenceSystem:
         return {"name": self.name}
 
 
-WGS84 = "EPSG:4326"
-"""Longitude and latitude, as GPS receivers output them."""
+WGS84 = "EPSG:4326"  # longitude and latitude, as GPS receivers output them
 
 _UNKNOWN_SHIFT = (
     "PROJ cannot shift {} to WGS84 exactly (its datum or a geoid grid is missing): "

@@ -55,8 +55,7 @@ Array = NDArray[np.float64]
 LEVEL = 0.01
 SAME_TEST = 1e-3
 """Relative difference of |w| below which bars share one test, which cannot tell them apart."""
-MOST_TESTED = 8
-"""Bars whose covariance is computed, by a factorisation for each pair."""
+MOST_TESTED = 8  # bars whose covariance is computed, by a factorisation for each pair
 
 
 @dataclass(frozen=True)

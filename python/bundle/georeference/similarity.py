@@ -156,10 +156,8 @@ MOST_TRIPLES = 1000
 If half of the points are wrong, all random triples contain a wrong point with probability
 (7/8)^1000 = 1e-58.
 """
-MOST_SCORED = 1000
-"""Largest number of points whose residuals score a triple."""
-MEDIAN_LENGTH = 1.538172
-"""Median length of a vector of three standard Gaussian coordinates."""
+MOST_SCORED = 1000  # largest number of points whose residuals score a triple
+MEDIAN_LENGTH = 1.538172  # median length of a vector of three standard Gaussian coordinates
 
 
 def agreeing(source: Array, target: Array, sigmas: Array) -> NDArray[np.bool_]:

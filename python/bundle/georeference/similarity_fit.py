@@ -37,14 +37,11 @@ from bundle.model.rigid_motions import quaternion_from_vector, rotation_matrices
 
 Array = NDArray[np.float64]
 
-THINNEST = 1e-6
-"""Largest ratio of width to length for which points count as lying on one line."""
+THINNEST = 1e-6  # largest ratio of width to length for which points count as lying on one line
 WIDEST_ANGLE = math.radians(10)
 """Largest standard deviation of the three rotation angles of a determined model."""
-LEAST_SIGMA0 = 1e-3
-"""Fraction of the sigmas below which residuals are rounding errors."""
-LEAST_FREEDOM = 1e-6
-"""Degrees of freedom below which residuals are rounding errors only."""
+LEAST_SIGMA0 = 1e-3  # fraction of the sigmas below which residuals are rounding errors
+LEAST_FREEDOM = 1e-6  # degrees of freedom below which residuals are rounding errors only
 MAX_STEPS = 200
 SMALLEST_STEP = 1e-13
 WORST_CONDITION = 1e10

@@ -28,11 +28,9 @@ Array = NDArray[np.float64]
 Readings = tuple[tuple[GroundControlPoint, ...], GpsPositions | None]
 """Coordinates of control points, and of images or None."""
 
-FEWEST = 3
-"""Smallest number of points for a similarity."""
+FEWEST = 3  # smallest number of points for a similarity
 
-MOST_OUTSIDE = 5
-"""Largest number of measurements outside their images to list."""
+MOST_OUTSIDE = 5  # largest number of measurements outside their images to list
 
 
 class Frame:
@@ -365,8 +363,7 @@ def _check_count(
 # neighbouring points look bad.
 
 
-LEVEL = 0.05
-"""Probability that a block without gross errors gets a suspect."""
+LEVEL = 0.05  # probability that a block without gross errors gets a suspect
 
 
 @dataclass(frozen=True)

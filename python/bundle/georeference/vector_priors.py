@@ -20,8 +20,7 @@ from bundle.interface.options import LOSSES
 
 Array = NDArray[np.float64]
 
-UNKNOWN = 1e100
-"""Standard deviation whose inverse square is negligible in every sum of this module."""
+UNKNOWN = 1e100  # standard deviation whose inverse square is negligible in every sum of this module
 
 
 @dataclass(frozen=True, eq=False, repr=False)

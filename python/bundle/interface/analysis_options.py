@@ -74,10 +74,8 @@ class CovarianceOptions(Options):
 
 DELTA0 = 4.13
 """Shift of a standardised residual that a test finds: level 0.1 %, power 80 % (W. Baarda)."""
-NOT_CHECKABLE = 0.02
-"""Redundancy below which an error cannot be checked."""
-GAUGE = 1e-7
-"""Relative size of N^T g above which free motions of the world change a quantity."""
+NOT_CHECKABLE = 0.02  # redundancy below which an error cannot be checked
+GAUGE = 1e-7  # relative size of N^T g above which free motions of the world change a quantity
 
 
 @documented
@@ -188,10 +186,8 @@ def parts_of(
     return tuple(part for part in parts if part in named)
 
 
-SAMPLES_PER_IMAGE = 100
-"""Number of observations to check per image."""
-TOLERANCE = 1e-7
-"""Relative error above which an entry is wrong."""
+SAMPLES_PER_IMAGE = 100  # number of observations to check per image
+TOLERANCE = 1e-7  # relative error above which an entry is wrong
 
 
 @documented

@@ -25,8 +25,7 @@ GRAVITY_SIGMA = 1.0
 """Default standard deviation of a direction of gravity in degrees, for lines without it."""
 ORIENTATION_SIGMA = "5/1"
 """Default standard deviations of an orientation in degrees, heading and tilt."""
-SCALE_BAR_SIGMA = 0.001
-"""Default standard deviation of a known length in metres."""
+SCALE_BAR_SIGMA = 0.001  # default standard deviation of a known length in metres
 VELOCITY_SIGMA = "0.1/0.2"
 """Default standard deviations of a velocity in m/s, horizontal and vertical: GPS by Doppler."""
 

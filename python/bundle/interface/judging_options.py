@@ -119,8 +119,7 @@ class EvaluateOptions(Options):
     )
 
 
-MOST_PERCENT = 50.0
-"""Largest share of the observations that can be held out."""
+MOST_PERCENT = 50.0  # largest share of the observations that can be held out
 
 
 @documented

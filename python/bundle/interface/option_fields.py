@@ -184,8 +184,7 @@ def _shown(limit: float) -> str:
     return str(limit) if isinstance(limit, int) else f"{limit:g}"
 
 
-SENSORS = "sensor_from_rig"
-"""Additional name in ``refine``, for ``refine_sensor_from_rig``."""
+SENSORS = "sensor_from_rig"  # additional name in ``refine``, for ``refine_sensor_from_rig``
 REFINABLE = ("poses", "points", "focal", "principal_point", "extra")
 
 

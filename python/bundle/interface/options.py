@@ -52,8 +52,7 @@ AUTO_PRECONDITIONER = {
     ("ceres", "iterative_schur"): "schur_jacobi",
     ("ceres", "cgnr"): "jacobi",
 }
-LARGEST_RADIUS = 1e16
-"""Largest trust region radius of both backends, with negligible damping."""
+LARGEST_RADIUS = 1e16  # largest trust region radius of both backends, with negligible damping
 CERES_ONLY = ("min_lm_diagonal", "max_lm_diagonal", "use_nonmonotonic_steps")
 """Options of which other trust regions than Ceres' have no other value than the default."""
 TRUST_REGION_STRATEGIES = ("levenberg_marquardt", "dogleg", "subspace_dogleg")

@@ -39,8 +39,7 @@ measurements and to sum them takes about as long."""
 LEAST_FLOPS_TO_RECORD = 2e8
 TIMES_THE_BEST, TIMES_THE_BEST_OF_OWN = 2.0, 3.0
 """Ratio of flops that raises the alarm, for orders of the user and for those of a solve."""
-ORDERING = "ordering"
-"""Kind of the warning."""
+ORDERING = "ordering"  # kind of the warning
 
 
 @dataclass(frozen=True, kw_only=True)

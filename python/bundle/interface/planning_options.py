@@ -45,10 +45,8 @@ PRECONDITIONERS = ("auto",)
 ORDERINGS = ("points_first",)
 TRUST_REGIONS = TRUST_REGION_STRATEGIES
 THREADS = (0,)
-REPEAT = 3
-"""Number of runs of each method."""
-TIMEOUT = 60.0
-"""Seconds after which a solve is stopped."""
+REPEAT = 3  # number of runs of each method
+TIMEOUT = 60.0  # seconds after which a solve is stopped
 SECONDS_NOT_REPEATED = 10.0
 """Time of a run in seconds from which it is not repeated, because its spread is small."""
 LARGEST_PERTURBATION = 0.5
@@ -169,8 +167,7 @@ GRAPH_ORDERINGS = (
 """Orders in which :func:`bundle.inspect_graph` eliminates the variables of a graph."""
 
 
-MOST = 10**9
-"""Largest number of cameras or points of a shape."""
+MOST = 10**9  # largest number of cameras or points of a shape
 
 
 @documented

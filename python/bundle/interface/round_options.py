@@ -14,8 +14,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-CHECKPOINT_INTERVAL = 20
-"""Iterations from one checkpoint to the next within a round."""
+CHECKPOINT_INTERVAL = 20  # iterations from one checkpoint to the next within a round
 
 NUM_TRACK_ROUNDS = 6
 """Default number of rounds that also extend tracks: COLMAP's 5, after one of the input alone."""
@@ -23,8 +22,7 @@ NUM_TRACK_ROUNDS = 6
 DEFAULT_SHARE = 10.0
 """Default share of the observations in percent that a run with these rounds holds out."""
 
-RESTS = ("fixed", "marginal")
-"""Treatments of the variables that a local adjustment does not refine."""
+RESTS = ("fixed", "marginal")  # treatments of the variables that a local adjustment does not refine
 
 
 @documented

@@ -297,8 +297,7 @@ def point_errors(
     return np.where(counts > 0, sums / np.maximum(counts, 1), -1.0)
 
 
-MOST_HINTS = 5
-"""Largest number of models inside a folder that an error lists."""
+MOST_HINTS = 5  # largest number of models inside a folder that an error lists
 
 _Poses = NDArray[np.float64]
 

@@ -29,8 +29,7 @@ if TYPE_CHECKING:
     import sqlite3
 
 
-MOST_IMAGES = 2**31 - 1
-"""COLMAP's ``kMaxNumImages``."""
+MOST_IMAGES = 2**31 - 1  # COLMAP's ``kMaxNumImages``
 
 
 def is_database(path: Path) -> bool:

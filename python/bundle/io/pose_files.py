@@ -28,8 +28,7 @@ from bundle.io.sequences.trajectory_files import load_ground_truth, load_tum, re
 from bundle.model.pose_table import PoseTable
 from bundle.model.rigid_motions import inverse_poses, quaternion_from_matrix, unit_poses
 
-NORM = 0.01
-"""Largest deviation of the norm of a quaternion from 1, and of R^T R from the identity."""
+NORM = 0.01  # largest deviation of the norm of a quaternion from 1, and of R^T R from the identity
 
 _COLUMNS = "name qw qx qy qz tx ty tz"
 

@@ -25,8 +25,7 @@ from bundle.io.formats.registry import BUILT_IN, Format, format_at, format_writt
 # FILE.py`` does. A function is called without arguments.
 
 
-NAMES = ("make_graph", "graph")
-"""Objects that are used if no name is given."""
+NAMES = ("make_graph", "graph")  # objects that are used if no name is given
 
 _PYTHON = re.compile(r"(?P<path>.+\.py)(?::(?P<name>[^:/\\]*))?$", re.IGNORECASE | re.DOTALL)
 

@@ -209,8 +209,7 @@ def _neighbours(node: Node, index: dict[int, int]) -> list[int]:
 # these two, the neighbours of an image are the nearest in time among the images of its camera. A
 # gap of more than four times the median gap separates videos.
 
-LONGEST_GAP = 4.0
-"""Largest gap within a video, in median gaps."""
+LONGEST_GAP = 4.0  # largest gap within a video, in median gaps
 
 
 def read_frame_times(

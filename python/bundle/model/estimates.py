@@ -42,8 +42,7 @@ class Variable(NamedTuple):
     holder: str = ""
 
 
-POSE_WIDTH = 7
-"""Columns of a pose, on SE(3); all other variables are vectors."""
+POSE_WIDTH = 7  # columns of a pose, on SE(3); all other variables are vectors
 
 VARIABLES = [
     Variable("cam_from_world", "image", "images", POSE_WIDTH, 6, "pose"),

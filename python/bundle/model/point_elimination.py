@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from bundle.model.problem import Problem
 
-SINGULAR = 1e-12
-"""Eigenvalues below this share of the largest count as zero."""
+SINGULAR = 1e-12  # eigenvalues below this share of the largest count as zero
 _CHUNK = 500
 
 Floats = NDArray[np.float64]

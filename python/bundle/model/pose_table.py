@@ -27,8 +27,7 @@ from bundle.model.rigid_motions import (
 
 Array = NDArray[np.float64]
 
-LARGEST = 1e100
-"""Largest coordinate; squares of larger ones overflow."""
+LARGEST = 1e100  # largest coordinate; squares of larger ones overflow
 
 
 @dataclass(frozen=True, eq=False, repr=False)

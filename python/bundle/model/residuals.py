@@ -18,8 +18,7 @@ from bundle.interface.options import CHEIRALITIES
 from bundle.model.cameras import reach
 from bundle.model.problem import Problem
 
-RAYLEIGH_MEDIAN = 1.1774100225154747
-"""Median length of two standard normal numbers."""
+RAYLEIGH_MEDIAN = 1.1774100225154747  # median length of two standard normal numbers
 _Floats = NDArray[np.float64]
 
 
@@ -260,8 +259,7 @@ def residuals(problem: Problem, cheirality: str = "auto") -> Residuals:
 # camera's plane has an error of many thousand pixels, and would decide a mean of squares alone. The
 # clipped RMSE limits both: sqrt(mean min(e, clip)^2), with e = clip if there is no projection.
 
-CLIP = 4.0
-"""Clip in pixels: COLMAP's largest error of an inlier (``filter_max_reproj_error``)."""
+CLIP = 4.0  # clip in pixels: COLMAP's largest error of an inlier (``filter_max_reproj_error``)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -345,8 +343,7 @@ def _median(values: NDArray[np.float64]) -> float:
     return float(low if low == high else (low + high) / 2)
 
 
-WORST = 5
-"""Default number of images to return."""
+WORST = 5  # default number of images to return
 
 # Number of observations copied at a time: a copy of hundreds of millions takes gigabytes.
 _BLOCK = 1 << 20

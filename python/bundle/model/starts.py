@@ -15,18 +15,15 @@ from bundle.errors import InputError
 from bundle.interface.pose_graph_options import PoseGraphOptions
 from bundle.model.pose_graph_arrays import PoseGraph
 
-FEW = 5
-"""Number of solver steps after which the costs of starts are compared."""
+FEW = 5  # number of solver steps after which the costs of starts are compared
 
-SLOW = 20
-"""Number of steps above which a solve counts as slow and other starts are tried after it."""
+SLOW = 20  # number of steps above which a solve counts as slow and other starts are tried after it
 
 SAME = 1e-6
 """Relative difference of costs below which two solves are taken to approach the same minimum.
 Smaller than the tolerance of a comparison of minima, larger than the last steps of a solve."""
 
-NOT_LOWER = 1e-6
-"""Relative difference of costs below which another start does not count as better."""
+NOT_LOWER = 1e-6  # relative difference of costs below which another start does not count as better
 
 ROUNDING = 1e-12
 """Relative rounding error of poses. It bounds the cost that rounding alone can cause."""

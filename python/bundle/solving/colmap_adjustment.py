@@ -298,8 +298,7 @@ def _marked(rows: NDArray[np.integer], count: int) -> _Mask:
 # baseline of a rig determine a part of the world. The solve then fixes only the rest, and its cost
 # is lower.
 
-_SHORTEST = 1e-9
-"""COLMAP's shortest baseline."""
+_SHORTEST = 1e-9  # COLMAP's shortest baseline
 
 
 class TwoCameras:

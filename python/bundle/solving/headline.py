@@ -31,8 +31,7 @@ SMALLEST_DECREASE = 1e-4
 FARTHEST = 0.3
 """Distance of the cameras from a minimum, in standard deviations (minimize/sigma_rule.h)."""
 
-SMALLEST_MOVEMENT = 1e-3
-"""Relative movement at a minimum."""
+SMALLEST_MOVEMENT = 1e-3  # relative movement at a minimum
 
 EDITS = {
     "camera_model": "camera model",

@@ -30,8 +30,7 @@ from bundle.model.residuals import (
     summarize_errors,
 )
 
-OUTLIER = 3.0
-"""Error of an outlier, in scales of the loss."""
+OUTLIER = 3.0  # error of an outlier, in scales of the loss
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -61,10 +61,8 @@ FEWEST_POSITIONS = 3
 MOST_IMAGES = 2000
 """Number of images above which the covariance takes longer than the solve: no tests."""
 TOLERANCE, MOST_STEPS = 1e-9, 100
-ATTITUDES = ("direction", "rotation", "heading")
-"""Kinds of the factors of attitudes."""
-KNOWN = 1e-100
-"""Information above which a coordinate counts as measured."""
+ATTITUDES = ("direction", "rotation", "heading")  # kinds of the factors of attitudes
+KNOWN = 1e-100  # information above which a coordinate counts as measured
 
 
 def check_survey(prepared: Prepared, solve: Callable[[Prepared], Problem]) -> SurveyChecks | None:

@@ -38,8 +38,7 @@ from bundle.synthetic.street import Street
 Array = NDArray[np.float64]
 
 
-LARGEST_SINGLE = 1 << 20
-"""Points of the largest scene that is a single block."""
+LARGEST_SINGLE = 1 << 20  # points of the largest scene that is a single block
 POINTS_PER_BLOCK = 1 << 18
 """Points per block of larger scenes; more if many images need their own points in each block."""
 _POINTS_PER_IMAGE = 40

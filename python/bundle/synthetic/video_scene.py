@@ -256,8 +256,7 @@ def _ties(motion: Motion) -> NDArray[np.int64]:
 # the poses of the neighbours.
 
 
-_STEP = 0.01
-"""Frames between the two poses whose difference is the twist."""
+_STEP = 0.01  # frames between the two poses whose difference is the twist
 
 
 class Motion(ABC):

@@ -34,14 +34,10 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-LEAST_DEGREES = 10.0
-"""Degrees of freedom below which a kind has no verdict."""
-WORTH_MENTION = 1.2
-"""Smallest factor of a verdict: smaller ones change sigmas by less than 10 %."""
-SAME = 2.0
-"""Ratio of two scales within which both kinds have one scale."""
-COMMON = 0.7
-"""Least ratio of the median's excess to that of the mean if all edges share it."""
+LEAST_DEGREES = 10.0  # degrees of freedom below which a kind has no verdict
+WORTH_MENTION = 1.2  # smallest factor of a verdict: smaller ones change sigmas by less than 10 %
+SAME = 2.0  # ratio of two scales within which both kinds have one scale
+COMMON = 0.7  # least ratio of the median's excess to that of the mean if all edges share it
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)

@@ -25,24 +25,19 @@ from bundle.interface.finding import Finding
 from bundle.interface.pose_graph_options import PoseGraphOptions
 from bundle.model.pose_graph_arrays import PoseGraph
 
-NO_MINIMUM = "no_minimum"
-"""Kind of the note on values that are no minimum."""
+NO_MINIMUM = "no_minimum"  # kind of the note on values that are no minimum
 
-FEW_DIGITS = 4
-"""Number of digits of a step below which the normal equations are a problem."""
+FEW_DIGITS = 4  # number of digits of a step below which the normal equations are a problem
 
-MOST_NAMED = 5
-"""Number of suspicious edges that a sentence names."""
+MOST_NAMED = 5  # number of suspicious edges that a sentence names
 
 COORDINATES = {
     3: ("x", "y", "angle"),
     6: ("rotation x", "rotation y", "rotation z", "x", "y", "z"),
 }
-DOMINANT = 0.5
-"""Share of the largest coordinate above which a sentence names a coordinate."""
+DOMINANT = 0.5  # share of the largest coordinate above which a sentence names a coordinate
 MOST_EDGES = 4
-MOST_MODES = 20
-"""Largest number of findings per kind; the nullity counts all."""
+MOST_MODES = 20  # largest number of findings per kind; the nullity counts all
 
 Floats = NDArray[np.float64]
 

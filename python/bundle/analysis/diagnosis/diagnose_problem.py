@@ -304,8 +304,7 @@ def _observations(problem: Problem) -> NDArray[np.int64]:
     return np.bincount(problem.observation_image, minlength=problem.num_images)
 
 
-AT_CAMERA = 1e-6
-"""Share of the median distance of points from their cameras."""
+AT_CAMERA = 1e-6  # share of the median distance of points from their cameras
 PARALLEL = 1e-4
 """Limit in radians; rays with smaller differences put a point beyond ten thousand baselines."""
 

@@ -19,8 +19,7 @@ from bundle.interface.tabular import Tabular
 if TYPE_CHECKING:
     from bundle.analysis.uncertainty.reliability_result import Reliability
 
-DIGITS = 16
-"""Decimal digits of a double, rounded up as in the table of condition numbers."""
+DIGITS = 16  # decimal digits of a double, rounded up as in the table of condition numbers
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -34,14 +34,11 @@ from bundle.model.problem import Problem
 from bundle.model.rigid_motions import quaternion_inverse, quaternion_rotate
 from bundle.solving.result import Result
 
-MOST_COMPONENTS = 5
-"""Number of components that get a sentence of their own."""
-SAID = ("points_seen_once",)
-"""Warnings of a solve that the diagnosis reports in its own words."""
+MOST_COMPONENTS = 5  # number of components that get a sentence of their own
+SAID = ("points_seen_once",)  # warnings of a solve that the diagnosis reports in its own words
 SHARP = 1000.0
 """Gap of eigenvalues below which the number of null directions depends on the threshold."""
-DRIFT = 3.0
-"""Scale change of the world by a solve that counts as drift."""
+DRIFT = 3.0  # scale change of the world by a solve that counts as drift
 
 
 def findings(

@@ -23,10 +23,8 @@ from bundle.base.records import dataclass
 from bundle.base.words import named, plural, sorted_ids
 from bundle.model.problem import Problem
 
-COUPLED = 1e-3
-"""Entries of the projector below this limit count as zero."""
-WEAK = 1e-4
-"""Eigenvalues above this limit are not weak."""
+COUPLED = 1e-3  # entries of the projector below this limit count as zero
+WEAK = 1e-4  # eigenvalues above this limit are not weak
 UNCERTAIN = 1e-3
 """Share of the focal length that a weak direction leaves undetermined with one pixel of noise."""
 Floats = NDArray[np.float64]
@@ -235,8 +233,7 @@ def _describe(
     return mode_against_poses(unknowns, parts, cameras, images, look, 0.0, dimension, "")
 
 
-DOMINANT = 0.3
-"""Share of the largest effect on pixels, below which parameters are not named."""
+DOMINANT = 0.3  # share of the largest effect on pixels, below which parameters are not named
 
 
 _CAUSES = {

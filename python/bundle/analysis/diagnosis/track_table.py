@@ -267,10 +267,8 @@ ONE_PLACE = 1e-3
 """Spread of images, relative to the distance of their points, that counts as pure rotation."""
 PARALLEL_DEGREES = 12.0
 """Root mean square angle to their mean, below which viewing directions count as equal."""
-FLAT = 0.1
-"""Relief of a flat scene, relative to the distance of the points."""
-ALONG_DEGREES = 30.0
-"""Angle to the viewing direction, below which a path counts as forward motion."""
+FLAT = 0.1  # relief of a flat scene, relative to the distance of the points
+ALONG_DEGREES = 30.0  # angle to the viewing direction, below which a path counts as forward motion
 MOST_POINTS = 20000
 
 Vector = NDArray[np.float64]

@@ -53,22 +53,19 @@ GROSS_ERROR_PIXELS, GROSS_ERROR_MEDIANS = 10.0, 20.0
 """Limits in pixels and in multiples of the median error; gross errors exceed both."""
 FAR_POINT = 1000.0
 """Multiple of the median distance from the middle of the scene, beyond which a point is far."""
-FAR_SCENE = 1e5
-"""Multiple of the size of a scene, beyond which it is far from the origin."""
+FAR_SCENE = 1e5  # multiple of the size of a scene, beyond which it is far from the origin
 FOCAL_RATIO = 0.1, 10.0
 """Plausible focal lengths in image sizes: COLMAP's min_ and max_focal_length_ratio."""
 QUATERNION_TOLERANCE = 1e-6
 PROBLEMS = ("collapsed_points", "unsupported_camera_models")
 """Kinds with which a model is not a reconstruction."""
 FEW_FOR_POSE, SMALL_DIFFERENCE, MOST_LOOSE = 15, 20.0, 20
-LARGEST = 1e50
-"""Derivatives beyond this limit, whose products would overflow, are ignored."""
+LARGEST = 1e50  # derivatives beyond this limit, whose products would overflow, are ignored
 OPEN_ROTATION = 0.3
 """Standard deviation [rad], for noise of 1 px, from which a rotation is not determined."""
 UNUSABLE = 0.01
 """Share of observations with collapsed points above which a refined model is unusable."""
-NAMED = 5
-"""Number of ids in a sentence."""
+NAMED = 5  # number of ids in a sentence
 
 
 def suspicions(
@@ -440,8 +437,7 @@ def _largest(
     return np.where(np.isneginf(largest), np.nan, largest)
 
 
-COLLAPSED = 1e-4
-"""Share of the median below which a depth is not determined by images."""
+COLLAPSED = 1e-4  # share of the median below which a depth is not determined by images
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -75,8 +75,7 @@ if TYPE_CHECKING:
 
 _Floats = NDArray[np.float64]
 
-REACH = 3e-6
-"""Movement of the residuals, in sigmas, over which Jacobians are differenced."""
+REACH = 3e-6  # movement of the residuals, in sigmas, over which Jacobians are differenced
 
 POLISHED, CONVERGED, NEWTON_STEPS = 1e-10, 1e-7, 20
 """Length of the next step, in sigmas, at which Newton steps end, and that counts as a minimum if

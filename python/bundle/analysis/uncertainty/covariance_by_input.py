@@ -206,8 +206,7 @@ def _scaled(problem: Problem, options: SolveOptions, sigma0: float) -> tuple[Pro
 LARGEST = 1e50
 """Limit of coordinates; gauges need fourth powers, which would exceed the range of doubles."""
 
-FAR = 100.0
-"""Multiple of the median distance of points from the median of the cameras."""
+FAR = 100.0  # multiple of the median distance of points from the median of the cameras
 
 
 def at_control_points(prepared: Prepared) -> Prepared:

@@ -46,8 +46,7 @@ from bundle.model.rigid_motions import rotation_matrices
 
 GRAPH_GAUGES = ("first", "inner", "none")
 
-LOST = 1e10
-"""Inflation above which the variances have fewer than six digits."""
+LOST = 1e10  # inflation above which the variances have fewer than six digits
 
 FROM_WORLD = (PositionFactor, RelativePoseFactor, ReprojectionFactor)
 """Factors whose poses are cam_from_world."""

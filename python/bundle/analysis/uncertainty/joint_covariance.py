@@ -51,10 +51,8 @@ _Floats = NDArray[np.float64]
 _Rows = NDArray[np.int64]
 LEAST_COSINE = 0.5
 """A point seen from one direction is in view from directions within 60 degrees of it."""
-NEAREST = 0.1
-"""Depth below which a point is not in view, in median depths."""
-UNSEEN = 1e-8
-"""Relative size of A N below which a measurement does not depend on the gauge."""
+NEAREST = 0.1  # depth below which a point is not in view, in median depths
+UNSEEN = 1e-8  # relative size of A N below which a measurement does not depend on the gauge
 
 
 @dataclass(frozen=True, eq=False)

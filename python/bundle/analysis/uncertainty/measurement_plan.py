@@ -72,14 +72,11 @@ _Floats = NDArray[np.float64]
 _Rows = NDArray[np.int64]
 
 MOST_POINTS, MOST_IMAGES = 150, 50
-LEAST_IN_VIEW = 4
-"""Points from which a pose is determined, and checked."""
-HELPS = 1e-6
-"""Relative decrease of the variance below which a candidate does not help."""
+LEAST_IN_VIEW = 4  # points from which a pose is determined, and checked
+HELPS = 1e-6  # relative decrease of the variance below which a candidate does not help
 GCP = ("--gcp gcp_list.txt",)
 BARS = (*GCP, "--scale-bars bars.txt")
-MOST_LINES = 5
-"""Lines of a control point: images in which it is marked."""
+MOST_LINES = 5  # lines of a control point: images in which it is marked
 SIDES = ((1, 0, "right of"), (-1, 0, "left of"), (0, 1, "below"), (0, -1, "above"))
 """Directions in the frame of a camera."""
 WORDS = {"image": "New image", "tie": "Tie", "gcp": "Control point", "bar": "Scale bar"}

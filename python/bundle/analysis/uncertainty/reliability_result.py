@@ -19,10 +19,8 @@ from bundle.interface.tabular import Tabular
 
 WEAK = 0.1
 """Mean redundancy of an image below which its errors are badly checked (W. Foerstner)."""
-DOWNWEIGHTED = 0.1
-"""Weight of a loss below which an observation may be an error that hides."""
-NUM_WORST = 20
-"""Number of observations whose effect is computed exactly."""
+DOWNWEIGHTED = 0.1  # weight of a loss below which an observation may be an error that hides
+NUM_WORST = 20  # number of observations whose effect is computed exactly
 CONTROL_POINT = "control point"
 
 _Floats = NDArray[np.float64]

@@ -18,8 +18,7 @@ from bundle.base.words import plural
 from bundle.checking.evidence import Finding
 from bundle.checking.gradient_report import STYLES, GradientReport, Offender, worst_entries
 
-SHOWN = 10
-"""Number of findings in the repr; printing a check shows all."""
+SHOWN = 10  # number of findings in the repr; printing a check shows all
 
 
 class Member(NamedTuple):

@@ -21,10 +21,8 @@ from bundle.model.problem import Problem
 # Each constrains the rotation R of one pose cam_from_world. The core computes residuals and
 # Jacobians; ``cpp/core/factors/attitude_factors.h`` has the derivations. Angles are radians.
 
-DOWN = (0.0, 0.0, -1.0)
-"""Direction of gravity in a world whose third axis points up."""
-FORWARD = (0.0, 0.0, 1.0)
-"""Viewing direction of a camera in its own frame."""
+DOWN = (0.0, 0.0, -1.0)  # direction of gravity in a world whose third axis points up
+FORWARD = (0.0, 0.0, 1.0)  # viewing direction of a camera in its own frame
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -34,18 +34,15 @@ from bundle.model.rigid_motions import rotation_matrices
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
-MOST_DIRECTIONS = 300
-"""Largest dimension of a null space whose directions are computed."""
+MOST_DIRECTIONS = 300  # largest dimension of a null space whose directions are computed
 
-SAME = 1 - 1e-6
-"""Cosine above which a direction lies in a space."""
+SAME = 1 - 1e-6  # cosine above which a direction lies in a space
 
 INDEPENDENT = 1e-6
 """Share of the norm of a row of N that must remain for the row to count as independent."""
 
 
-STILL = 1e-12
-"""Share of the largest entry of N below which a row is 0."""
+STILL = 1e-12  # share of the largest entry of N below which a row is 0
 
 
 @dataclass(frozen=True, eq=False)

@@ -131,8 +131,7 @@ def _check(kind: Kind, candidate: Candidate, values: list[Array], left: float) -
             kind.convicted.setdefault(column, []).append((candidate, factor))
 
 
-_ALL = (-1, -1)
-"""Pseudo column: one combined direction of all columns."""
+_ALL = (-1, -1)  # pseudo column: one combined direction of all columns
 
 
 class _Line:

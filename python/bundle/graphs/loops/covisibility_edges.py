@@ -46,15 +46,13 @@ from bundle.model.rigid_motions import cross_matrices, dot, quaternion_inverse, 
 
 Array = NDArray[np.float64]
 
-MIN_SHARED = 6
-"""Smallest number of points that two images must share for an edge."""
+MIN_SHARED = 6  # smallest number of points that two images must share for an edge
 MOST_NEIGHBOURS = 10
 """Number of following images on a point's track with which an image forms pairs."""
 MAX_ERROR = 4.0
 """Largest error in pixels of an observation in use; MEDIANS times the median if that is larger."""
 MEDIANS = 5.0
-LEAST_SINE = 0.02
-"""Smallest sine of the angle of two rays that are intersected."""
+LEAST_SINE = 0.02  # smallest sine of the angle of two rays that are intersected
 _ROWS = 50_000
 
 

@@ -74,8 +74,7 @@ from bundle.model.shutter_motion import scaled
 Array = NDArray[np.float64]
 
 VARIANCE_FACTORS = tuple(10.0**power for power in range(7))
-MOST_FIT = 0.75
-"""Fraction of the correct closures that must fit at the end."""
+MOST_FIT = 0.75  # fraction of the correct closures that must fit at the end
 ROUGH, FINE = 1e-6, 1e-10
 
 

@@ -51,14 +51,11 @@ MOST_RANK = 10
 MOST_STEPS = 150
 NUM_EIGENVALUES = 3
 
-NEAR_COST = 0.1
-"""Relative decrease of F by Newton's method from poses that are near a minimum of F."""
+NEAR_COST = 0.1  # relative decrease of F by Newton's method from poses that are near a minimum of F
 
-NEAR_CHI2 = 0.01
-"""Relative decrease of chi2 by a solve from poses that are near a minimum of chi2."""
+NEAR_CHI2 = 0.01  # relative decrease of chi2 by a solve from poses that are near a minimum of chi2
 
-SAME_CHI2 = 1e-6
-"""Relative difference of chi2 below which two solves end at the same minimum."""
+SAME_CHI2 = 1e-6  # relative difference of chi2 below which two solves end at the same minimum
 
 ZERO_COST = 1e-9
 """F and chi2 below this share of the median weight, times the number of edges, are those of exact
@@ -278,8 +275,7 @@ def _solved_chi2(graph: PoseGraph, poses: Floats, error: str, threads: int) -> f
     return float(after["chi2_after"].sum())
 
 
-LOWER = 1e-6
-"""Relative decrease of the cost below which the second solve is the same minimum."""
+LOWER = 1e-6  # relative decrease of the cost below which the second solve is the same minimum
 
 Solve = Callable[[PoseGraph, PoseGraphOptions], PoseGraphResult]
 
@@ -377,8 +373,7 @@ def _lower_poses(certificate: Certificate) -> tuple[PoseGraph | None, str, str]:
 
 CHORDAL_WEIGHTS = ("mean", "se-sync")
 
-ISOTROPIC = 1e-9
-"""Relative difference of weights below which information is isotropic."""
+ISOTROPIC = 1e-9  # relative difference of weights below which information is isotropic
 
 
 @dataclass(frozen=True)

@@ -71,8 +71,7 @@ from bundle.model.pose_graph_arrays import PoseGraph
 
 PAIRS_AT_ONCE = 20_000
 
-MOST_CLOSURES = 10_000
-"""Largest number of closures: 50 million pairs take minutes and 2 GB."""
+MOST_CLOSURES = 10_000  # largest number of closures: 50 million pairs take minutes and 2 GB
 
 Floats = NDArray[np.float64]
 
@@ -303,8 +302,7 @@ def edge_covariance(graph: PoseGraph, edges: NDArray[np.intp]) -> Floats:
 # relaxation usually decides all vertices, even thousands. A search for cliques in the dense
 # complement would have to enumerate them.
 
-TIME_LIMIT = 30.0
-"""Time limit in seconds for the vertices that the relaxation leaves undecided."""
+TIME_LIMIT = 30.0  # time limit in seconds for the vertices that the relaxation leaves undecided
 
 Flags = NDArray[np.bool_]
 

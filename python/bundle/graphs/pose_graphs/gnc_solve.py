@@ -45,12 +45,10 @@ from bundle.interface.pose_graph_options import PoseGraphOptions
 from bundle.interface.solve_record import Progress
 from bundle.model.pose_graph_arrays import PoseGraph
 
-GROWTH = 1.4
-"""Factor of mu from one solve to the next, as in the paper."""
+GROWTH = 1.4  # factor of mu from one solve to the next, as in the paper
 
 MOST_SOLVES = 100
-NEARLY = 1e-3
-"""Weights this close to 0 or 1 count as 0 or 1."""
+NEARLY = 1e-3  # weights this close to 0 or 1 count as 0 or 1
 
 
 def tls_weights(chi2: NDArray[np.float64], mu: float, c_squared: float) -> NDArray[np.float64]:
@@ -98,8 +96,7 @@ Flags = NDArray[np.bool_]
 Proposal = tuple[Flags, Floats]
 """Mask of the inlier edges, and poses."""
 
-HOPELESS = 2.0
-"""Multiple of the smallest cost above which a set is not improved further."""
+HOPELESS = 2.0  # multiple of the smallest cost above which a set is not improved further
 
 
 class _Interrupted(Exception):  # noqa: N818  (control flow, not an error)

@@ -31,19 +31,16 @@ from bundle.base.records import dataclass
 from bundle.graphs.pose_graphs.lie_groups import adjoint_between
 from bundle.model.pose_graph_arrays import PoseGraph
 
-WEAK = 1e-4
-"""Weak information relative to that of a typical edge: sigmas are 100 times as large."""
+WEAK = 1e-4  # weak information relative to that of a typical edge: sigmas are 100 times as large
 
-OPEN = 1e-13
-"""Threshold of zero eigenvalues, relative to the largest eigenvalue."""
+OPEN = 1e-13  # threshold of zero eigenvalues, relative to the largest eigenvalue
 
 MOST_CLUSTERS = 100
 """Largest number of clusters of a component that are analysed together; larger components are
 analysed cluster by cluster.
 """
 
-MOST_CARRIED = 1000
-"""Largest number of clusters that a joint lists as moving."""
+MOST_CARRIED = 1000  # largest number of clusters that a joint lists as moving
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

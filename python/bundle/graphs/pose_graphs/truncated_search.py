@@ -52,11 +52,9 @@ from bundle.model.pose_graph_arrays import PoseGraph
 
 MOST_SETTLES = 10
 MOST_FLIPS = 20
-MOST_TRIES = 4
-"""Number of edges to try in each step of an improvement."""
+MOST_TRIES = 4  # number of edges to try in each step of an improvement
 
-LOWER = 1e-6
-"""Relative decrease of the truncated cost below which a set has not improved."""
+LOWER = 1e-6  # relative decrease of the truncated cost below which a set has not improved
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -214,8 +212,7 @@ def _price(graph: PoseGraph, error: str, edge: int, covariance: Floats) -> float
     return float(residual @ information @ np.linalg.solve(spread, residual))
 
 
-TRIED = ("dcs", "gnc_tls")
-"""Losses for wrong closures that ``auto`` tries."""
+TRIED = ("dcs", "gnc_tls")  # losses for wrong closures that ``auto`` tries
 
 Solve = Callable[[PoseGraphOptions], dict[str, Any]]
 

@@ -82,12 +82,10 @@ NOISE_SCALE, AT_INTERVAL = 5.0, 0.25
 """Factor on the noise densities of data sheets, which do not include vibration, for images at this
 interval in seconds."""
 LEAST_IMAGES = 5
-MOST_STEPS = 200
-"""Least limit of iterations for the images alone, which take milliseconds each."""
+MOST_STEPS = 200  # least limit of iterations for the images alone, which take milliseconds each
 LARGEST_TURN = math.pi / 2
 """Angle between consecutive images beyond which they have hardly any point in common."""
-MOST_SOLVES = 3
-"""Most solves in a row, each with motions that are integrated again."""
+MOST_SOLVES = 3  # most solves in a row, each with motions that are integrated again
 
 
 def adjust_with_imu(

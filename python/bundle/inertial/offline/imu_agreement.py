@@ -37,8 +37,7 @@ from bundle.model.sequence.sequence_findings import quietest_noise
 Array = NDArray[np.float64]
 
 FREEDOM, MOST_FREEDOM = 6, 15
-FALSE_ALARM = 1e-3
-"""Probability of a false alarm in a run."""
+FALSE_ALARM = 1e-3  # probability of a false alarm in a run
 LARGE_NOISE = 5.0
 """Ratio of calibrated to measured noise that is an error: samples never have less noise."""
 JITTER, JITTER_SHARE = 1.5e-3, 0.5
@@ -176,8 +175,7 @@ def quietest_ratio(stamps: NDArray[np.int64], gyro: Array, accel: Array, noise: 
 # without it decide by their costs, to which the forces contribute.
 
 STEPS = 10
-MOST = 0.1
-"""Largest offset in seconds: the model is linear in it."""
+MOST = 0.1  # largest offset in seconds: the model is linear in it
 SMALL_STEP = 1e-7
 DOUBTFUL, CLEAR = 2.0, 5.0
 """Numbers of sigmas from which an offset is tried, and counts. The errors of poses are correlated.

@@ -28,8 +28,7 @@ Array = NDArray[np.float64]
 
 OUTLIERS = 4.0
 """Variance factor of the images under a quadratic loss from which outliers rule the cost."""
-LONG_ARM = 3.0
-"""Distance in metres between camera and IMU from which millimetres are likely."""
+LONG_ARM = 3.0  # distance in metres between camera and IMU from which millimetres are likely
 
 
 CAUSES = {

@@ -35,8 +35,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-GRAVITY = 9.81
-"""Length of gravity, m/s^2."""
+GRAVITY = 9.81  # length of gravity, m/s^2
 GYRO_BIAS_SIGMA, ACCEL_BIAS_SIGMA = 0.1, 0.3
 """Weak priors of the first biases, rad/s and m/s^2."""
 

@@ -35,17 +35,13 @@ from bundle.model.sequence.calibration import ImuNoise
 
 Array = NDArray[np.float64]
 
-POSITION_SIGMA = 1e-3
-"""Metres: p."""
-ARM_SIGMA = 1.0
-"""Metres: a weak prior on d, for paths that do not turn."""
-FALSE_ALARM = 1e-4
-"""Probability of a false alarm in a run."""
+POSITION_SIGMA = 1e-3  # metres: p
+ARM_SIGMA = 1.0  # metres: a weak prior on d, for paths that do not turn
+FALSE_ALARM = 1e-4  # probability of a false alarm in a run
 DISPERSION = 2.0
 """Mean of the chi2 of right arms over its expectation in 30 simulated flights: errors of positions
 are not white."""
-LEAST = 0.02
-"""Metres: smaller errors are ignored."""
+LEAST = 0.02  # metres: smaller errors are ignored
 
 
 class ArmError(NamedTuple):
@@ -141,10 +137,8 @@ def _covariance(times: Array, noise: ImuNoise) -> Array:
 # position. On V1_01, whose real errors are not white, T is 25 and this share 1.4 %.
 
 
-STEP = 0.03
-"""D: the smallest error of interest, over which the residuals are linear."""
-LEAST_MOVEMENT = 0.02
-"""Share of the positions: smaller movements are ignored."""
+STEP = 0.03  # D: the smallest error of interest, over which the residuals are linear
+LEAST_MOVEMENT = 0.02  # share of the positions: smaller movements are ignored
 
 
 class LeastCost(NamedTuple):

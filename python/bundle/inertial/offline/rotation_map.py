@@ -38,8 +38,7 @@ from bundle.model.sequence.calibration import ImuNoise
 Array = NDArray[np.float64]
 
 STEPS = 20
-DETERMINED = 0.1
-"""Standard deviation of a column up to which the map reveals an error of axes."""
+DETERMINED = 0.1  # standard deviation of a column up to which the map reveals an error of axes
 EXPLAINED = 0.5
 """Residual with the map, relative to that without it, below which the map is an explanation."""
 TURNED, NEAR = 15.0, 12.0

@@ -27,8 +27,7 @@ from bundle.model.sequence.calibration import Calibration
 
 Array = np.ndarray[Any, Any]
 
-CHECKS = ("not found", "backward", "crowded", "epipolar")
-"""Checks that end tracks, in their order."""
+CHECKS = ("not found", "backward", "crowded", "epipolar")  # checks that end tracks, in their order
 
 WINDOW, LEVELS = (21, 21), 3  # of Lucas-Kanade
 BLOCK = 5  # pixels, of the structure tensor

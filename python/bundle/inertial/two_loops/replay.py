@@ -133,8 +133,7 @@ def serve(solver: Callable[[PoseGraph], Array] | None = None) -> None:
             answer = f"{type(error).__name__}: {error}"
 
 
-LATE = 5e-3
-"""Seconds after its sample from which a pose counts as late."""
+LATE = 5e-3  # seconds after its sample from which a pose counts as late
 
 
 @dataclass(frozen=True)

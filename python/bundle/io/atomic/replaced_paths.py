@@ -12,10 +12,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-DEPTH = 3
-"""Depth of the search for models below a folder: projects store them in dense/0/sparse/."""
-MOST_FOLDERS = 1000
-"""Largest number of folders to search for a hint."""
+DEPTH = 3  # depth of the search for models below a folder: projects store them in dense/0/sparse/
+MOST_FOLDERS = 1000  # largest number of folders to search for a hint
 
 _REQUIRED = ("cameras", "images", "points3D")
 _OPTIONAL = ("rigs", "frames")

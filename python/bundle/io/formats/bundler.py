@@ -48,8 +48,7 @@ from bundle.model.pycolmap.problem_source import imported_source
 from bundle.model.rigid_motions import rotation_matrices
 
 LIST = "list.txt"
-FLIP = np.array([1.0, -1.0, -1.0])
-"""Diagonal of S, COLMAP's camera frame from Bundler's."""
+FLIP = np.array([1.0, -1.0, -1.0])  # diagonal of S, COLMAP's camera frame from Bundler's
 
 _AXES = (
     "; cameras of the format look along -z: export RealityCapture's or RealityScan's "

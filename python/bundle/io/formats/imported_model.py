@@ -35,8 +35,7 @@ Array = NDArray[np.float64]
 AGREEMENT = 1e-6
 """Largest difference of reprojection errors: pixels, or relative for errors above a pixel."""
 
-LEAST_ORTHONORMAL = 1e-3
-"""Largest entry of R R^T - I in a file; the nearest rotation is used."""
+LEAST_ORTHONORMAL = 1e-3  # largest entry of R R^T - I in a file; the nearest rotation is used
 
 _CHUNK = 1 << 16
 

@@ -68,16 +68,13 @@ _UNKNOWN_CENTER = (
     "Image sizes are unknown: the principal point is the middle of the observations. "
     "--image-size W,H gives it."
 )
-SPACE = '"'
-"""Character of the file for a space in the name of an image."""
-LENGTHS = (0.9, 1.1)
-"""Range of quaternion lengths that are normalised; other lengths are refused."""
+SPACE = '"'  # character of the file for a space in the name of an image
+LENGTHS = (0.9, 1.1)  # range of quaternion lengths that are normalised; other lengths are refused
 STEPS = tuple(10.0**power for power in range(4, -5, -1))
 """Steps of coordinates that count as rounded, in units of the file."""
 LARGEST_ROUNDING = 1.0
 """Largest movement of pixels by rounded coordinates without a note, in pixels."""
-LARGEST_SAMPLE = 10_000
-"""Number of observations that suffice for a median."""
+LARGEST_SAMPLE = 10_000  # number of observations that suffice for a median
 _MARGIN = 1.05  # of the radius of the farthest observation
 
 

@@ -42,8 +42,7 @@ from bundle.model.pycolmap.problem_source import imported_source
 from bundle.model.rigid_motions import rotation_matrices
 
 Array = NDArray[np.float64]
-FIRST = 1 << 31
-"""Added to the number of a polymorphic type where its name is written."""
+FIRST = 1 << 31  # added to the number of a polymorphic type where its name is written
 _MOST_ID = 2**32 - 1
 
 

@@ -258,8 +258,7 @@ def _point_ids(ids: NDArray[np.int64]) -> dict[str, NDArray[np.int64]]:
     return {"point_ids": ids} if len(ids) and all_differ(ids) else {}
 
 
-_SCALE = 0.004
-"""Scale of a feature, relative to the image, where it is unknown."""
+_SCALE = 0.004  # scale of a feature, relative to the image, where it is unknown
 
 
 def check(problem: Problem, path: Path) -> None:  # noqa: ARG001

@@ -18,8 +18,7 @@ from bundle.io.formats.written_tracks import colors_of
 from bundle.model.problem import Problem
 from bundle.model.rigid_motions import rotate, rotation_matrices
 
-DEPTH = 0.05
-"""Length of a frustum, relative to the median distance of points from the images."""
+DEPTH = 0.05  # length of a frustum, relative to the median distance of points from the images
 
 _VERTEX = np.dtype(
     [

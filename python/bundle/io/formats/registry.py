@@ -131,8 +131,7 @@ BUILT_IN = (
     ),
 )
 
-FOLDERS = frozenset({"colmap", "colmap-text", "opensfm"})
-"""Formats whose output is a folder."""
+FOLDERS = frozenset({"colmap", "colmap-text", "opensfm"})  # formats whose output is a folder
 
 
 def names_read() -> str:

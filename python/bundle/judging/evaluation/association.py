@@ -32,8 +32,7 @@ from bundle.georeference.text_lines import last_part
 from bundle.model.pose_table import PoseTable
 from bundle.model.sequence.sequence import other_unit
 
-FEWEST = 3
-"""Number of shared poses that an alignment needs."""
+FEWEST = 3  # number of shared poses that an alignment needs
 
 NANOSECONDS = 10**14
 """Whole numbers in names from which they are nanoseconds; as seconds, three million years."""

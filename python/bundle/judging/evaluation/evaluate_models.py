@@ -41,11 +41,9 @@ from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.model.pose_table import ErrorStatistics, PoseTable, absolute_errors, relative_errors
 from bundle.model.problem import Problem
 
-MOST_IMAGES = 300
-"""Number of images up to which sigmas "auto" computes the covariance of A."""
+MOST_IMAGES = 300  # number of images up to which sigmas "auto" computes the covariance of A
 
-METRIC = ("tum", "euroc", "kitti")
-"""Formats of trajectories, whose length unit is the metre."""
+METRIC = ("tum", "euroc", "kitti")  # formats of trajectories, whose length unit is the metre
 
 Compare: TypeAlias = "Source | PoseTable | PoseGraph | Trajectory"
 """A reconstruction in any form, a pose graph, a trajectory, other poses, or a path of these."""

@@ -61,16 +61,14 @@ from bundle.solving.prepare import prepare
 from bundle.solving.request import SolveRequest
 
 ANCHORS = 5
-RANK = 1e-12
-"""Eigenvalues of a scaled covariance below this are rounding errors."""
+RANK = 1e-12  # eigenvalues of a scaled covariance below this are rounding errors
 
 NOT_CONVERGED = "Not converged"
 """Beginning of the note of a covariance away from the minimum (``base.words.not_converged``)."""
 
 REFINED, FEW_STEPS = 0.025, 5
 """Decrease of the cost in sigma0^2 below which a parameter is at its minimum, and steps to it."""
-SAME_SCALE = 1.2
-"""Largest ratio of lengths of models with the same metric scale."""
+SAME_SCALE = 1.2  # largest ratio of lengths of models with the same metric scale
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

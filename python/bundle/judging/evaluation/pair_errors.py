@@ -49,17 +49,13 @@ from bundle.model.rigid_motions import quaternion_inverse, quaternion_multiply, 
 
 Array = NDArray[np.float64]
 
-THRESHOLDS = (1, 3, 5, 10, 30)
-"""Thresholds of AUC, RRA and RTA in degrees."""
+THRESHOLDS = (1, 3, 5, 10, 30)  # thresholds of AUC, RRA and RTA in degrees
 
-SAME_PLACE = 1e-9
-"""Baseline relative to the extent of the centres below which it has no direction."""
+SAME_PLACE = 1e-9  # baseline relative to the extent of the centres below which it has no direction
 
-MOST_IMAGES = 5000
-"""Number of images whose pairs are computed."""
+MOST_IMAGES = 5000  # number of images whose pairs are computed
 
-BLOCK = 100_000
-"""Pairs that are computed at once."""
+BLOCK = 100_000  # pairs that are computed at once
 
 Table = dict[str, float]
 
@@ -206,8 +202,7 @@ def _table(values: Array) -> Table:
 # votes with the other.
 
 
-SAME_KEYPOINT = 0.01
-"""Largest difference in x and y, in pixels, of keypoints with the same index."""
+SAME_KEYPOINT = 0.01  # largest difference in x and y, in pixels, of keypoints with the same index
 
 Indices = NDArray[np.int64]
 

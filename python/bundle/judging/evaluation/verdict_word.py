@@ -49,17 +49,14 @@ IDENTICAL = (1e-9, 1e-12, 1e-6)
 AGREES, CLOSE, CONTRADICTS = (0.01, 1.0), (0.05, 5.0), (0.5, 45.0)
 """Limits of the position error relative to the size, and of the rotation error in degrees."""
 
-EXPLAINED = 0.2
-"""Remaining share of an error below which its cause is a finding."""
+EXPLAINED = 0.2  # remaining share of an error below which its cause is a finding
 
 WORST_ANGLE = np.radians(1.0)
 """Uncertainty of the rotation about the line of the centres above which it is a finding."""
 
-SURE = 5.0
-"""Sigmas of the rotation of the alignment beyond which a rotation has another cause."""
+SURE = 5.0  # sigmas of the rotation of the alignment beyond which a rotation has another cause
 
-THIN = 0.2
-"""Ratio of width to length below which centres are near a line."""
+THIN = 0.2  # ratio of width to length below which centres are near a line
 
 MOST_NAMES = 3
 
@@ -261,8 +258,7 @@ def _near_line(given: Compared) -> Finding | None:
     )
 
 
-FAR = 3
-"""Sigmas beyond which a movement is not explained by the uncertainty."""
+FAR = 3  # sigmas beyond which a movement is not explained by the uncertainty
 
 WORDS = {
     "identical": "A and B are identical",

@@ -81,13 +81,10 @@ WEAK, WEAK_WITHOUT_FIELD = 1.75, 1.5
 WEAK_SPREADS, WEAK_ERRORS = 3.0, 5.0
 GAIN = 1.28
 """Least decrease of the squared errors, in its standard deviations, to suggest a shutter."""
-MOST_SQUARES = 2 / 3
-"""Least share of weak images in the sum of squares to suggest a loss."""
-HUBER = 2.5
-"""Scale of a loss for weak images, by the noise."""
+MOST_SQUARES = 2 / 3  # least share of weak images in the sum of squares to suggest a loss
+HUBER = 2.5  # scale of a loss for weak images, by the noise
 NAMED = 3
-LEFT = 0.01
-"""Share of a field that must be left for a test."""
+LEFT = 0.01  # share of a field that must be left for a test
 _ORDERS = {
     "": "the direction is not clear",
     "rows": "along the rows' order, as a rolling shutter does",

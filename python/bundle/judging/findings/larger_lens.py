@@ -47,14 +47,12 @@ from bundle.model.lenses.exact_image import exact_params
 from bundle.model.problem import Problem
 from bundle.model.rigid_motions import center_jacobians, cross_matrices
 
-SIGNIFICANT = 1e-4
-"""Probability of so large a T if the lens model is right."""
+SIGNIFICANT = 1e-4  # probability of so large a T if the lens model is right
 LARGEST_MODELS = ("OPENCV", "OPENCV_FISHEYE")
 """Models beyond these have terms that are not determined beside each other."""
 BY_TERM = 4.0
 MOST_LENSES = 4
-MOST_WORK = 150_000
-"""Work (``Measured.work``) up to which a step takes milliseconds."""
+MOST_WORK = 150_000  # work (``Measured.work``) up to which a step takes milliseconds
 
 Floats = NDArray[np.float64]
 

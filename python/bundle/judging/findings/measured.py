@@ -35,16 +35,12 @@ if TYPE_CHECKING:
 
 SMALLEST_SCALE = 0.01
 MOST_OBSERVATIONS = 200_000
-CHEAP_COVARIANCE = 100_000
-"""Work up to which a covariance takes tens of milliseconds."""
+CHEAP_COVARIANCE = 100_000  # work up to which a covariance takes tens of milliseconds
 CHEAP_ERRORS = 10_000
 """Work up to which standardized errors take 3 % of the time of a small `bundle refine`."""
-CLIP = 5.0
-"""Errors in units of s beyond which an observation is not used for lenses and images."""
-CELLS = 8
-"""Cells of an image per side, each with its own scale."""
-FEWEST = 30
-"""Number of errors from which a cell or an image has a scale of its own."""
+CLIP = 5.0  # errors in units of s beyond which an observation is not used for lenses and images
+CELLS = 8  # cells of an image per side, each with its own scale
+FEWEST = 30  # number of errors from which a cell or an image has a scale of its own
 
 Floats = NDArray[np.float64]
 

@@ -37,8 +37,7 @@ BEYOND = 6.0
 SHARE = 0.2
 EFFICIENT, SMALLEST = 2.4, 1.5
 """Scale of the Cauchy loss over the noise: the best one, and the largest that is suggested."""
-BOUNDED = ("cauchy", "tukey", "arctan")
-"""Losses whose influence vanishes for large errors."""
+BOUNDED = ("cauchy", "tukey", "arctan")  # losses whose influence vanishes for large errors
 FEWEST_OUTLIERS = 3
 FEWEST_OBSERVATIONS = 30
 

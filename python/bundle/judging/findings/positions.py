@@ -53,18 +53,15 @@ GROUPS = ((slice(0, 2), 1.3863, 0.72), (slice(2, 3), 0.4549, 1.17))
 of n residuals, times the root of n."""
 RATIO, ERRORS = 2.0, 3.0
 TENSION = 1.5
-UNKNOWN_SIGMA = 1e50
-"""Sigma of an axis without a measurement."""
-SMALLEST_CHANGE = 0.05
-"""Relative change of a sigma from which a command is given."""
+UNKNOWN_SIGMA = 1e50  # sigma of an axis without a measurement
+SMALLEST_CHANGE = 0.05  # relative change of a sigma from which a command is given
 OUTLIER = 5.0
 FEWEST = 6
 DRIFT, DRIFT_ERRORS = 0.09, 5.0
 LEFT = DRIFT / 3
 """Least remaining drift of the model solved with positions to suggest smaller sigmas."""
 RADIUS_FLAG = "--initial-trust-region-radius"
-DAMPED = (1.0, 0.01)
-"""Radii of the first step where longer steps go too far."""
+DAMPED = (1.0, 0.01)  # radii of the first step where longer steps go too far
 
 _NO_SOLVE = (
     "A solve without positions does not converge, so the cause is unknown: wrong positions, or a "
@@ -391,10 +388,8 @@ def _sigmas(priors: list[Any]) -> list[float]:
 
 FEWEST_REDUNDANT = 10.0
 MOST_ROUNDS = 8
-TOO_LARGE = 10.0
-"""Factor of the first round, on sigmas as the residuals show them."""
-SETTLED = 0.05
-"""Change of a standard deviation below which the rounds end."""
+TOO_LARGE = 10.0  # factor of the first round, on sigmas as the residuals show them
+SETTLED = 0.05  # change of a standard deviation below which the rounds end
 
 
 def sigma_factors(

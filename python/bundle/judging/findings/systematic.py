@@ -48,10 +48,8 @@ LENS_TERMS = ("r2", "r4", "r6", "t1", "t2", "a")
 IMAGE_TERMS = ("s", "a", "h")
 MOST_IMAGES = 100
 MOST_PER_IMAGE = 400
-LEFT = 0.05
-"""Remaining share of a field below which it counts as absorbed by poses and intrinsics."""
-FEWEST = 30
-"""Clean observations from which an image takes part."""
+LEFT = 0.05  # remaining share of a field below which it counts as absorbed by poses and intrinsics
+FEWEST = 30  # clean observations from which an image takes part
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]

@@ -34,8 +34,7 @@ ERRORS = 3.0
 SPREAD = {"heading": 1.17, "gravity": 0.72, "orientation": 0.56}
 """c_k: relative standard error of the median length, times the root of the number of images."""
 FEWEST = 6
-SMALLEST = 1.0
-"""Angle in degrees below which a measurement is not accused."""
+SMALLEST = 1.0  # angle in degrees below which a measurement is not accused
 
 SCALES = {
     "gravity": "--gravity-sigma-scale",

@@ -236,8 +236,7 @@ class _Run:
 # Observations with a sigma of their own have J and r divided by it.
 
 
-MEDIAN_OF_TWO = 2 * np.log(2.0)
-"""Median of the chi-square distribution of two degrees of freedom."""
+MEDIAN_OF_TWO = 2 * np.log(2.0)  # median of the chi-square distribution of two degrees of freedom
 
 _Floats = NDArray[np.float64]
 

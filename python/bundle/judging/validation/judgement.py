@@ -55,8 +55,7 @@ from bundle.model.problem import Problem
 from bundle.model.residuals import summarize_clipped
 from bundle.model.shutter_motion import can_roll
 
-MOST_REPEATED = 0.5
-"""Share of repeated measurements from which they take part in the decision."""
+MOST_REPEATED = 0.5  # share of repeated measurements from which they take part in the decision
 
 MOTION = "motion or rolling shutter: a lens per image would absorb it"
 

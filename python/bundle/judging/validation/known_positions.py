@@ -65,8 +65,7 @@ def _rms(residuals: np.ndarray) -> float:
 # leaves out observations beyond 8 times the median error and points with little parallax, which
 # hardly determine where a camera is.
 
-LARGEST_ERROR = 8.0
-"""Largest error of an observation, in medians of the errors."""
+LARGEST_ERROR = 8.0  # largest error of an observation, in medians of the errors
 
 SMALLEST_ANGLES = (5.0, 1.5)
 """Smallest parallax of a point in degrees: the first that leaves half of the observations."""

@@ -64,8 +64,7 @@ from bundle.model.point_elimination import SINGULAR, eliminate_points, part_of_o
 from bundle.model.problem import Problem
 from bundle.model.residuals import linearize
 
-FEWEST_OF_IMAGE = 30
-"""Number of observations that an image needs to take part."""
+FEWEST_OF_IMAGE = 30  # number of observations that an image needs to take part
 
 _SIGNIFICANT = 1e-4  # probability of a larger chi2 without motion
 _CONFIRMED = 0.05  # the same in the exact test

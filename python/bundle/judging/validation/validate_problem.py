@@ -27,8 +27,7 @@ if TYPE_CHECKING:
     from bundle.georeference.measurements import Prior
     from bundle.solving.constraints.rules import Rule
 
-FEWEST_HELD_OUT = 50
-"""Smallest number of held-out observations that can be compared."""
+FEWEST_HELD_OUT = 50  # smallest number of held-out observations that can be compared
 
 MOST_CANDIDATES = 100
 

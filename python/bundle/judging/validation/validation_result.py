@@ -303,8 +303,7 @@ class Validation(Displayed, Tabular):
         )
 
 
-RELEVANT_RATIO = 1.5
-"""Ratio of position sigmas that the headline mentions."""
+RELEVANT_RATIO = 1.5  # ratio of position sigmas that the headline mentions
 
 
 class Verdict(NamedTuple):

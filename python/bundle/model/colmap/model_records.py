@@ -28,11 +28,9 @@ from bundle.model.problem_arrays import ProblemArrays
 from bundle.model.pycolmap.problem_source import is_colmap, source_records
 from bundle.model.rigid_motions import multiply_as_colmap
 
-MAX_POINT_ID = 2**63 - 1
-"""The largest point id: ids are stored as signed numbers here."""
+MAX_POINT_ID = 2**63 - 1  # the largest point id: ids are stored as signed numbers here
 
-NO_POINT = np.uint64(2**64 - 1)
-"""Point id of a keypoint without a point."""
+NO_POINT = np.uint64(2**64 - 1)  # point id of a keypoint without a point
 
 
 @dataclass(frozen=True, kw_only=True)

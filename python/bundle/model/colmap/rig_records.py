@@ -32,8 +32,7 @@ from bundle.model.colmap.source_records import (
 )
 from bundle.model.problem_arrays import ProblemArrays
 
-MAX_ID = 2**32 - 2
-"""COLMAP's largest id; the next number marks a missing id."""
+MAX_ID = 2**32 - 2  # COLMAP's largest id; the next number marks a missing id
 
 _Rigs = dict[int, list[Sensor]]
 _Frames = dict[int, Frame]

@@ -19,8 +19,7 @@ from bundle.base.records import dataclass
 from bundle.errors import InputError
 from bundle.model.problem_arrays import ProblemArrays
 
-CAMERA = 0
-"""Sensor type of a camera; 1 is an IMU."""
+CAMERA = 0  # sensor type of a camera; 1 is an IMU
 
 Pose = tuple[float, ...]
 """Pose qx qy qz qw tx ty tz."""

@@ -152,11 +152,9 @@ def _lens(model: str, params: NDArray[np.float64]) -> _Lens:
 
 MAX_ITERATIONS = 60
 MAX_HALVINGS = 12
-MAX_STEP = 0.3
-"""Largest step in radians."""
+MAX_STEP = 0.3  # largest step in radians
 
-PRECISION = 1e-9
-"""Largest distance of a ray's projection from its pixel, in focal lengths."""
+PRECISION = 1e-9  # largest distance of a ray's projection from its pixel, in focal lengths
 
 
 def pixel_rays(

@@ -47,8 +47,7 @@ from bundle.model.lenses.exact_image import (
     pixel_rays,
 )
 
-GRID = 24
-"""Pixels along each side of the grid."""
+GRID = 24  # pixels along each side of the grid
 
 FEWEST_OBSERVATIONS = 30
 
@@ -143,11 +142,9 @@ def _grid(
 
 MAX_ITERATIONS = 200
 
-TOLERANCE = 1e-6
-"""Relative decrease of the cost below which the fit has converged."""
+TOLERANCE = 1e-6  # relative decrease of the cost below which the fit has converged
 
-SMALLEST = 1e-6
-"""Negligible error in pixels."""
+SMALLEST = 1e-6  # negligible error in pixels
 
 _STARTS: dict[str, tuple[tuple[float, ...], ...]] = {
     "omega": ((0.1,), (0.5,), (0.9,), (1.5,)),

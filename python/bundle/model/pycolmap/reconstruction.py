@@ -221,8 +221,7 @@ def _pixels_and_points(
 
 
 _IMAGES_PER_FILE = 64
-_RECORD = np.dtype([("xy", "<f8", 2), ("point_id", "<u8")])
-"""Keypoint in COLMAP's images.bin."""
+_RECORD = np.dtype([("xy", "<f8", 2), ("point_id", "<u8")])  # keypoint in COLMAP's images.bin
 
 
 def records_of(keypoints: list[pycolmap.Point2DList]) -> list[NDArray[Any]]:

@@ -384,8 +384,7 @@ def _expression(method: FactorGraphMethod) -> str:
     return f"graph.solve({words})"
 
 
-NEAR_ENOUGH = 1.15
-"""Factor of the shortest time within which methods count as equally fast."""
+NEAR_ENOUGH = 1.15  # factor of the shortest time within which methods count as equally fast
 
 COST_TOLERANCE = 1e-6
 """Relative distance to the best final cost within which solutions count as equally good."""

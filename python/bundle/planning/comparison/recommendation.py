@@ -58,8 +58,7 @@ from bundle.planning.inspection.inspection_result import Inspection
 # of the sum bounds all other parameters, for a covariance without the observations of these points.
 
 
-SAME = 1.0
-"""Distance in sigmas up to which two solutions are at the same minimum."""
+SAME = 1.0  # distance in sigmas up to which two solutions are at the same minimum
 
 Refine = Callable[[Run, Path], WorkerEnd]
 
@@ -138,8 +137,7 @@ def _minima(
     return numbers
 
 
-MOST_POINTS = 0.002
-"""Largest share of points that are left out."""
+MOST_POINTS = 0.002  # largest share of points that are left out
 
 LEAST_SIGMA0 = 1e-3
 """Least sigma0. Data without noise would make rounding errors many sigmas."""

@@ -39,8 +39,7 @@ FEATURES = (
     *("dense_step", "dense_entry", "dense_flop"),
 )
 
-FLOPS_OF_PANELS = 40.0
-"""Flops per nonzero of L from which CHOLMOD factorises by panels."""
+FLOPS_OF_PANELS = 40.0  # flops per nonzero of L from which CHOLMOD factorises by panels
 
 FIRST_SAMPLE, LARGEST_SAMPLE = 16, 5000
 """Factors of a kind that are timed."""

@@ -35,11 +35,9 @@ from bundle.base.paths import cache_folder, write_cached
 from bundle.base.records import dataclass
 from bundle.planning.inspection.peak_memory import Terms
 
-KERNELS = 4
-"""Number of the generation of kernels; rates of earlier ones are measured anew."""
+KERNELS = 4  # number of the generation of kernels; rates of earlier ones are measured anew
 
-ATTEMPTS = 3
-"""Calibrations after which rates that do not fit are used once, without caching them."""
+ATTEMPTS = 3  # calibrations after which rates that do not fit are used once, without caching them
 
 LARGEST_MISFIT = 0.6
 """Root mean square of the relative errors, above which rates do not fit their solves."""

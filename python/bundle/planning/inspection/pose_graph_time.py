@@ -49,8 +49,7 @@ EDGE_BYTES, POSE_BYTES = {3: 100.0, 6: 290.0}, {3: 100.0, 6: 250.0}
 EDGES_OF_A_THREAD = 70_000
 """Edges, weighted by the square of their coordinates, per thread (``pose_graph_problem.cpp``)."""
 
-PASSES = 4
-"""Passes of a step over the values of the factor."""
+PASSES = 4  # passes of a step over the values of the factor
 
 FEATURES = (
     *("step", "edge_3", "edge_6", "pose_3", "pose_6", "update", "row_block"),

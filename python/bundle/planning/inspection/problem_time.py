@@ -58,8 +58,7 @@ PRODUCTS_PER_STEP, PRODUCTS_WITH_TWO_LEVELS = 200, 80
 most of them in late steps; with two levels from 2 to 100 (cpp/core/prepare/choose_solver.cpp).
 """
 
-POWER_SERIES_PRODUCTS = 6
-"""Products of one iteration with the power series as preconditioner."""
+POWER_SERIES_PRODUCTS = 6  # products of one iteration with the power series as preconditioner
 
 _MOST_PASSES, _PASSES_OF_FULL_SYSTEM = 240.0, 30.0
 """Assumed passes over the observations per step without S, as in choose_solver.cpp."""

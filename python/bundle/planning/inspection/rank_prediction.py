@@ -52,11 +52,9 @@ from bundle.planning.inspection.problem_pattern import BlockPattern, find_patter
 from bundle.solving.layout import resolve_defaults
 from bundle.solving.ranks.partition import divide
 
-NETWORK = (10.0, 50.0)
-"""Assumed network: 10 Gbit/s Ethernet with 50 microseconds of latency."""
+NETWORK = (10.0, 50.0)  # assumed network: 10 Gbit/s Ethernet with 50 microseconds of latency
 
-PROCESS = 62e6
-"""Bytes of a process without a problem: Python, NumPy, the core and its threads, MPI."""
+PROCESS = 62e6  # bytes of a process without a problem: Python, NumPy, the core and its threads, MPI
 
 COLMAP = 85.0
 """Bytes per observation of the files of a COLMAP model and their index."""
@@ -199,8 +197,7 @@ def _bytes_of(problem: Problem) -> int:
     return sum(array.nbytes for array in arrays if isinstance(array, np.ndarray))
 
 
-PAYS = 0.5
-"""Smallest efficiency at which more processes are useful."""
+PAYS = 0.5  # smallest efficiency at which more processes are useful
 
 _WHY = {
     "first": "all wait while rank 0 solves the reduced system",

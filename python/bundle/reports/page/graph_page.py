@@ -86,8 +86,7 @@ ORDERS = (
 
 STEPPED = ("natural", "reverse", "minimum_degree", *ORDERINGS[1:])
 
-MOST_DRAWN = 20_000
-"""Largest number of poses whose matrix and factors are drawn."""
+MOST_DRAWN = 20_000  # largest number of poses whose matrix and factors are drawn
 
 
 def write_graph_structure(

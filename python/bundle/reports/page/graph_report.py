@@ -50,11 +50,9 @@ from bundle.reports.terminal.graph_headline import (
     kinds_of,
 )
 
-MOST_EDGES = 15
-"""Number of edges with the largest chi2 in the table."""
+MOST_EDGES = 15  # number of edges with the largest chi2 in the table
 
-MOST_DRAWN = 5
-"""Number of edges with the largest chi2 in figures."""
+MOST_DRAWN = 5  # number of edges with the largest chi2 in figures
 
 
 def write_graph_report(
@@ -279,8 +277,7 @@ def _positions(graph: PoseGraph) -> np.ndarray:
 MOST_FRAMES = 1500
 MOST_POINTS, MOST_LINES = 60_000, 60_000
 
-FIELD = 0.4
-"""Tangent of half the drawn field of view."""
+FIELD = 0.4  # tangent of half the drawn field of view
 
 
 def graph_scene(facts: GraphFacts, drawn: DrawnGraph) -> tuple[str, dict[str, Any] | None]:

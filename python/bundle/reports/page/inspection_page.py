@@ -46,8 +46,7 @@ STEPPED = ("natural", "minimum_degree")
 MOST_EDGES = 1500
 # Number of methods that are shown; the other methods are folded away.
 ROWS_SHOWN = 5
-FULL = 0.95
-"""Share of nonzeros in S from which its drawings under all orders look the same."""
+FULL = 0.95  # share of nonzeros in S from which its drawings under all orders look the same
 
 
 def write_inspection(

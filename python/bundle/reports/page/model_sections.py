@@ -146,8 +146,7 @@ def _value(value: object) -> str:
 ROWS = 12
 
 
-ROWS_OPEN = 20
-"""Number of control points up to which their table is open."""
+ROWS_OPEN = 20  # number of control points up to which their table is open
 _UNKNOWN = (math.nan, math.nan)
 CE90, LE90 = 1.5175, 1.6449
 """90 % quantiles of normal errors over their RMS: of the horizontal length, and of a height."""
@@ -266,8 +265,7 @@ def structure_section(
     )
 
 
-MOST_LENSES = 200
-"""Number of cameras whose curves and focal lengths are drawn."""
+MOST_LENSES = 200  # number of cameras whose curves and focal lengths are drawn
 
 Sigmas = Mapping[int, NDArray[np.float64]]
 

@@ -112,14 +112,11 @@ def _facts(field: ResidualField) -> str:
     return facts + "."
 
 
-SHAPE = 0.02
-"""Relative difference up to which two aspect ratios count as equal."""
+SHAPE = 0.02  # relative difference up to which two aspect ratios count as equal
 
 NUM_WORST = 6
-MOST_CLICKED = 400
-"""Number of images whose residuals a click on their camera shows."""
-MOST_VECTORS = 16_000
-"""Number of residuals in the data of all images, at most 120 of an image."""
+MOST_CLICKED = 400  # number of images whose residuals a click on their camera shows
+MOST_VECTORS = 16_000  # number of residuals in the data of all images, at most 120 of an image
 WIDTHS = (520, 400, 320, 240, 180)
 BYTES_PER_PIXEL = 0.35
 """Size of a photograph as a data: URI, roughly, per pixel of the square around it."""
@@ -230,8 +227,7 @@ def _fits(picture: Photograph, image: ImageResiduals) -> bool:
 
 
 MOST_ELLIPSOIDS = 400
-LARGE = 0.02
-"""Median half axis of the drawn ellipsoids, in units of the view."""
+LARGE = 0.02  # median half axis of the drawn ellipsoids, in units of the view
 
 
 def certainty_sections(

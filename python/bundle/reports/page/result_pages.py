@@ -157,11 +157,9 @@ def _alarms(result: OdometryResult) -> Section:
     return Section(title="Alarms", tables=[Table.of(head, rows, most=ROWS)])
 
 
-MOST_COLUMNS = 24
-"""Number of columns of a map of errors; further right columns are left out."""
+MOST_COLUMNS = 24  # number of columns of a map of errors; further right columns are left out
 MOST_ROWS = 40
-MOST_FACTORS = 5
-"""Number of factors with a map and curves, one per finding."""
+MOST_FACTORS = 5  # number of factors with a map and curves, one per finding
 
 READING = (
     "Each curve is the distance of the central difference D(h) = (r(x + h) - r(x - h)) / 2h, "

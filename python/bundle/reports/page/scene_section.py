@@ -17,8 +17,7 @@ from bundle.figures.marks import short
 from bundle.figures.scene_view import SceneView
 from bundle.reports.page.page import asset, tag
 
-FRUSTUM = 0.08
-"""Depth of a drawn camera, relative to the extent of the scene."""
+FRUSTUM = 0.08  # depth of a drawn camera, relative to the extent of the scene
 
 MANY = 50
 

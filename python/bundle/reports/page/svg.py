@@ -28,8 +28,7 @@ from bundle.figures.marks import (
 from bundle.reports.page.page import tag
 from bundle.reports.page.svg_planes import cells, plane, scale
 
-COLOURS = 10
-"""Colours of a page, ``--c0`` and so on."""
+COLOURS = 10  # colours of a page, ``--c0`` and so on
 
 
 def bars(mark: Bars) -> str:
@@ -117,8 +116,7 @@ def _row(name: str, bar: str, words: str) -> list[str]:
 WIDTH, HEIGHT = 480, 320
 LEFT, RIGHT, TOP, BOTTOM = 58, 12, 10, 44
 DASHES = (None, "7 4", "2 3", "9 3 2 3")
-LETTER = 7.4
-"""Width of one letter of a label."""
+LETTER = 7.4  # width of one letter of a label
 
 
 def draw(figure: Figure, heading: str = "h3") -> str:

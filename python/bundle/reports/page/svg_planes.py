@@ -181,8 +181,7 @@ def scale(mark: Any) -> str:
 CORNERS = np.array([(0.5, 0.5), (1.5, 0.5), (1.5, 1.5), (0.5, 1.5)])
 """Middles of the four cells of the first square, clockwise from top left."""
 
-TURN = 2.4
-"""Angle in radians between the labels of successive contours, about the golden angle."""
+TURN = 2.4  # angle in radians between the labels of successive contours, about the golden angle
 
 # Sides are 0 top, 1 right, 2 bottom, 3 left; corners count 1, 2, 4, 8 clockwise from top left.
 _SIDES: dict[int, tuple[tuple[int, int], ...]] = {

@@ -45,8 +45,7 @@ from bundle.solving.result import Result
 
 MARKS = {"good": "✓", "attention": "!", "problem": "✕", "unknown": "?"}
 SEVERE = ("problem", "attention")
-FLAT = 2.0
-"""Parallax in degrees below which a point is uncertain in depth."""
+FLAT = 2.0  # parallax in degrees below which a point is uncertain in depth
 
 
 @dataclass(frozen=True)

@@ -71,8 +71,7 @@ def checked(
 #
 # It contains only sigmas; the command writes the matrices to a file.
 
-MOST_CAMERAS = 10
-"""Number of listed cameras."""
+MOST_CAMERAS = 10  # number of listed cameras
 
 
 def uncertainties(
@@ -218,8 +217,7 @@ def _sigmas(covariances: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 MOST_EIGENVALUES = 4
-MOST_EDGES = 10
-"""Number of suspicious edges shown."""
+MOST_EDGES = 10  # number of suspicious edges shown
 
 SUSPICIOUS = (
     Column("suspicious edges", lambda one: f"{one.edge[0]} {one.edge[1]}"),
@@ -277,8 +275,7 @@ def diagnosed(
     )
 
 
-MOST_ROWS = 20
-"""Number of rows of a table of reliability."""
+MOST_ROWS = 20  # number of rows of a table of reliability
 
 _PERCENT = "{:.0%}".format
 

@@ -114,11 +114,9 @@ def written(output: dict[str, str] | None) -> tuple[str, str]:
     return "output", f"{shown(output['path'])} ({format_name(output['format'])})"
 
 
-MOST_ROWS = 20
-"""Number of listed sensors."""
+MOST_ROWS = 20  # number of listed sensors
 
-MOST_SENSORS = 8
-"""Number of sensors whose changes are shown."""
+MOST_SENSORS = 8  # number of sensors whose changes are shown
 
 
 SENSORS = (

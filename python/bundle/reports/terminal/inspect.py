@@ -344,8 +344,7 @@ def _needs(needs: ProblemNeeds) -> Section:
 # Largest number of steps, and of members of a step, that a terminal shows.
 MOST_STEPS, MOST_MEMBERS = 100, 8
 
-SHORT = 12
-"""Number of steps up to which they are shown without --verbose."""
+SHORT = 12  # number of steps up to which they are shown without --verbose
 
 
 def inspected_steps(path: str, graph: GraphInspection, wall_time: float) -> Report:

@@ -387,8 +387,7 @@ def synthesized(
     )
 
 
-MOST_IMAGES = 10
-"""Number of listed positions, those with the largest errors first."""
+MOST_IMAGES = 10  # number of listed positions, those with the largest errors first
 
 
 def alignment(

@@ -39,14 +39,11 @@ from bundle.reports.terminal.solve_data import (
     wall_section,
 )
 
-MOST_REJECTED = 20
-"""Number of rejected edges shown."""
+MOST_REJECTED = 20  # number of rejected edges shown
 
-MOST_EDGES = 5
-"""Number of edges with the largest chi2 shown."""
+MOST_EDGES = 5  # number of edges with the largest chi2 shown
 
-MOST_BAD = 10
-"""Number of listed edges with invalid information."""
+MOST_BAD = 10  # number of listed edges with invalid information
 
 
 _LINE = Column("line", lambda edge: edge.line or "-")

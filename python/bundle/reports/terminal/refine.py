@@ -49,8 +49,7 @@ if TYPE_CHECKING:
 
 OPTIONAL = ("rounds", "tracks", "held_out", "part", "constraints")
 """Entries of the JSON report that exist if the result has such records."""
-MOST_CAMERAS = 5
-"""Number of cameras whose changes are shown."""
+MOST_CAMERAS = 5  # number of cameras whose changes are shown
 
 
 def refinement(

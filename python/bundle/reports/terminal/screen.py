@@ -16,8 +16,7 @@ from bundle.reports.sections import Report, Section, Table
 MOST_FINDINGS, MOST_WARNINGS = 3, 2
 """Numbers of findings and of warnings that are shown without --verbose."""
 
-MOST_LINES = 25
-"""Number of lines without --verbose, beyond which fewer findings are shown."""
+MOST_LINES = 25  # number of lines without --verbose, beyond which fewer findings are shown
 
 
 def laid_out(

@@ -158,8 +158,7 @@ def _stage(name: str, time: float, total: float) -> tuple[str, str, str, str]:
     return name, seconds(time), "", share(time, total)
 
 
-MOST_ROWS = 8
-"""Number of listed priors, bounds and ties."""
+MOST_ROWS = 8  # number of listed priors, bounds and ties
 
 
 BOUNDS = (
@@ -246,8 +245,7 @@ TIES = (
 )
 
 
-MOST_CLOSURES = 10
-"""Number of closures shown, the rejected ones first."""
+MOST_CLOSURES = 10  # number of closures shown, the rejected ones first
 
 
 _short = "{:.3g}".format

@@ -38,8 +38,7 @@ from bundle.solving.constraints.rules import SHAPES, Bounds, Fixed, On, Prior, R
 if TYPE_CHECKING:
     from bundle.graphs.factors.factors import Factor
 
-MOST_ON_A_PLANE = 1000
-"""Points of an estimated plane, whose distances all depend on each other."""
+MOST_ON_A_PLANE = 1000  # points of an estimated plane, whose distances all depend on each other
 PARTS = {"rotation": HELD_ROTATION, "position": HELD_POSITION}
 
 

@@ -16,8 +16,7 @@ from bundle.base.records import dataclass
 from bundle.errors import InputError, brief
 from bundle.model.problem_keys import MOST_IDS, id_range
 
-TARGETS = ("camera", "image", "point")
-"""Kinds of variables that rules can name."""
+TARGETS = ("camera", "image", "point")  # kinds of variables that rules can name
 SHAPES = {"plane": ((4, 0), slice(3)), "level plane": ((0,), slice(3)), "line": ((6,), slice(3, 6))}
 """Shapes on which points lie: how many numbers they have (0: estimated), and the axis in these."""
 POSES = ("position", "rotation")

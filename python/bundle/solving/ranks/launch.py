@@ -74,8 +74,7 @@ def _number(names: tuple[str, ...], default: int) -> int:
 #
 # Processes on machines other than mpirun's print nothing.
 
-PARENTS = ("mpirun", "prterun")
-"""Names of the process that is the parent on mpirun's machine."""
+PARENTS = ("mpirun", "prterun")  # names of the process that is the parent on mpirun's machine
 
 
 def begin() -> None:

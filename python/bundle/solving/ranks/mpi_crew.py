@@ -19,8 +19,7 @@ from bundle.solving.ranks.crew import Job, PartOfOutput, Ranks
 from bundle.solving.ranks.divided_solve import work_on
 
 BETWEEN_LOOKS = 0.01
-DELIVERY = 0.5
-"""Seconds that mpirun has to forward a line before it ends all ranks."""
+DELIVERY = 0.5  # seconds that mpirun has to forward a line before it ends all ranks
 GRACE = 3.0
 """Seconds in which rank 0 may end all ranks with its own line, which is often the same line."""
 

@@ -33,8 +33,7 @@ if TYPE_CHECKING:
 NOT_DECISIVE = ("num_threads", "check_solution")
 
 _ROWS = ("points", "point_ids", "observation_sigma")
-_BLOCK = 1 << 18
-"""Number of rows that are hashed at a time."""
+_BLOCK = 1 << 18  # number of rows that are hashed at a time
 
 _Sums = NDArray[np.uint64]
 

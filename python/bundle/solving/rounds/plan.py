@@ -45,8 +45,7 @@ from bundle.solving.layout import Layout, lay_out
 if TYPE_CHECKING:
     from bundle.solving.result import Result
 
-BEYOND = 6.0
-"""Size of an outlier, by the noise."""
+BEYOND = 6.0  # size of an outlier, by the noise
 
 _Mask = NDArray[np.bool_]
 _Floats = NDArray[np.float64]

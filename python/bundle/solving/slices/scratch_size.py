@@ -5,8 +5,7 @@ from __future__ import annotations
 from bundle.base.words import format_size
 from bundle.errors import InputError, shown
 
-RESIDENT_BYTES = 1 << 30
-"""Bytes of the files in memory at a time."""
+RESIDENT_BYTES = 1 << 30  # bytes of the files in memory at a time
 
 
 def scratch_bytes(num_observations: int, num_points: int) -> float:
