@@ -128,6 +128,14 @@ def classes(dataclass):
 
 
 OURS, ORACLE = classes(records.dataclass), classes(dataclasses.dataclass)
+
+
+@pytest.fixture(params=[-1, 10**9], ids=["compiled", "not compiled"], autouse=True)
+def new_classes(request, monkeypatch):
+    monkeypatch.setattr(records, "MOST_USES", request.param)
+    monkeypatch.setitem(globals(), "OURS", classes(records.dataclass))
+
+
 NAMES = sorted(vars(OURS))
 CALLS = [
     ("Point", (1,), {}),
@@ -255,6 +263,16 @@ def test_every_object_gets_its_own_made_value():
     assert OURS.Named(name="a").tags is not OURS.Named(name="a").tags
     assert OURS.Mixed(1).made is not OURS.Mixed(1).made
     assert OURS.Named(name="a", tags=list).tags is list  # as the factory, but given
+
+
+def test_a_constructor_is_compiled_if_it_is_used_often(monkeypatch):
+    monkeypatch.setattr(records, "MOST_USES", 3)
+    constructor = vars(OURS.Mixed)["__init__"]
+    made = [OURS.Mixed(k, key="l") for k in range(3)]
+    assert vars(OURS.Mixed)["__init__"] is constructor
+    made.append(OURS.Mixed(3, key="l"))
+    assert inspect.isfunction(vars(OURS.Mixed)["__init__"])
+    assert [vars(one) for one in made] == [vars(ORACLE.Mixed(k, key="l")) for k in range(4)]
 
 
 def test_a_class_of_the_standard_library_derives_from_ours():

@@ -1,7 +1,7 @@
 """``dataclass`` of the standard library, but frozen classes are defined twice as fast.
 
 The standard decorator compiles up to six methods of a frozen class: 21 of the 150 ms of a small
-refinement. Here only the constructor is compiled, on its first use; all frozen classes share the
+refinement. Here only the constructor is compiled, if it is used often; all frozen classes share the
 other methods, which read the fields from the object. Signatures, results, messages and errors are
 the same, but for InitVar, which is refused. Classes with other options, such as slots, are left to
 the standard library.
@@ -9,8 +9,9 @@ the standard library.
 
 from __future__ import annotations
 
+import copy
 import dataclasses
-import sys
+from functools import partial
 from reprlib import recursive_repr
 from typing import TYPE_CHECKING, Any
 
@@ -107,55 +108,54 @@ def _check_free(record: Any, name: str, action: str) -> None:
         raise dataclasses.FrozenInstanceError(f"cannot {action} field {name!r}")
 
 
-class _Made:
-    """Placeholder for the default of a field with a default factory."""
-
-    def __repr__(self) -> str:
-        return "<factory>"
+MOST_USES = 10
+"""Uses of a constructor before it is compiled, which takes as long as 50 of them."""
 
 
 class _Constructor:
-    """``__init__`` of a class until its first use."""
+    """``__init__`` of a class until it is compiled."""
 
     def __init__(self, kind: Any) -> None:
         self._kind = kind
+        self._uses = 0
 
     def __get__(self, record: Any, kind: Any = None) -> Any:
-        self._kind.__init__ = function = _constructor(self._kind)
-        return function.__get__(record, kind)
+        self._uses += 1
+        if record is None or self._uses > MOST_USES:
+            return self._compiled().__get__(record, kind)
+        return partial(self._set, record)
 
+    def _set(self, record: Any, /, *places: Any, **given: Any) -> None:
+        fields = dataclasses.fields(self._kind)
+        names = (field.name for field in fields if field.init and not field.kw_only)
+        values = dict(zip(names, places, strict=False)) | given
+        is_wrong = len(values) < len(places) + len(given)
+        for field in fields:
+            if field.init and field.name in values:
+                value = values.pop(field.name)
+            elif field.default_factory is not dataclasses.MISSING:
+                value = field.default_factory()
+            elif field.init and field.default is not dataclasses.MISSING:
+                value = field.default
+            else:
+                is_wrong |= field.init
+                continue
+            object.__setattr__(record, field.name, value)
+        if is_wrong or values:
+            self._compiled()(record, *places, **given)  # raises the error
+        if hasattr(self._kind, "__post_init__"):
+            record.__post_init__()
 
-def _constructor(kind: Any) -> Any:
-    """Return an __init__ that sets the fields without calling __setattr__."""
-    places, keywords, body = ["self"], ["*"], ["pass"]
-    scope = {"_set": object.__setattr__, "_made": _Made()}
-    fields = dataclasses.fields(kind)
-    for field in fields:
-        value, default = field.name, ""
-        if field.default_factory is not dataclasses.MISSING:
-            new, default = f"_new_{field.name}", "=_made"
-            scope[new] = field.default_factory
-            value = f"{new}() if {value} is _made else {value}" if field.init else f"{new}()"
-        elif field.default is not dataclasses.MISSING:
-            default = f"=_default_{field.name}"
-            scope[default[1:]] = field.default
-        if field.init:
-            (keywords if field.kw_only else places).append(field.name + default)
-        if field.init or value != field.name:
-            body.append(f"_set(self, {field.name!r}, {value})")
-    if hasattr(kind, "__post_init__"):
-        body.append("self.__post_init__()")
-    parameters = ", ".join(places + (keywords if len(keywords) > 1 else []))
-    inner = f" def __init__({parameters}):\n  " + "\n  ".join(body)
-    space: dict[str, Any] = {}
-    # The function has the names of its module, in which its annotations are resolved.
-    exec(
-        f"def define({', '.join(scope)}):\n{inner}\n return __init__",
-        vars(sys.modules[kind.__module__]),
-        space,
-    )
-    function = space["define"](**scope)
-    function.__qualname__ = f"{kind.__qualname__}.__init__"
-    given = {field.name: field.type for field in fields if field.init}
-    function.__annotations__ = given | {"return": None}
-    return function
+    def _compiled(self) -> Any:
+        """Return the constructor of a class of the standard library with the same fields."""
+        kind, fields = self._kind, dataclasses.fields(self._kind)
+        kept = ("__doc__", "__module__", "__post_init__")
+        space = {name: getattr(kind, name) for name in kept if hasattr(kind, name)}
+        space |= {field.name: copy.copy(field) for field in fields}  # the decorator changes them
+        space["__annotations__"] = {field.name: field.type for field in fields}
+        same: Any = dataclasses.dataclass(frozen=True, repr=False, eq=False)(
+            type("_Same", (), space)
+        )
+        kind.__init__ = function = same.__init__
+        function.__qualname__ = f"{kind.__qualname__}.__init__"
+        return function
