@@ -28,8 +28,12 @@ from bundle.reports.terminal.inputs import (
 from bundle.reports.terminal.solve_data import (
     WallTime,
     before_and_after,
+    constraint_sections,
+    contradicted_rule,
     environment_data,
     factor_fact,
+    loops_section,
+    process_sections,
     result_data,
     round_tables,
     wall_section,
@@ -44,7 +48,6 @@ if TYPE_CHECKING:
     from bundle.graphs.loops.loop_closing import LoopClosing
     from bundle.inertial.offline.inertial_result import InertialAdjustment
     from bundle.interface.finding import Finding
-    from bundle.interface.summary import ProcessRecord
     from bundle.solving.measured_result import RestRecord
 
 OPTIONAL = ("rounds", "tracks", "held_out", "part", "constraints")
@@ -71,21 +74,21 @@ def refinement(
     """Return the report on one solve; ``output`` is None if nothing was written."""
     sigmas = readout_sigma or {}
     summary, changes = solved.summary, camera_changes(solved)
-    warnings = (*(edits.warnings if edits else ()), *summary.warnings)
+    warnings = (*(edits.warnings if edits else ()), *contradicted_rule(solved), *summary.warnings)
     first, last = ([], []) if inertial is None else inertial.headline
     details = [
         Section(facts=_facts(path, problem, solved, edits)),
-        *([] if closed is None else _loops(closed)),
+        *([] if closed is None else [loops_section(closed)]),
         *(Section(tables=[table]) for table in round_tables(solved)),
         Section(tables=[before_and_after(solved)]),
         *_held_out(solved),
         *(section for errors in measured for section in displayed(errors.displays)),
         *_cameras(changes),
-        *_constraints(solved),
+        *constraint_sections(solved.constraints),
         *sensor_sections(sensor_changes(solved)),
         *worst_sections(solved.worst_images, "worst images, after"),
         wall_section(summary, wall),
-        *_processes(summary.processes),
+        *([] if summary.processes is None else process_sections(summary.processes)),
     ]
     about = result_data(solved)
     about["options"] |= more_options or {}
@@ -156,12 +159,6 @@ def _facts(
     ]
 
 
-def _loops(closed: LoopClosing) -> list[Section]:
-    from bundle.reports.terminal.solve_data import loops_section  # most solves close no loops
-
-    return [loops_section(closed)]
-
-
 def _held_out(solved: Result) -> list[Section]:
     held = solved.held_out
     if held is None:
@@ -186,14 +183,6 @@ def _held_out(solved: Result) -> list[Section]:
     return [Section(tables=[Table.of(head, rows)], notes=notes)]
 
 
-def _constraints(solved: Result) -> list[Section]:
-    if not solved.constraints:
-        return []
-    from bundle.reports.terminal.solve_data import constraint_sections  # most have none
-
-    return constraint_sections(solved.constraints)
-
-
 def _part(solved: Result) -> list[tuple[str, str]]:
     part = solved.part
     if part is None:
@@ -215,14 +204,6 @@ def _part(solved: Result) -> list[tuple[str, str]]:
         ("", adjusted),
         ("", f"{cameras} also serve constant images (--fix-cameras keeps their errors)"),
     ]
-
-
-def _processes(record: ProcessRecord | None) -> list[Section]:
-    if record is None:
-        return []
-    from bundle.reports.terminal.solve_data import process_sections  # only under mpirun
-
-    return process_sections(record)
 
 
 def _rest(rest: RestRecord) -> list[tuple[str, str]]:
