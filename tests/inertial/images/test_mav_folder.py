@@ -18,7 +18,7 @@ import yaml
 import bundle
 from bundle.cli.main import main
 from bundle.errors import InputError
-from bundle.io.sequences.grey_images import grey_images
+from bundle.io.sequences.grey_images import grey_images, images_of_files
 from bundle.io.sequences.recordings import read_mav
 from bundle.model.rigid_motions import rotation_matrices
 from tests.inertial.images.rendered_flight import CAMERA_FROM_IMU, NOISE, SMALL, Flight, render
@@ -153,7 +153,7 @@ def test_names_without_extension_and_16_bits(mav: Path) -> None:
     np.testing.assert_array_equal(after.sequence.xy, before.sequence.xy)
     path = mav / "twelve.png"
     cv2.imwrite(str(path), np.arange(4000, dtype=np.uint16).reshape(50, 80))
-    (grey,) = grey_images([path], None)
+    (grey,) = grey_images(images_of_files([path]), None)
     np.testing.assert_array_equal(grey.ravel(), np.arange(4000) // 16)
 
 

@@ -6,7 +6,7 @@ upper 8 bits: the first image decides.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -26,16 +26,39 @@ def require_opencv(purpose: str) -> None:
     require_package("cv2", "opencv-python-headless", purpose)
 
 
-def grey_images(paths: Sequence[Path], size: tuple[int, int] | None) -> Iterator[NDArray[np.uint8]]:
-    """Yield the images of files; one at a time is in memory.
+def grey_images(
+    images: Iterable[tuple[NDArray[Any], str]], size: tuple[int, int] | None
+) -> Iterator[NDArray[np.uint8]]:
+    """Yield the images of one camera with values of 8 bits; the first decides their scale.
 
-    ``size``: width and height of the calibration; None: unknown.
+    ``images``: grey values of 8 or 16 bits, and the place for messages. ``size``: width and height
+    of the calibration; None: those of the first image.
     """
-    scale = GreyScale()
+    shift: int | None = None
+    for image, place in images:
+        found = image.shape[1], image.shape[0]
+        if size is not None and found != size:
+            raise InputError(
+                f"{place}: expected {size[0]} x {size[1]} pixels as the calibration or the first "
+                f"image has, found {found[0]} x {found[1]}"
+            )
+        size = found
+        if image.dtype == np.uint8:
+            yield np.asarray(image, np.uint8)
+            continue
+        if image.dtype != np.uint16:
+            raise InputError(f"{place}: expected 8 or 16 bits per value, found {image.dtype}")
+        if shift is None:
+            shift = max(0, int(image.max()).bit_length() - 8)
+            if shift > 4:
+                shift = 8
+        yield np.asarray(np.minimum(image >> shift, 255), np.uint8)
+
+
+def images_of_files(paths: Sequence[Path]) -> Iterator[tuple[NDArray[Any], str]]:
+    """Yield the images of files with their paths; one at a time is in memory."""
     for path in paths:
-        image = decoded(path.read_bytes(), shown(path))
-        size = check_size(image, size, shown(path))
-        yield scale.grey(image)
+        yield decoded(path.read_bytes(), shown(path)), shown(path)
 
 
 def decoded(content: bytes, place: str) -> NDArray[Any]:
@@ -52,33 +75,3 @@ def decoded(content: bytes, place: str) -> NDArray[Any]:
     if image is None:
         raise InputError(f"{place}: expected an image, found a file that is none")
     return np.asarray(image)
-
-
-def check_size(image: NDArray[Any], size: tuple[int, int] | None, place: str) -> tuple[int, int]:
-    """Check that an image has the size of the calibration or of the first image; return it."""
-    found = image.shape[1], image.shape[0]
-    if size is not None and found != size:
-        raise InputError(
-            f"{place}: expected {size[0]} x {size[1]} pixels as the calibration or the first image "
-            f"has, found {found[0]} x {found[1]}"
-        )
-    return found
-
-
-class GreyScale:
-    """Conversion of the images of one camera to 8 bits; the first image decides the scale."""
-
-    def __init__(self) -> None:
-        self._shift: int | None = None
-
-    def grey(self, image: NDArray[Any]) -> NDArray[np.uint8]:
-        """Return an image with values of 8 bits."""
-        if image.dtype == np.uint8:
-            return np.asarray(image, np.uint8)
-        if image.dtype != np.uint16:
-            raise InputError(f"image: expected 8 or 16 bits per value, found {image.dtype}")
-        if self._shift is None:
-            self._shift = max(0, int(image.max()).bit_length() - 8)
-            if self._shift > 4:
-                self._shift = 8
-        return np.asarray(np.minimum(image >> self._shift, 255), np.uint8)

@@ -17,14 +17,8 @@ from bundle.base.records import dataclass
 from bundle.base.words import plural
 from bundle.errors import InputError, brief, first_line, shown
 from bundle.io.recognition import RECORDINGS, mav_root, sequence_at
-from bundle.io.sequences.grey_images import (
-    GreyScale,
-    check_size,
-    decoded,
-    grey_images,
-    require_opencv,
-)
-from bundle.io.sequences.recording_calibration import FoundCalibration, find_calibration, rostopic
+from bundle.io.sequences.grey_images import decoded, grey_images, images_of_files, require_opencv
+from bundle.io.sequences.recording_calibration import find_calibration, rostopic
 from bundle.io.sequences.trajectory_files import CsvTable, read_csv
 from bundle.model.sequence.calibration import read_yaml
 from bundle.model.sequence.sequence import Recording
@@ -117,7 +111,7 @@ def read_mav(
     table = shown(root / camera / "data.csv")
 
     def images(first: int, last: int) -> Iterator[NDArray[np.uint8]]:
-        return grey_images(files[first:last], found.size)
+        return grey_images(images_of_files(files[first:last]), found.size)
 
     return Recording(
         name=shown(given),
@@ -222,7 +216,7 @@ def read_video(
     found = find_calibration(calibration, [], [], camera, (stamps, samples.whole[:, 0]))
 
     def images(first: int, last: int) -> Iterator[NDArray[np.uint8]]:
-        return _images(path, found.size, first, last, count)
+        return grey_images(_images(path, first, last, count), found.size)
 
     def place(row: int) -> str:
         return f"{shown(path)}: frame {row + 1}" if frame_times is None else table.place(row)
@@ -281,12 +275,11 @@ def _frames(path: Path) -> tuple[int, float]:
     return count, float(rate)
 
 
-def _images(
-    path: Path, size: tuple[int, int] | None, first: int, last: int, count: int
-) -> Iterator[NDArray[np.uint8]]:
+def _images(path: Path, first: int, last: int, count: int) -> Iterator[tuple[NDArray[Any], str]]:
+    """Yield frames of a video, grey, with their places."""
     import cv2
 
-    scale, video = GreyScale(), _opened(path)
+    video = _opened(path)
     try:
         for number in range(last):
             if not video.grab():
@@ -301,8 +294,7 @@ def _images(
             if not decoded:
                 raise InputError(f"{shown(path)}: frame {number + 1}: expected an image")
             image: Any = cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY) if frame.ndim == 3 else frame
-            size = check_size(image, size, f"{shown(path)}: frame {number + 1}")
-            yield scale.grey(image)
+            yield image, f"{shown(path)}: frame {number + 1}"
     finally:
         video.release()
 
@@ -365,7 +357,9 @@ def read_bag(
         gyro=vectors[:, :3],
         accel=vectors[:, 3:],
         image_timestamps_ns=stamps,
-        images=lambda first, last: _images_of_bag(path, images, found, first, last),
+        images=lambda first, last: grey_images(
+            _images_of_bag(path, images, first, last), found.size
+        ),
         calibration=found.calibration,
         notes=(f"Topics: {images} and {imu}.", *note, *imu_note, *found.notes),
         imu_place=lambda row: f"{shown(path)}: {imu}: message {row + 1}",
@@ -449,9 +443,9 @@ def _stamps(
 
 
 def _images_of_bag(
-    path: Path, topic: str, found: FoundCalibration, first: int, last: int
-) -> Iterator[NDArray[np.uint8]]:
-    scale, size = GreyScale(), found.size
+    path: Path, topic: str, first: int, last: int
+) -> Iterator[tuple[NDArray[Any], str]]:
+    """Yield images of a topic, grey, with their places."""
     with _opened_bag(path) as bag:
         for number, (_, message) in enumerate(_messages(bag, topic)):
             if number >= last:
@@ -460,11 +454,9 @@ def _images_of_bag(
                 continue
             place = f"{shown(path)}: {topic}: message {number + 1}"
             if hasattr(message, "encoding"):
-                image = _grey(message, place)
+                yield _grey(message, place), place
             else:
-                image = decoded(np.asarray(message.data).tobytes(), place)
-            size = check_size(image, size, place)
-            yield scale.grey(image)
+                yield decoded(np.asarray(message.data).tobytes(), place), place
 
 
 def _grey(message: Any, place: str) -> NDArray[Any]:
