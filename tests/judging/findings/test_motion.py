@@ -69,7 +69,7 @@ def test_the_gain_is_that_of_a_solve_with_the_shutter(monkeypatch):
     pulled = Measured(whole=problem.replace(cam_from_world=poses), command=NextCommand())
     assert gain_of_shutter(pulled, "rows") == pytest.approx(gain, abs=0.2)
     # Neither a model that is too large for the step nor one that rolls already.
-    monkeypatch.setattr(images, "is_cheap", lambda _: False)
+    monkeypatch.setattr(images, "MOST_WORK", 0)
     assert gain_of_shutter(measured, "rows") == np.inf
     assert np.isnan(gain_of_shutter(Measured(whole=rolling, command=NextCommand()), "rows"))
 

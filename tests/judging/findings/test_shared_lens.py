@@ -91,6 +91,42 @@ def test_too_many_lenses_are_not_compared(monkeypatch):
     assert joint_statistic(measured(problem), group_of(problem)) is None
 
 
+def rational(differs):
+    """Solve with a FULL_OPENCV lens per image, equal but for k1, which differs by so much."""
+    made = bundle.synthesize(
+        scene="orbit", num_images=8, num_points=800, seed=3, pixel_noise=0.5, cameras="shared"
+    )
+    straight = bundle.change_camera_model(made.ground_truth, "FULL_OPENCV").problem
+    straight = bundle.split_cameras(straight)
+    params = straight.camera_params.copy()
+    params[:, 4:12] = (-0.2, 0.05, 0.0, 0.0, 0.02, 0.1, 0.0, 0.0)
+    params[:, 4] += differs * np.random.default_rng(3).standard_normal(len(params))
+    lenses = straight.replace(camera_params=params)
+    seen = straight.observation_xy + pixels(lenses) - pixels(straight)
+    problem = lenses.replace(observation_xy=seen)
+    return bundle.solve(problem, num_threads=1, max_num_iterations=300).problem
+
+
+@pytest.mark.parametrize(("differs", "ratios"), [(0.0, (0.0, 2.0)), (0.1, (4.0, 40.0))])
+def test_lenses_whose_distortion_is_a_ratio_are_compared_by_their_costs(
+    monkeypatch, differs, ratios
+):
+    problem = rational(differs)
+    group = group_of(problem)
+    statistic, degrees = joint_statistic(measured(problem), group)
+    assert degrees == 7 * 10
+    assert ratios[0] < statistic / degrees < ratios[1]
+    own = bundle.solve(problem, num_threads=1).summary.initial_cost
+    shared = bundle.share_cameras(problem)
+    one = bundle.solve(shared, max_num_iterations=300, num_threads=1).summary.final_cost
+    dof = 2 * problem.num_observations - 3 * problem.num_points - 8 * (6 + 10) + 7
+    assert statistic == pytest.approx((one - own) / own * dof, rel=0.02, abs=3.0)
+    # Coefficients on a curve: linear, even equal lenses seem to differ.
+    monkeypatch.setattr(module, "is_affordable", lambda _: False)
+    linear, _ = joint_statistic(measured(problem), group)
+    assert linear > 10 * degrees
+
+
 def advised(monkeypatch, problem, ratio, group=None, **more):
     """Return the finding for T / dof."""
     monkeypatch.setattr(module, "joint_statistic", lambda *_: (10 * ratio, 10))

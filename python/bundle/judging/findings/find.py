@@ -125,12 +125,8 @@ def _fields(
 def _findings(measured: Measured) -> Iterator[Finding | None]:
     """Yield the findings in stages; see repaired.py."""
     joint = weak_joint(measured.whole, TrackTable(measured.whole))
-    yield joint
-    yield duplicate_points(measured)
-    turned = wrong_attitudes(measured)
-    yield turned
-    offset = position_offset(measured)
-    yield offset
+    turned, offset = wrong_attitudes(measured), position_offset(measured)
+    yield from (joint, duplicate_points(measured), turned, offset)
     start = shifted_pixels(measured) or not_refined(measured)
     if start is not None:
         yield start

@@ -26,6 +26,9 @@ little costs less accuracy than a lens per image. On 1000 seeded flights and orb
 the smaller error of positions where T < 4 d, a lens per image where T > 4 d. Below 2 d the finding
 advises to share the lens; up to 4 d it reports a difference and advises held-out observations.
 Undetermined focal lengths, and those that drift by half of the limit below, are not compared.
+If distortion is a ratio of polynomials, many coefficients make nearly the same lens, along curves
+that leave their ellipsoids C (T / d of 6 and 12 for equal lenses). There T is the ratio of
+likelihoods, twice the cost that a solve with one lens adds, over the variance (0.9 and 1.2).
 
 Drift. In the weighted regression f_i = a + b t_i on the order t of the images, from -1 to 1, the
 gain b^2 / var b must exceed 30, and 30 times the Q / d that is left, and the change 2 b must be 2 %
@@ -36,6 +39,7 @@ times as high, except that of the advice to share: lenses that drift would bend 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,11 +51,13 @@ from bundle.base.words import named, noun, number, plural
 from bundle.errors import InputError
 from bundle.interface.finding import Finding
 from bundle.judging.findings.measured import Measured, newton_step
+from bundle.judging.findings.repaired import MOST_STEPS, TOLERANCE, is_affordable, solved
 from bundle.model.cameras import camera_models, param_kinds
 from bundle.model.problem import Problem
 
 UNDETERMINED, PRIOR = 0.05, 0.02
 EQUAL, PAYS = 2.0, 4.0
+RATIOS = ("FULL_OPENCV",)  # models whose distortion is a ratio of polynomials
 MOST_FUNCTIONS = 600
 """Parameters of a group whose joint covariance takes at most as long as a few steps."""
 DRIFT, DRIFT_STATISTIC = 0.02, 30.0
@@ -235,8 +241,25 @@ def joint_statistic(measured: Measured, group: FocalLengths) -> tuple[float, int
         return None
     scaled = found["functions"] / np.outer(sigma, sigma)
     whitened = np.linalg.solve(scaled, difference / sigma)
-    statistic = float(whitened @ (difference / sigma)) * dof / found["weighted_squares"]
+    variance = found["weighted_squares"] / dof
+    statistic = float(whitened @ (difference / sigma)) / variance
+    is_ratio = problem.camera_models[int(group.cameras[0])] in RATIOS and is_affordable(measured)
+    if is_ratio and statistic >= EQUAL * len(difference):
+        with suppress(InputError):  # sensors of a rig, or a rule about one of the cameras
+            statistic = min(statistic, 2.0 * _cost_of_one_lens(measured, group) / variance)
     return (statistic, len(difference)) if statistic >= 0 else None
+
+
+def _cost_of_one_lens(measured: Measured, group: FocalLengths) -> float:
+    """Return by how much a solve with one lens for a group ends above the cost of the model."""
+    from bundle.editing.camera_sharing import share_cameras  # few models need it
+
+    whole, priors = measured.whole, measured.priors
+    options = measured.options.replace(max_num_iterations=MOST_STEPS, function_tolerance=TOLERANCE)
+    shared = share_cameras(whole, whole.camera_ids[group.cameras].tolist(), keep_scale=True)
+    one = solved(measured, shared, options, priors).summary.final_cost
+    own = solved(measured, whole, options.replace(max_num_iterations=0), priors).summary
+    return max(one - own.initial_cost, 0.0)
 
 
 def focal_drift(measured: Measured, groups: Groups, *, is_jointed: bool = False) -> Finding | None:

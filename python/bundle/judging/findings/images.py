@@ -65,7 +65,7 @@ from bundle.base.records import dataclass
 from bundle.base.words import few, noun, number
 from bundle.errors import InputError, shown
 from bundle.interface.finding import Finding
-from bundle.judging.findings.larger_lens import Step, explains_more, is_cheap
+from bundle.judging.findings.larger_lens import MOST_WORK, Step, explains_more
 from bundle.judging.findings.lens_terms import LensField
 from bundle.judging.findings.measured import Measured, median_by_group
 from bundle.judging.findings.systematic import SystematicResiduals
@@ -314,7 +314,7 @@ def certain_gain(moved: Floats, present: Floats, rolling: Floats) -> float:
 
 
 def _has_step(measured: Measured) -> bool:
-    return is_cheap(measured) and "poses" in measured.options.refine
+    return measured.work <= MOST_WORK and "poses" in measured.options.refine
 
 
 def _rolling(measured: Measured, order: str) -> Step:

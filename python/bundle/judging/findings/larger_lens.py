@@ -66,9 +66,8 @@ def absorbed_lens(measured: Measured, *, has_hint: bool = False) -> Finding | No
     problem = measured.whole
     names = _extensions(measured)
     has_many = len(distinct(problem.image_camera)) > MOST_LENSES
-    if not is_cheap(measured) or not names or (has_many and not has_hint):
-        return None
-    if not measured.scale > SMALLEST_SCALE:  # exact observations
+    is_exact = not measured.scale > SMALLEST_SCALE
+    if is_exact or measured.work > MOST_WORK or not names or (has_many and not has_hint):
         return None
     try:
         return _found(measured, names)
@@ -98,11 +97,6 @@ def explains_more(measured: Measured, other: Step) -> bool:
         return False
     gains = [one.squared_distance - 2.0 * one.num_parameters for one in (step, other)]
     return gains[0] >= gains[1]
-
-
-def is_cheap(measured: Measured) -> bool:
-    """Return True if a step takes milliseconds."""
-    return measured.work <= MOST_WORK
 
 
 def _found(measured: Measured, names: list[str]) -> Finding | None:
@@ -227,11 +221,8 @@ class Step:
 
         With P = I - U U^T, the trace of P C P is that of C minus the variances of U^T c.
         """
-        by_pose, functions = (
-            self._center_by_pose,
-            self._functions(np.moveaxis(self._similarities, 2, 0)),
-        )
-        found = newton_step(*self._given, functions, of_poses=True)
+        by_pose, similarities = self._center_by_pose, np.moveaxis(self._similarities, 2, 0)
+        found = newton_step(*self._given, self._functions(similarities), of_poses=True)
         trace = np.einsum("nij,njk,nik->", by_pose, found["poses"], by_pose)
         trace -= np.trace(found["functions"])
         return math.sqrt(max(float(trace), 0.0) / len(by_pose) * self.variance)

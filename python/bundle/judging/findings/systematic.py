@@ -260,8 +260,7 @@ def remove(columns: Floats, base: Floats) -> Floats:
     """Return columns (n, 2, m) without their projections onto a base (n, 2, q)."""
     basis = orthonormal(base).reshape(2 * len(base), -1)
     flat = columns.reshape(2 * len(columns), -1)
-    left: Floats = (flat - basis @ (basis.T @ flat)).reshape(columns.shape)
-    return left
+    return np.asarray((flat - basis @ (basis.T @ flat)).reshape(columns.shape))
 
 
 def _lens_coordinates(problem: Problem, camera: Indices, xy: Floats) -> Floats:

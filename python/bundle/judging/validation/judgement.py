@@ -130,6 +130,7 @@ def judged(
         for k, fit in enumerate(fits)
     )  # fmt: skip
     words = verdict_of(records, decision, test, problem)
+    command = records[decision.recommended].command
     return Validation(
         candidates=records,
         recommended=decision.recommended,
@@ -137,10 +138,8 @@ def judged(
         present=words.present,
         verdict=words.verdict,
         headline=words.headline,
-        command=records[decision.recommended].command,
-        findings=_findings(
-            test, fits[decision.recommended], order, records[decision.recommended].command
-        ),
+        command=command,
+        findings=_findings(test, fits[decision.recommended], order, command),
         num_folds=num_folds,
         seed=seed,
         clip=clip,
@@ -194,15 +193,10 @@ def _reference(fits: Sequence[CandidateFit]) -> CandidateFit:
 def _largest_shared(fits: Sequence[CandidateFit], problem: Problem) -> CandidateFit | None:
     """Return the fit of the largest lens that images share; None if no images share a lens."""
     shared = [fit for fit in fits if not fit.error and len(_lenses(fit)) < problem.num_images]
-    if not shared:
-        return None
     return min(
         shared,
-        key=lambda fit: (
-            fit.candidate.loss == "trivial",
-            len(_lenses(fit)),
-            -_num_intrinsics(fit),
-        ),
+        key=lambda fit: (fit.candidate.loss == "trivial", len(_lenses(fit)), -_num_intrinsics(fit)),
+        default=None,
     )
 
 

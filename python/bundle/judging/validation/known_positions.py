@@ -148,5 +148,4 @@ def position_sigmas(problem: Problem, covariances: NDArray[np.float64]) -> NDArr
     """Return the sigma of each image's position from covariances (n, 6, 6) of poses."""
     jacobians = center_jacobians(problem.cam_from_world)
     spread = jacobians @ covariances @ jacobians.transpose(0, 2, 1)
-    sigmas: NDArray[np.float64] = np.sqrt(np.trace(spread, axis1=1, axis2=2) / 3)
-    return sigmas
+    return np.asarray(np.sqrt(np.trace(spread, axis1=1, axis2=2) / 3))
