@@ -157,6 +157,16 @@ def test_names_without_extension_and_16_bits(mav: Path) -> None:
     np.testing.assert_array_equal(grey.ravel(), np.arange(4000) // 16)
 
 
+def test_the_first_image_decides_size_and_scale() -> None:
+    first, second = np.array([[4000, 16]], np.uint16), np.array([[255, 16]], np.uint16)
+    found = [*grey_images([(first, "a"), (second, "b")], None)]
+    np.testing.assert_array_equal(found, [[[250, 1]], [[15, 1]]])
+    with pytest.raises(bundle.InputError, match=r"^b: .*2 x 1 .*1 x 2"):
+        [*grey_images([(first, "a"), (first.T, "b")], None)]
+    with pytest.raises(bundle.InputError, match=r"^a: .*int32"):
+        [*grey_images([(first.astype(np.int32), "a")], None)]
+
+
 def no_rows(mav: Path) -> None:
     write(mav, rows(mav)[:1])
 
