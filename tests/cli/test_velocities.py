@@ -8,9 +8,8 @@ import pytest
 import bundle
 from bundle.georeference.local_frame import LocalFrame
 from bundle.georeference.similarity import Similarity, moved
-from bundle.georeference.velocities import velocity_text
 from tests.campaigns.rolling_shutter import make
-from tests.georeference.test_velocity_priors import RATE, priors_of
+from tests.georeference.test_velocity_priors import RATE, priors_of, velocity_text
 
 SHUTTER = ("--rolling-shutter", "rows", "--readout", "0.02", "--frame-rate", RATE)
 POSES = ("--refine", "poses,points")

@@ -293,6 +293,8 @@ def test_the_record_has_the_contracts_names_and_is_json():
     control = [g["residual_enu"] for g in record["gcps"] if g["role"] == "control"]
     np.testing.assert_allclose(record["rms_enu"], np.sqrt(np.mean(np.square(control), axis=0)))
     assert "t3" in repr(aligned) and "t3" in aligned._repr_html_()
+    alone = repr(dataclasses.replace(aligned, control_points=()))
+    assert alone.startswith("Alignment\n") and "t3" not in alone
 
 
 def few(gcps, count):

@@ -7,9 +7,9 @@ import pytest
 
 from bundle import InputError
 from bundle.georeference.exif_gps import read_dji
-from bundle.georeference.velocities import read_velocities, velocity_text
+from bundle.georeference.velocities import read_velocities
 from tests.georeference.test_dji_xmp import attributes, photograph
-from tests.georeference.test_velocity_priors import filmed, priors_of
+from tests.georeference.test_velocity_priors import filmed, priors_of, velocity_text
 
 
 @pytest.fixture

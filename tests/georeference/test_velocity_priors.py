@@ -51,6 +51,15 @@ def priors_of(problem, sigma=0.1, seed=0, lever=(0.0, 0.0, 0.0), **settings):
     ]
 
 
+def velocity_text(priors, name):
+    """The content of a file; ``name`` returns the name of an image."""
+    lines = ["name vx vy vz sigma_horizontal sigma_vertical"]
+    for prior in priors:
+        numbers = [*prior.velocity, *prior.sigma[1:]]
+        lines.append(" ".join([f'"{name(prior.image)}"', *(repr(float(n)) for n in numbers)]))
+    return "\n".join([*lines, ""])
+
+
 def positions_of(problem, sigma, seed=1):
     noise = sigma * np.random.default_rng(seed).standard_normal((problem.num_images, 3))
     places = problem.projection_centers + noise

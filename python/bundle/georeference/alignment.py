@@ -14,8 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from bundle.base.arrays import as_array
-from bundle.errors import InputError, brief
+from bundle.errors import InputError
 from bundle.georeference.alignment_result import Alignment, ImageError, as_triple
 from bundle.georeference.control_point import (
     GCP_PIXEL_SIGMA,
@@ -31,11 +30,9 @@ from bundle.georeference.other_readings import check_readings
 from bundle.georeference.similarity import moved
 from bundle.georeference.similarity_fit import Correspondences, fit_similarity
 from bundle.georeference.survey import Survey, control_point_error
-from bundle.georeference.survey_priors import GPS_SIGMA, given_gps
+from bundle.georeference.survey_priors import GPS_SIGMA, check_settings, given_gps
 from bundle.georeference.text_lines import ImageIndex
 from bundle.interface.georeference_options import ROBUST_SCALE
-from bundle.interface.option_fields import choice, number
-from bundle.interface.options import LOSSES
 from bundle.io.files import Source, as_problem
 from bundle.model.problem import Problem
 
@@ -97,11 +94,7 @@ def align(
     sigma = parse_sigma("gcp_sigma", gcp_sigma)
     gps_default = parse_sigma("gps_sigma", gps_sigma)
     pixel_sigma = parse_pixel_sigma("gcp_pixel_sigma", gcp_pixel_sigma)
-    loss = choice("prior_loss", prior_loss, LOSSES)
-    loss_scale = number("prior_loss_scale", prior_loss_scale, above=0)
-    lever = as_array("antenna", antenna)
-    if lever.shape != (3,) or not np.isfinite(lever).all():
-        raise InputError(f"antenna: expected x, y, z in metres, found {brief(antenna)}")
+    check_settings(antenna, {"loss": prior_loss, "loss_scale": prior_loss_scale})
     if to is not None:
         if gcps is not None or gps is not None:
             raise InputError("to: expected no control points or GPS together with another model")
@@ -118,12 +111,15 @@ def align(
         gcp_sigma=sigma,
         pixel_sigma=pixel_sigma,
         gps_sigma=gps_default,
-        antenna=lever,
+        antenna=np.asarray(antenna, dtype=np.float64),
     )
     decisive, frame = survey.decisive, survey.frame
     notes = check_readings(survey)
     fit = fit_similarity(
-        survey.measured.rows(decisive), loss=loss, loss_scale=loss_scale, what=survey.what
+        survey.measured.rows(decisive),
+        loss=prior_loss,
+        loss_scale=prior_loss_scale,
+        what=survey.what,
     )
     residual, _ = fit.predict(survey.surveyed)
     left_out, suspect = survey.leave_one_out()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -184,20 +185,8 @@ class Alignment(Displayed, Tabular):
         for label, images in (("positions", self.positions), ("shared", self.shared_images)):
             if images:
                 facts.append((label, plural(len(images), "image")))
-        return Display(
-            title="Alignment",
-            facts=tuple(facts),
-            head=("residual", "role", "east [m]", "north [m]", "up [m]", "[px]"),
-            rows=tuple(
-                (
-                    point.name + (" (suspect)" if point.suspect else ""),
-                    point.role,
-                    *(metres(value) for value in point.residual),
-                    pixels(point.pixels),
-                )
-                for point in self.control_points
-            ),
-        )
+        (table,) = point_errors(self.control_points) or (Display(title=""),)
+        return replace(table, title="Alignment", facts=tuple(facts))
 
 
 def metres(value: float) -> str:

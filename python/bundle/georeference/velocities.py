@@ -21,7 +21,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -161,17 +161,6 @@ def read_velocities(
         priors = _from_file(velocities, ImageFinder(problem), sigma, settings)
     ProblemVelocities.make(problem, priors)
     return Velocities(tuple(priors))
-
-
-def velocity_text(priors: Iterable[VelocityPrior], name: Callable[[Any], str]) -> str:
-    """Return the content of a file; ``name`` returns the name of an image."""
-    lines = [f"name vx vy vz {' '.join(SIGMAS)}\n"]
-    for prior in priors:
-        word = name(prior.image)
-        word = f'"{word}"' if any(map(str.isspace, word)) else word
-        numbers = [*np.asarray(prior.velocity), *np.asarray(prior.sigma)[1:]]
-        lines.append(" ".join([word, *(repr(float(number)) for number in numbers)]) + "\n")
-    return "".join(lines)
 
 
 def _from_file(
