@@ -1,4 +1,4 @@
-"""OpenDroneMap's geo.txt in every form that editors give it, and bad lines."""
+"""geo.txt and tables in every form that programs and editors give them, and bad lines."""
 
 import numpy as np
 import pytest
@@ -222,3 +222,125 @@ def test_coordinates_that_an_authority_means_so_are_noted(tmp_path):
     path.write_text("EPSG:32636\n" + "".join((north * 2 + south * 3).format(*"abcde")))
     with pytest.raises(InputError, match=r"line 4: .* they fit EPSG:32736"):
         read_geo_file(path)
+
+
+POSITIONS = [[48.1, 9.3, 420.5], [48.11, 9.31, np.nan]]
+WKT = """# CoordinateSystem: PROJCS["WGS 84 / UTM zone 32N",GEOGCS["WGS 84",DATUM["World Geodetic
+ System 1984",SPHEROID["WGS 84",6378137,298.257223563,AUTHORITY["EPSG","7030"]],AUTHORITY["EPSG",
+"6326"]],AUTHORITY["EPSG","4326"]],UNIT["metre",1,AUTHORITY["EPSG","9001"]],AUTHORITY["EPSG",
+"32632"]]""".replace("\n", "")
+TABLES = {
+    "Metashape": "# CoordinateSystem: LOCAL_CS\n#Label,X/Longitude,Y/Latitude,Z/Altitude\n"
+    "a.jpg,9.3,48.1,420.5\nb.jpg,9.31,48.11,\nc.jpg,,,\n",
+    "Pix4D": "#imagename,latitude [decimal degrees],longitude [decimal degrees],altitude [meter]\n"
+    "a.jpg,48.1,9.3,420.5\nb.jpg,48.11,9.31,nan\n",
+    "exiftool": "SourceFile,GPSLatitude,GPSLongitude,GPSAltitude\n"
+    "a.jpg,48.1,9.3,420.5\nb.jpg,48.11,9.31,\n",
+    "decimal commas": "LATITUDE; Longitude; Image; Height (m)\n48,1;9,3;a.jpg;420,5\n\n"
+    "48,11;9,31;b.jpg;\n",
+    "tabs": "filename\tlat\tlon\talt (m)\r\n"
+    "a.jpg\t48.1\t9.3\t420.5\r\n# c\r\nb.jpg\t48.11\t9.31\tNaN\r\n",
+    "quotes": 'image,longitude,latitude,altitude\n"a.jpg",9.3,48.1,"420.5"\n"b.jpg",9.31,48.11,\n',
+    "byte order mark": "\ufeffimage,yaw,longitude,latitude,altitude\n"
+    "a.jpg,,9.3,48.1,420.5\nb.jpg,7,9.31,48.11,\n",
+    "spreadsheet": "name,lon,lat,elevation,,\na.jpg,9.3,48.1,420.5,,\n,,,,,\nb.jpg,9.31,48.11,,,\n",
+    "index of pandas": ",image,lat,lon,alt\n0,a.jpg,48.1,9.3,420.5\n1,b.jpg,48.11,9.31,\n",
+}
+
+
+@pytest.mark.parametrize("text", TABLES.values(), ids=TABLES)
+def test_tables_with_named_columns(tmp_path, text):
+    path = tmp_path / "positions.csv"
+    path.write_bytes(text.encode())
+    found = read_geo_file(path)
+    assert found.names == ("a.jpg", "b.jpg")
+    np.testing.assert_allclose(found.geodetic, POSITIONS, rtol=0, atol=1e-12)
+    assert np.isnan(found.accuracy).all()
+    assert (found.reference_system, found.notes) == ("EPSG:4326", ())
+
+
+@pytest.mark.parametrize(
+    ("titles", "values", "accuracy", "unused"),
+    [
+        ("horizontal accuracy (m),Vertical Accuracy [m]", "0.02,0.05", [0.02, 0.05], ""),
+        ("Accuracy_X/Y/Z_(m),Accuracy_Yaw/Pitch/Roll_(deg)", "0.1,3", [0.1, 0.1], "_Yaw"),
+        ("sigma", "0.3", [0.3, 0.3], ""),
+        ("h-acc,v-acc", "0.02,", [0.02, np.nan], ""),
+        ("sigma_h,sigma_v,Z_est,altitude", "0.02,0.04,7,8", [0.02, 0.04], "Z_est"),
+        ("quality", "5", [np.nan, np.nan], "quality"),
+    ],
+)
+def test_accuracies_and_unused_columns_of_a_table(tmp_path, titles, values, accuracy, unused):
+    path = tmp_path / "positions.csv"
+    path.write_text(f'image,latitude,longitude,{titles}\n"a b, c.jpg",48,9,{values}\n')
+    found = read_geo_file(path)
+    assert found.names == ("a b, c.jpg",)
+    np.testing.assert_array_equal(found.accuracy, [accuracy])
+    assert len(found.notes) == bool(unused)
+    assert all(unused in note and "v-acc" not in note for note in found.notes)
+
+
+def test_the_ellipsoidal_height_of_two(tmp_path):
+    path = tmp_path / "positions.csv"
+    path.write_text("image,lat,lon,altitude,Ellipsoidal height [m]\na.jpg,48,9,420,467\n")
+    found = read_geo_file(path)
+    assert found.geodetic.tolist() == [[48, 9, 467]]
+    assert len(found.notes) == 1 and "altitude" in found.notes[0]
+
+
+@pytest.mark.parametrize(
+    "head",
+    [
+        "EPSG:32632\nimage,easting,northing,z\n",
+        "EPSG:32632\n#Label,X/Easting,Y/Northing,Z/Altitude\n",
+        f"{WKT}\n#Label,X/Easting,Y/Northing,Z/Altitude\n",
+        f"{WKT}\nLabel,X,Y,Z\n",
+    ],
+)
+def test_tables_of_map_coordinates(tmp_path, head):
+    path = tmp_path / "positions.csv"
+    path.write_text(head + "a.jpg,500000,5400000,7\n")
+    found = read_geo_file(path)
+    assert found.geodetic[0].tolist() == pytest.approx([48.7530130, 9.0, 7.0], abs=1e-7)
+    assert found.reference_system == "EPSG:32632"
+    path.write_text("LOCAL\nimage,x,y,z\na.jpg,1,2,3\n")
+    assert read_geo_file(path).geodetic.tolist() == [[1, 2, 3]]
+
+
+@pytest.mark.parametrize(
+    "comment", ["# image\tx\ty\tz", "# image, x, y, z", "# image x y z yaw pitch roll"]
+)
+def test_comments_of_geo_txt_are_not_titles(tmp_path, comment):
+    path = tmp_path / "geo.txt"
+    for text in (f"EPSG:4326\n{comment}\na.jpg 9 48 1\n", f"{comment}\nEPSG:4326\na.jpg 9 48\n"):
+        path.write_text(text)
+        assert read_geo_file(path).names == ("a.jpg",)
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ("image,longitude,latitude\na.jpg,9\n", ["line 2", "3 fields", "found 2"]),
+        ("image,longitude,latitude\na.jpg,9,3,48,1\n", ["line 2", "3 fields", "found 5"]),
+        ("image,longitude,latitude\n\na.jpg,9,48\na.jpg,9,48\n", ["line 4", "'a.jpg' again"]),
+        ("image,longitude,latitude\na.jpg,,48\n", ["line 2", "longitude: expected a number"]),
+        ("image,latitude,longitude\na.jpg,9,148\nb.jpg,148,9\n", ["line 3", "area of EPSG:4326"]),
+        ("image,Lat,Lon\na.jpg,48°06'00\"N,9\n", ["line 2", "Lat: expected a number", "48°06"]),
+        ("image,lat,lon,h-acc\na.jpg,48,9,0\n", ["line 2", "h-acc", "above 0", "found 0"]),
+        ("image;lat;lon;z\na.jpg;48;9;1.234,5\n", ["line 2", "z: expected a number or nan"]),
+        ("image,longitude,latitude\n", ["expected images"]),
+        ("EPSG:4326\nimage,longitude,altitude\na.jpg,9,48\n", ["line 2", "columns", "altitude"]),
+        ("latitude,longitude\n48,9\n", ["line 1", "columns image", "longitude"]),
+        ("image,x,y\na.jpg,9,48\n", ["line 1", "reference system", "x, y"]),
+        ("Survey 3\nimage,lat,lon\na.jpg,9,48\n", ["reference system", "Survey 3"]),
+        (f"image,lat,lon\n{'x' * 200_000},9,48\n", ["line 2", "3 fields"]),
+    ],
+)
+def test_bad_tables_are_one_line(tmp_path, content, words):
+    path = tmp_path / "positions.csv"
+    path.write_text(content)
+    with pytest.raises(InputError) as caught:
+        read_geo_file(path)
+    message = str(caught.value)
+    assert message.startswith(f"{path}: ") and message.isprintable() and len(message) < 400
+    assert all(word in message for word in words), message

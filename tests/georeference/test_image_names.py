@@ -8,6 +8,7 @@ from bundle import GroundControlPoint, InputError
 from bundle.georeference.gps_positions import GpsPositions
 from bundle.georeference.local_frame import LocalFrame
 from bundle.georeference.survey_priors import gcp_priors, gps_priors
+from bundle.georeference.text_lines import ImageFinder, ImageIndex
 from tests.georeference.flights import flight
 
 TARGETS = [[-20, -20, 0], [20, -20, 0.5], [20, 20, 0], [-20, 20, 1]]
@@ -48,6 +49,19 @@ def test_two_images_of_one_name_have_no_position():
         "geo.txt",
     )
     assert len(gps_priors(problem, rest).priors) == len(others)
+
+
+def test_names_without_their_extension():
+    problem = named(flight([]).problem, {4: "7", 5: "a/b.v2.JPG", 6: "c.jpg", 7: "c.tif"})
+    index = ImageIndex(problem)
+    found = [index.find(name) for name in ("7", "b.v2", "x/b.v2", "b", "12")]
+    assert found == [4, 5, 5, None, 12]
+    with pytest.raises(InputError, match=r"found 2 \(c.jpg, c.tif\)"):
+        index.find("c")
+    numbered = named(problem, {row: f"{row + 2}.jpg" for row in range(problem.num_images)})
+    assert ImageFinder(numbered).find("3") == 3  # an id, not the stem of the image with id 2
+    given = positions(problem, [name.partition(".")[0] for name in problem.image_names[:4]])
+    assert len(gps_priors(problem, given).priors) == 4
 
 
 def test_two_images_of_one_name_have_no_control_points():

@@ -14,13 +14,14 @@ from numpy.typing import NDArray
 from bundle.base.display import Display
 from bundle.base.records import dataclass
 from bundle.base.words import few, noun, plural
-from bundle.errors import InputError, brief, shown
+from bundle.errors import InputError, shown
 from bundle.georeference.attitude_priors import (
     AttitudePrior,
     GravityPrior,
     read_gravity,
     read_orientations,
 )
+from bundle.georeference.control_point import parse_sigma
 from bundle.georeference.measurements import KnownPriors, MeasurementErrors, Solved
 from bundle.georeference.problem_attitudes import (
     MEDIAN,
@@ -412,7 +413,7 @@ def read_attitudes(
         sigma = number("gravity_sigma", gravity_sigma, above=0)
         priors += read_gravity(gravity, finder, sigma)
     if orientations is not None:
-        sigmas = _sigmas(orientation_sigma)
+        sigmas = parse_sigma("orientation_sigma", orientation_sigma, "degrees")
         if orientations == "xmp":
             found, notes = _from_xmp(problem, images, sigmas)
             priors += found
@@ -436,25 +437,12 @@ def attitudes_given(
     return known.scaled(gravity_sigma_scale, orientation_sigma_scale)
 
 
-def _sigmas(given: str | tuple[float, float]) -> tuple[float, float]:
-    try:
-        parts = given.split("/") if isinstance(given, str) else given
-        values = [float(part) for part in parts]
-    except (TypeError, ValueError):
-        values = []
-    if len(values) not in (1, 2) or not all(0 < value < math.inf for value in values):
-        raise InputError(
-            "orientation_sigma: expected degrees above 0, heading and tilt, such as 5/1, "
-            f"found {brief(given)}"
-        )
-    return values[0], values[-1]
-
-
 def _from_xmp(
     problem: Problem, folder: str | os.PathLike[str] | None, sigmas: tuple[float, float]
 ) -> tuple[list[AttitudePrior], tuple[str, ...]]:
     """Return priors of the images with gimbal angles, and notes about the others."""
-    from bundle.georeference.exif_gps import counted_images, files_of_images, read_dji
+    from bundle.georeference.exif_gps import files_of_images, read_dji
+    from bundle.georeference.gps_positions import counted_images
 
     if folder is None:
         raise InputError("images: expected the folder of the images, for orientations xmp")

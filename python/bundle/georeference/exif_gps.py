@@ -24,10 +24,9 @@ from xml.etree import ElementTree
 import numpy as np
 
 from bundle.base.optional_packages import allow_heic
-from bundle.base.words import few, plural
 from bundle.errors import InputError, brief, shown
 from bundle.georeference.attitude_priors import OrientationPrior
-from bundle.georeference.gps_positions import EXIF_TAGS, GpsPositions
+from bundle.georeference.gps_positions import EXIF_TAGS, GpsPositions, counted_images
 from bundle.georeference.reference_system import WGS84
 from bundle.georeference.text_lines import last_part
 
@@ -168,13 +167,6 @@ def _numbers(tags: Mapping[int, Any], tag: int, count: int) -> tuple[float, ...]
     if len(values) != count or not all(map(math.isfinite, values)):
         return None
     return values
-
-
-def counted_images(names: list[str], what: str) -> tuple[str, ...]:
-    """Return a note that counts images and names three of them; empty without any."""
-    if not names:
-        return ()
-    return (f"{plural(len(names), 'image')} {what}: {few(map(shown, names))}.",)
 
 
 @contextmanager

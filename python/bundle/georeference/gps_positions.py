@@ -1,8 +1,9 @@
-"""Measured positions of images: geo.txt, COLMAP's database, OpenSfM, and their images by name."""
+"""Measured positions of images: geo.txt, tables, COLMAP's database, OpenSfM; images by name."""
 
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import field, replace
 from pathlib import Path
@@ -13,13 +14,21 @@ from numpy.typing import NDArray
 
 import bundle._core as _core
 from bundle.base.display import Display, Displayed
+from bundle.base.paths import numbered_lines
 from bundle.base.records import dataclass
 from bundle.base.words import few, plural
 from bundle.errors import InputError, brief, shown
 from bundle.georeference.control_point import Sigma
 from bundle.georeference.local_frame import LocalFrame, frame_of
 from bundle.georeference.reference_system import ReferenceSystem
-from bundle.georeference.text_lines import ImageIndex, parse_number, read_lines
+from bundle.georeference.text_lines import (
+    LOCAL,
+    ImageIndex,
+    parse_number,
+    read_lines,
+    split_fields,
+    system_of,
+)
 from bundle.io.database_images import open_database
 from bundle.io.formats.file_values import Node, parsed, read_json
 from bundle.model.problem import Problem
@@ -151,17 +160,19 @@ def unmatched_notes(
     """Return sentences on images without a position, and on positions without an image."""
     with_one = set(chosen)
     without = [name for row, name in enumerate(problem.image_names) if row not in with_one]
-    notes = []
-    if without:
-        notes.append(
-            f"{plural(len(without), 'image')} of the model without a position: "
-            f"{few(map(shown, without))}."
-        )
+    notes = [*counted_images(without, "of the model without a position")]
     extra = [name for name in positions.names if index.find(name) is None]
     if extra:
         notes.append(f"{plural(len(extra), 'position')} of images that are not in the model.")
     notes += case_notes(index, extra)
     return notes
+
+
+def counted_images(names: list[str], what: str) -> tuple[str, ...]:
+    """Return a note that counts images and names three of them; empty without any."""
+    if not names:
+        return ()
+    return (f"{plural(len(names), 'image')} {what}: {few(map(shown, names))}.",)
 
 
 def case_notes(index: ImageIndex, names: Iterable[str]) -> list[str]:
@@ -194,29 +205,45 @@ def case_notes(index: ImageIndex, names: Iterable[str]) -> list[str]:
 # checked and not used: they have no effect on a position, and the images determine the attitude
 # better.
 #
+# A table, as Metashape, Pix4D, exiftool and spreadsheets write it, has titles of columns between
+# commas, semicolons or tabs in its first line, which may be a comment. A line above it may name the
+# reference system, as in geo.txt or in Metashape's comment; otherwise longitude and latitude are
+# those of WGS84. Rows without both are images without a position.
+#
 # Source: https://docs.opendronemap.org/geo/ and ``opendm/geo.py`` of OpenDroneMap.
 
-_ANGLES = ("yaw", "pitch", "roll")
-_ACCURACIES = ("horizontal accuracy", "vertical accuracy")
+_TITLES = {
+    "image": "image imagename sourcefile label filename name file photo",
+    "x": "longitude xlongitude gpslongitude lon lng long easting xeasting xeast east x",
+    "y": "latitude ylatitude gpslatitude lat northing ynorthing ynorth north y",
+    "z": "ellipsoidalheight altitude zaltitude gpsaltitude alt height elevation z",
+    **{angle: angle for angle in ("yaw", "pitch", "roll")},
+    "horizontal accuracy": "horizontalaccuracy accuracyhorizontal accuracyhorz hacc accuracyxy "
+    "hrms sigmah sigmaxy sigmax sde accuracyxyz accuracy sigma",
+    "vertical accuracy": "verticalaccuracy accuracyvertical accuracyvert vacc accuracyz "
+    "vrms sigmav sigmaz sdu accuracyxyz accuracy sigma",
+}
+"""Words of a line of geo.txt, with the letters of their titles in tables, preferred ones first."""
+_METASHAPE = re.compile(r'CoordinateSystem: .*AUTHORITY\["EPSG","(\d+)"\]\]$')
 
 
 def read_geo_file(path: str | os.PathLike[str]) -> GpsPositions:
-    """Read the positions of images from OpenDroneMap's geo.txt.
+    """Read the positions of images from OpenDroneMap's geo.txt, or from a table.
 
     Raises:
-        InputError: the reference system is unknown, a line has missing or non-numeric values, an
-            image has two lines, or a position is outside the system's area. The message is one
-            line with file, line number, expected and found.
+        InputError: the reference system is unknown, a column is missing, a line has missing or
+            non-numeric values, an image has two lines, or a position is outside the system's area.
+            The message is one line with file, line number, expected and found.
         OSError: the file cannot be read.
     """
-    system, lines = read_lines(path, name_at=0)
+    system, lines, titles, notes = _table(path) or (*read_lines(path, name_at=0), [*_TITLES], [])
     name = shown(path)
     seen: dict[str, int] = {}
-    rows: list[list[float]] = []
+    rows: list[NDArray[np.float64]] = []
     odd = 0
     for number, words in lines:
         place = f"{name}: line {number}"
-        rows.append(_row(place, words))
+        rows.append(_row(place, words, titles))
         image = words[0]
         if image in seen:
             raise InputError(
@@ -233,10 +260,10 @@ def read_geo_file(path: str | os.PathLike[str]) -> GpsPositions:
     without = [image for image, has_fix in zip(seen, fixed, strict=True) if not has_fix]
     images = tuple(image for image, has_fix in zip(seen, fixed, strict=True) if has_fix)
     table, lines_of = table[fixed], lines_of[fixed]
-    geodetic, notes = table[:, :3], []
+    geodetic = table[:, :3]
     if system is not None:
         geodetic = system.to_geodetic(geodetic, [f"{name}: line {line}" for line in lines_of])
-        notes = [*system.notes, *system.area_notes(geodetic), *no_fix_notes(without, name)]
+        notes += [*system.notes, *system.area_notes(geodetic), *no_fix_notes(without, name)]
     if odd:
         notes.append(
             f"{plural(odd, 'line')} of {name} have numbers after the height that are "
@@ -252,30 +279,70 @@ def read_geo_file(path: str | os.PathLike[str]) -> GpsPositions:
     )
 
 
-def _row(place: str, words: list[str]) -> list[float]:
+def _row(place: str, words: list[str], titles: list[str]) -> NDArray[np.float64]:
     """Return x, y, z and the two accuracies; nan if missing."""
     if len(words) < 3:
         raise InputError(
             f"{place}: expected image x y [z] [yaw pitch roll] [h-acc v-acc], "
             f"found {brief(' '.join(words))}"
         )
-    x, y = (parse_number(place, name, word) for name, word in zip("xy", words[1:3], strict=True))
-    z = parse_number(place, "z", words[3], unknown=True) if len(words) > 3 else np.nan
-    accuracies = [np.nan, np.nan]
-    if len(words) >= 7:
-        for name, word in zip(_ANGLES, words[4:7], strict=True):
-            parse_number(place, name, word, unknown=True)
-    if len(words) >= 9:
-        accuracies = [
-            parse_number(place, name, word, unknown=True)
-            for name, word in zip(_ACCURACIES, words[7:9], strict=True)
+    row = np.full(len(_TITLES), np.nan)
+    end = 9 if len(words) >= 9 else 7 if len(words) >= 7 else 4
+    for column, word in enumerate(words[1:end], 1):
+        row[column] = parse_number(place, titles[column], word, unknown=column > 2)
+        if column > 6 and row[column] <= 0:
+            raise InputError(
+                f"{place}: {titles[column]}: expected metres above 0, or nan, found {word}"
+            )
+    return row[[1, 2, 3, 7, 8]]
+
+
+def _table(
+    path: str | os.PathLike[str],
+) -> tuple[ReferenceSystem | None, list[tuple[int, list[str]]], list[str], list[str]] | None:
+    """Return reference system, words of geo.txt, their titles, and notes; None without titles."""
+    lines = [(number, line.strip(" \r")) for number, line in numbered_lines(path) if line.strip()]
+    for first, (number, header) in enumerate(lines[:5]):
+        place = f"{shown(path)}: line {number}"
+        mark = next((mark for mark in ";\t," if mark in header), "\t")
+        titles = split_fields(header.lstrip("# ").rstrip(mark), mark)
+        letters = [re.sub(r"[\[(].*?[\])]|[\W_]", "", title.lower()) for title in titles]
+        columns = [
+            next((letters.index(title) for title in known.split() if title in letters), -1)
+            for known in _TITLES.values()
         ]
-        for name, accuracy in zip(_ACCURACIES, accuracies, strict=True):
-            if accuracy <= 0:
-                raise InputError(
-                    f"{place}: {name}: expected metres above 0, or nan, found {accuracy:g}"
-                )
-    return [x, y, z, *accuracies]
+        below = lines[first : first + 2][-1][1]
+        if max(columns[:3]) >= 0 and mark in header and mark in below:
+            break
+    else:
+        return None
+    systems = ["EPSG:4326"] * bool(re.search("lon|lng", letters[columns[1]]))
+    for _, line in lines[:first]:
+        code = _METASHAPE.search(line)
+        systems += [f"EPSG:{code[1]}"] if code else [line] * (line[0] != "#")
+    if min(columns[:3]) < 0 or not systems:
+        raise InputError(
+            f"{place}: expected columns image, longitude and latitude, or image, x and y below a "
+            f"line with their reference system such as EPSG:32632 or {LOCAL}, found {few(titles)}"
+        )
+    rows, decimal = [], "," if mark == "," else "."
+    for number, line in lines[first + 1 :]:
+        fields = split_fields(line, mark)
+        if line[0] == "#" or not any(fields):
+            continue
+        if len(fields) < len(titles) or any(fields[len(titles) :]):
+            raise InputError(
+                f"{shown(path)}: line {number}: expected {plural(len(titles), 'field')}, one for "
+                f"each title, found {len(fields)}"
+            )
+        image, *numbers = (fields[column] if column >= 0 else "" for column in columns)
+        if any(numbers[:2]):
+            words = [number.replace(",", decimal) or "nan" for number in numbers]
+            rows.append((number, [image, *words]))
+    unused = [title for column, title in enumerate(titles) if title and column not in columns]
+    note = f"Columns of {shown(path)} without a use: {few(map(shown, unused))}."
+    names = [titles[column] for column in columns]
+    return system_of(place, systems[-1]), rows, names, [note] * bool(unused)
 
 
 # GPS positions of COLMAP's database: the table pose_priors.

@@ -130,7 +130,7 @@ def gps_priors(
 
     Args:
         problem: problem of the images.
-        gps: the path of OpenDroneMap's geo.txt, of OpenSfM's reconstruction.json or of COLMAP's
+        gps: the path of OpenDroneMap's geo.txt, a table, OpenSfM's reconstruction.json or COLMAP's
             database; "exif"; or positions.
         images: folder of the images, for "exif".
         gps_sigma: standard deviation in metres, a number or (horizontal, vertical), for positions

@@ -22,7 +22,7 @@ from bundle.model.problem import Problem
 
 
 class ImageIndex:
-    """Finder of images by name: the whole name, or its last part if that is unique.
+    """Finder of images by name: the whole name, or its last part, also without the extension.
 
     Args:
         problem: problem of the images.
@@ -39,18 +39,23 @@ class ImageIndex:
         self._argument = argument
         self._whole: dict[str, list[int]] = {}
         self._last: dict[str, list[int]] = {}
+        self._stems: dict[str, list[int]] = {}
         self._folded: dict[str, int] = {}
         for index, name in enumerate(problem.image_names):
             self._whole.setdefault(name, []).append(index)
             self._last.setdefault(last_part(name), []).append(index)
+            self._stems.setdefault(_ENDS_AS_FILES_DO.sub("", last_part(name)), []).append(index)
             self._folded.setdefault(last_part(name).casefold(), index)
 
-    def find(self, name: str, place: str = "") -> int | None:
+    def find(self, name: str, place: str = "", *, stems: bool = True) -> int | None:
         """Return the index of an image; None if the model has no image of this name.
 
-        ``place``: beginning of messages; by default the argument of the constructor.
+        ``place``: beginning of messages; by default the argument of the constructor. ``stems``:
+        names without their extension count, too.
         """
-        found = self._whole.get(name) or self._last.get(last_part(name), [])
+        last = last_part(name)
+        found = self._whole.get(name) or self._last.get(last) or []
+        found = found or self._stems.get(last, []) if stems else found
         if len(found) > 1:
             names = [self._problem.image_names[index] for index in found]
             ids = ", ".join(str(self._problem.image_ids[index]) for index in found)
@@ -85,10 +90,11 @@ class ImageFinder:
 
     def find(self, word: str, place: str = "") -> int:
         """Return the id of an image."""
-        row = None if self._index is None else self._index.find(word, place)
+        is_id = word.isascii() and word.isdigit() and int(word) in self._ids
+        row = None if self._index is None else self._index.find(word, place, stems=not is_id)
         if row is not None:
             return int(self._problem.image_ids[row])
-        if word.isascii() and word.isdigit() and int(word) in self._ids:
+        if is_id:
             return int(word)
         meant = nearest(last_part(word), [last_part(name) for name in self._problem.image_names])
         raise InputError(
@@ -166,11 +172,24 @@ def read_lines(
         )
     (number, header), *rows = lines
     split = [(place, split_words(line, name_at)) for place, line in rows]
-    if header.strip().upper() == LOCAL:
-        return None, split
-    with at(f"{shown(path)}: line {number}"):
-        system = ReferenceSystem(header.strip())
-    return system, split
+    return system_of(f"{shown(path)}: line {number}", header), split
+
+
+def system_of(place: str, text: str) -> ReferenceSystem | None:
+    """Return the reference system that a line names; None for LOCAL."""
+    if text.strip().upper() == LOCAL:
+        return None
+    with at(place):
+        return ReferenceSystem(text.strip())
+
+
+def split_fields(text: str, separator: str) -> list[str]:
+    """Return the fields of a line of a table; quotes may be around them."""
+    try:
+        (fields,) = csv.reader([text], delimiter=separator, skipinitialspace=True)
+    except csv.Error:  # longer than any table has
+        return [text]
+    return [field.strip() for field in fields]
 
 
 def split_words(line: str, name_at: int) -> list[str]:
@@ -243,8 +262,7 @@ def content_lines(path: str | os.PathLike[str]) -> list[tuple[int, list[str]]]:
         if not text or text.startswith("#"):
             continue
         if "," in text:
-            (words,) = csv.reader([text], skipinitialspace=True)
-            lines.append((number, [word.strip() for word in words]))
+            lines.append((number, split_fields(text, ",")))
         else:
             lines.append((number, split_words(text, 0)))
     return lines

@@ -39,7 +39,8 @@ class GeoreferenceOptions(Options):
         None,
         "--gps",
         "measured positions; exif: from the EXIF tags of the images; FILE: OpenDroneMap's geo.txt, "
-        "OpenSfM's reconstruction.json or its folder, or COLMAP's database (pose priors)",
+        "a table (CSV) with columns image, latitude, longitude, altitude, OpenSfM's "
+        "reconstruction.json or its folder, or COLMAP's database (pose priors)",
         metavar="exif|FILE",
         value="exif or path",
         use=40,
