@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import math
+import re
 import sys
 from pathlib import Path
 
@@ -125,9 +126,18 @@ def test_what_auto_took_is_told():
 def test_several_problems_give_profiles(tmp_path):
     path = tmp_path / "scene.txt"
     bundle.save(scene(), path)
+    stages = []
     comparison = compare(
-        [path, PROBLEM], solvers=["dense_schur", "iterative_schur"], backends=["fused"], **QUICK
+        [path, PROBLEM],
+        solvers=["dense_schur", "iterative_schur"],
+        backends=["fused"],
+        progress=lambda at: stages.append(at.stage),
+        **QUICK,
     )
+    (plan,) = (
+        k for k, stage in enumerate(stages) if re.match(r"4 solves, [\d.]+ m?s at 10", stage)
+    )
+    assert "bundle evaluate" in stages[plan] and stages[plan + 1].startswith("1 of 4: ")
     assert [problem.name for problem in comparison.problems] == [str(path), "problem 2"]
     assert len(comparison.profiles) == 3 * 2
     for gap in (1e-2, 1e-3, 1e-5):

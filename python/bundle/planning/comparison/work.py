@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from bundle.base.paths import is_path
 from bundle.base.records import dataclass
-from bundle.base.words import format_size
+from bundle.base.words import format_size, span
 from bundle.errors import InputError, shown
 from bundle.interface.options import AUTO_PRECONDITIONER, SolveOptions
 from bundle.interface.planning_options import SECONDS_NOT_REPEATED
@@ -89,9 +89,8 @@ class Work:
     def take_over(self, index: int, source: Source) -> ComparedProblem:
         """Load a problem from a path, or use a given problem, and store it for the workers."""
         is_file = is_path(source)
-        name = f"problem {index + 1}"
-        if is_path(source):
-            name = os.fspath(source)
+        name = os.fspath(source) if is_path(source) else f"problem {index + 1}"
+        if is_file:
             self.report(Progress(stage=f"reading {shown(name)}"))
         source = as_problem(source, name="problems")
         require_observations(source, shown(name))
@@ -115,15 +114,18 @@ class Work:
         number = 0
         try:
             for index, problem in enumerate(problems):
-                where = f", {shown(problem.name)}" if len(problems) > 1 else ""
-                self.report(Progress(stage=f"predicting{where}"))
+                self.report(Progress(stage=f"predicting {shown(problem.name)}"))
                 self._predict(index)
+            each = [one.time_per_step_in_seconds for p in self.predictions for one in p.values()]
+            time = span(10 * self.repeat * float(np.nansum(each)))
+            hint = "; bundle evaluate compares two models" * (len(problems) == 2)
+            self.report(Progress(stage=f"{total} solves, {time} at 10 steps each{hint}"))
+            for index, problem in enumerate(problems):
+                where = f", {shown(problem.name)}" if len(problems) > 1 else ""
                 # interleaved, so that slow drift affects all methods equally
-                for _ in range(self.repeat):
-                    for method in self.methods:
-                        number += 1
-                        if self._is_settled(index, method):
-                            continue
+                for method in self.methods * self.repeat:
+                    number += 1
+                    if not self._is_settled(index, method):
                         stage = f"{number} of {total}: {method.name}, {method.threads}{where}"
                         self._run(index, method, stage)
         except KeyboardInterrupt:
@@ -164,12 +166,11 @@ class Work:
 
     def _is_settled(self, index: int, method: Method) -> bool:
         """Return True if a run is not repeated because it failed or took long."""
-        for end in self.ends.get((index, method), []):
-            if end.measurement is None:
-                return True
-            if end.measurement["solve_time_in_seconds"] > SECONDS_NOT_REPEATED:
-                return True
-        return False
+        return any(
+            end.measurement is None
+            or end.measurement["solve_time_in_seconds"] > SECONDS_NOT_REPEATED
+            for end in self.ends.get((index, method), [])
+        )
 
     def _run(self, index: int, method: Method, stage: str) -> None:
         ends = self.ends.setdefault((index, method), [])
