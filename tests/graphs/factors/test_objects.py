@@ -242,6 +242,13 @@ def test_an_information_is_a_matrix_a_diagonal_or_sigmas(make):
             make(**wrong)
 
 
+@pytest.mark.parametrize("word", ["covariance", "noise_model", "Sigma", "robust"])
+def test_words_of_other_tools_lead_to_the_ways_to_give_noise(word):
+    for make in (bundle.BetweenFactor, bundle.PriorFactor):
+        with pytest.raises(bundle.InputError, match=f"^{make.__name__}: .*{word}.*sigmas?"):
+            make("x", "y", [0.0, 0, 1], **{word: np.eye(3)})
+
+
 def test_as_many_sigmas_as_coordinates():
     graph = bundle.FactorGraph()
     graph.add_variable("x", [0.0, 0, 0], "se2")

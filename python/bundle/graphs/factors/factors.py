@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import field
 from functools import cached_property
 from time import perf_counter
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,7 +20,7 @@ from bundle.base.arrays import FrozenArrays, as_array, as_flag, check_distinct, 
 from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
 from bundle.checking.function import UserFunction
-from bundle.errors import InputError, brief
+from bundle.errors import InputError, brief, check_keywords
 from bundle.graphs.factors.variables import Array, Key, as_keys, as_row, check_key, variable_name
 from bundle.interface.option_fields import choice, number
 from bundle.interface.options import LOSSES
@@ -129,11 +129,8 @@ def as_information(name: str, information: Array, size: int) -> Array:
 class WeightedFactor(MeasuredFactor):
     """Base class of factors with an information matrix, which is given in one of three ways."""
 
-    # in place of the information, one standard deviation of all coordinates of the error; None
-    # after the construction, which computes the information
+    # in place of the information, of all coordinates of the error or of each; None once it is known
     sigma: float | None = field(default=None, kw_only=True)
-    # in place of the information, a standard deviation of each coordinate; None after the
-    # construction
     sigmas: ArrayLike | None = field(default=None, kw_only=True)
 
     if TYPE_CHECKING:
@@ -141,6 +138,12 @@ class WeightedFactor(MeasuredFactor):
         @property
         def information(self) -> ArrayLike | None:
             """Number, or matrix."""
+
+    def __new__(cls, *_: Any, **given: Any) -> Self:
+        """Refuse unknown keywords, among them words of other tools for the noise."""
+        words = dict.fromkeys(("covariance", "noise", "noise_model"), "information or sigmas")
+        check_keywords(cls.__name__, given, {one: one for one in cls.__dataclass_fields__} | words)
+        return super().__new__(cls)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -151,19 +154,16 @@ class WeightedFactor(MeasuredFactor):
                 f"{self.name}: expected one of information, sigma and sigmas, "
                 f"found {' and '.join(given) or 'none'}"
             )
-        array = as_array(f"{self.name}: {given[0]}", ways[given[0]])
-        if given[0] != "information":
-            if array.ndim != (given[0] == "sigmas") or not (array > 0).all():
-                expected = "a number above 0" if given[0] == "sigma" else "numbers above 0"
-                raise InputError(
-                    f"{self.name}: {given[0]}: expected {expected}, found {brief(array.tolist())}"
-                )
+        way, array = given[0], as_array(f"{self.name}: {given[0]}", ways[given[0]])
+        if way != "information":
+            if array.ndim != (way == "sigmas") or not (array > 0).all():
+                kind, found = "a number" if way == "sigma" else "numbers", brief(array.tolist())
+                raise InputError(f"{self.name}: {way}: expected {kind} above 0, found {found}")
             array = np.asarray(1 / array**2)
-        if given[0] == "sigmas" or (array.ndim == 1 and len(array) > 1):
+        if way == "sigmas" or (array.ndim == 1 and len(array) > 1):
             array = np.diag(array)
-        self._set("information", freeze(np.array(array)))
-        self._set("sigma", None)
-        self._set("sigmas", None)
+        for name in ways:
+            self._set(name, freeze(np.array(array)) if name == "information" else None)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
