@@ -82,6 +82,18 @@ def test_what_does_not_exist_is_one_line(run, model, flags):
     assert done.out == ""
 
 
+def test_an_error_of_rules_names_their_flag(run, model, tmp_path):
+    # Planes without anything that holds the scale are refused, wherever their rules come from.
+    rule = (
+        f"points {','.join(map(str, bundle.load(model).point_ids[:9]))}: on level plane sigma 0.1"
+    )
+    (tmp_path / "rules.txt").write_text(rule)
+    for flag, value in (("--set", rule), ("--constraints", tmp_path / "rules.txt")):
+        done = run("diagnose", model, flag, value, "--quiet")
+        assert (done.code, done.out) == (2, "")
+        assert done.err.startswith(f"error: {flag}: expected") and done.err.count("\n") == 1
+
+
 def test_nothing_free_is_a_diagnosis(run, model, tmp_path):
     report = tmp_path / "report.json"
     done = run("diagnose", model, "--refine", "points", "--fix-points", "1-80", "--json", report)

@@ -238,7 +238,7 @@ class Run:
         flags = {name: name.upper() for name in self._way.reads.split()}
         if self.options is not None:
             flags |= flags_of(type(self.options))
-        flags |= self.arguments.flags
+        flags |= self.arguments.flags | ({} if self.rules.constraints else {"constraints": "--set"})
         if self.georeference is not None:
             from bundle.cli.georeferencing import prior_flags
 
