@@ -272,3 +272,20 @@ def test_check_points_and_positions_are_measured_for_each_candidate():
         assert one.gps_rms == pytest.approx(np.sqrt((apart**2).sum() / len(gps)), rel=1e-2)
     assert found.candidates[found.recommended].camera_model == "SIMPLE_RADIAL"
     assert found.candidates[1].check_points_rms < 0.2
+
+
+def test_rules_hold_images_while_lenses_are_merged():
+    """Merging lenses moves images along their axes to keep their scale: not those of a rule."""
+    problem = photographs()
+    params = problem.camera_params.copy()
+    params[:, 0] *= np.linspace(0.98, 1.02, len(params))
+    problem = problem.replace(camera_params=params)
+    rules = ("images *: position fixed", "images *: rotation fixed")
+    found = bundle.validate(
+        problem, camera_models="SIMPLE_RADIAL", share="all", num_folds=3, constraints=rules, **TIGHT
+    )
+    shared = bundle.share_cameras(problem)
+    by_hand = bundle.solve(shared, loss="cauchy", constraints=rules, **TIGHT)
+    np.testing.assert_array_equal(by_hand.problem.cam_from_world, problem.cam_from_world)
+    (one,) = found.candidates
+    assert one.fitted_rmse == pytest.approx(by_hand.reprojection_error_after.rmse, rel=1e-6)
