@@ -37,7 +37,14 @@ def group(focal, sigma=1.0, distortion=0.0, factor=1.0):
 
 MEASURED = SimpleNamespace(
     command=NextCommand(),
-    whole=SimpleNamespace(camera_ids=np.arange(1, 101), image_camera=np.arange(100), num_frames=0),
+    whole=SimpleNamespace(
+        camera_ids=np.arange(1, 101),
+        image_camera=np.arange(100),
+        num_frames=0,
+        camera_models=("PINHOLE",) * 100,
+        camera_params=np.full((100, 4), FOCAL),
+    ),
+    start=None,
 )
 
 
@@ -111,6 +118,20 @@ def test_the_group_with_most_open_cameras_is_named_and_only_these(monkeypatch):
     found = undetermined_intrinsics(MEASURED, [largest, most], 0.02)
     assert found.evidence["camera_ids"] == [1, 2, 3]
     assert undetermined_intrinsics(MEASURED, [], 0.02) is None
+
+
+@pytest.mark.parametrize(("start", "is_advised"), [(0.97, True), (0.95, False)])
+def test_no_prior_holds_a_start_that_the_other_lenses_have_left(monkeypatch, start, is_advised):
+    monkeypatch.setattr(module, "joint_statistic", lambda *_: (100.0, 1))  # lenses differ
+    lenses = replace(group([FOCAL] * 3), relative_sigma=np.array([0.002, 0.3, 0.002]))
+    before = SimpleNamespace(**vars(MEASURED.whole) | {"camera_params": np.full((100, 4), FOCAL)})
+    before.camera_params[2] *= start  # 3.1 and 5.3 %, of 4.02 % for f that is determined to 0.2 %
+    measured = SimpleNamespace(**vars(MEASURED) | {"start": before})
+    found = undetermined_intrinsics(measured, [lenses])
+    assert found.evidence["camera_ids"] == [2]
+    assert bool(found.command) == is_advised
+    monkeypatch.setattr(module, "joint_statistic", lambda *_: (1.0, 1))  # one lens needs no start
+    assert "--share-cameras" in undetermined_intrinsics(measured, [lenses]).command
 
 
 @pytest.mark.parametrize(("sigma", "reach"), [(1.0, 0.0400499), (50.0, 0.1077033)])

@@ -6,7 +6,7 @@ f_i and its standard deviation s_i. Cameras of one model and size belong to a gr
 Not determined. A focal length with s_i > 0.05 f_i (the worse of fx and fy), for the noise of the
 inliers, changes the shape of a scene without changing the residuals much. For a group of several
 cameras, the command shares the lens, because all views together determine it. For a single camera,
-or if the lenses are known to differ (T below), it adds a prior of 2 %.
+or if the lenses are known to differ (T below), it adds a prior of 2 % if the start is near.
 
 Free twists. The rotation (a, 0, 0) per image height moves the row y by f a y, as a focal length fy
 (1 + a) does, so that a rolling shutter determines lenses by higher terms only, in a long, curved
@@ -110,13 +110,14 @@ def undetermined_intrinsics(
     if not shares:
         chosen = noun(len(rows), "camera", "cameras") + " " + ",".join(map(str, cameras.tolist()))
         flags = ("--set", f"{chosen}: f prior {100 * PRIOR:g} %")
+    is_held = shares or is_near(measured, worst)
     return Finding(
         kind="undetermined_intrinsics",
         sentence=f"The focal length is not determined in {plural(len(rows), 'camera')} "
         f"({named('camera', cameras.tolist())}): its standard deviation is "
         f"{100 * median(relative):.0f} % of it. "
         f"{'Share the lens' if shares else 'Add a prior'}, or fix it.",
-        command=measured.command.refine(*flags),
+        command=measured.command.refine(*flags) if is_held else "",
         evidence={
             "camera_ids": cameras.tolist(),
             "relative_sigma": relative.tolist(),
