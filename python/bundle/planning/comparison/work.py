@@ -117,9 +117,10 @@ class Work:
                 self.report(Progress(stage=f"predicting {shown(problem.name)}"))
                 self._predict(index)
             each = [one.time_per_step_in_seconds for p in self.predictions for one in p.values()]
-            time = span(10 * self.repeat * float(np.nansum(each)))
+            time = 10 * self.repeat * float(np.nansum(each))  # 0: no method has a prediction
+            plan = f"{total} solves" + f", {span(time)} at 10 steps each" * (time > 0)
             hint = "; bundle evaluate compares two models" * (len(problems) == 2)
-            self.report(Progress(stage=f"{total} solves, {time} at 10 steps each{hint}"))
+            self.report(Progress(stage=plan + hint))
             for index, problem in enumerate(problems):
                 where = f", {shown(problem.name)}" if len(problems) > 1 else ""
                 # interleaved, so that slow drift affects all methods equally
@@ -239,9 +240,8 @@ def _measurement(sent: dict[str, Any]) -> Measurement:
 
 
 def _columns(iterations: Sequence[dict[str, Any]]) -> dict[str, NDArray[Any]] | None:
-    if not iterations:
-        return None
-    return {name: np.asarray([one[name] for one in iterations]) for name in iterations[0]}
+    first = iterations[0] if iterations else {}
+    return {name: np.asarray([one[name] for one in iterations]) for name in first} or None
 
 
 Array = NDArray[np.float64]
