@@ -229,7 +229,7 @@ def test_placement_and_certainty_are_on_the_page_where_they_are_known(solved, tm
     path = tmp_path / "report.html"
     write_report(solved, path, georeference=RECORD, covariance=given)
     page = Page(path)
-    rows = {row[0]: row[1:] for row in page.rows if row}
+    rows = {row[0]: row[1:] for row in reversed(page.rows) if row}  # of the first table
     assert rows["control points"][0] == "2"
     assert rows["c"][0] == "suspect"
     assert rows["c"][2:5] == ["1.0000", "2.0000", "2.0000"]
