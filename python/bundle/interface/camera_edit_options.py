@@ -43,8 +43,9 @@ class RuleOptions(Options):
         None,
         "--set",
         "fix, bound, share or pull parameters: TARGET: NAMES fixed | NAMES prior [VALUE] sigma S | "
-        "NAMES prior [VALUE] P % | NAMES in [MIN, MAX] | share NAMES | NAME/NAME fixed; TARGET: "
-        'camera 3, cameras 1-4, cameras *, image 7, image "left/*.jpg", point 12; NAMES: '
+        "NAMES prior [VALUE] P % | NAMES in [MIN, MAX] | share NAMES | NAME/NAME fixed | "
+        "on plane [A B C D] sigma S | on level plane sigma S | on line X Y Z U V W sigma S; "
+        'TARGET: camera 3, cameras 1-4, cameras *, image 7, image "left/*.jpg", point 12; NAMES: '
         "parameters of the camera model, or position and rotation; may be given several times",
         metavar="RULE",
         value="several",
