@@ -96,6 +96,28 @@ def test_errors_of_pose_graphs_are_those_of_evo(with_ids):
         assert mine.rmse == pytest.approx(theirs.get_statistic(metrics.StatisticsType.rmse))
 
 
+@pytest.mark.parametrize(
+    ("factor", "noise", "is_named"),
+    [
+        (2.0, 0, True),
+        (1 + 3e-6, 0, True),
+        (1.0, 0, False),
+        (1.05, 1e-3, True),
+        (1.002, 1e-3, False),
+    ],
+)
+def test_a_scale_that_the_alignment_hides_is_in_the_headline(factor, noise, is_named):
+    truth, ids = example.path(12), np.arange(12)
+    poses = (example.noisy(truth, noise) if noise else truth).poses.copy()
+    poses[:, 4:] /= factor
+    estimate = PoseTable(poses)
+    found = bundle.evaluate(as_graph(estimate, ids), as_graph(truth, ids))
+    assert found.verdict == ("agrees" if noise else "identical")
+    assert ("scaled by" in found.headline[0]) == is_named
+    rigid = bundle.evaluate(as_graph(estimate, ids), as_graph(truth, ids), align="rigid")
+    assert "scaled by" not in rigid.headline[0]
+
+
 def test_named_poses_of_a_graph_are_those_of_the_images():
     graph = dataclasses.replace(as_graph(example.REFERENCE, np.arange(4)), names=example.NAMES)
     found = bundle.evaluate(graph, example.REFERENCE)

@@ -156,21 +156,21 @@ def _outlier_images(given: Compared) -> Finding | None:
     )
 
 
-def _explains(given: Compared, poses: Array, reference: Array) -> float | None:
+def _errors_of(given: Compared, poses: Array, reference: Array) -> tuple[float, float]:
+    """Return errors of other poses relative to the size and in degrees; inf: no alignment."""
     try:
         similarity = align_centers(poses[:, 4:], reference[:, 4:], given.alignment)
     except InputError:
-        return None
-    error = np.linalg.norm(similarity.apply(poses[:, 4:]) - reference[:, 4:], axis=1)
-    relative = ErrorStatistics.of(error).rmse / size_of(reference)
-    before = given.rms()[0] / given.size
-    return relative if relative <= EXPLAINED * before and before > CLOSE[0] else None
+        return np.inf, np.inf
+    position, rotation = absolute_errors(moved_poses(poses, similarity), reference)
+    size = size_of(reference)
+    return ErrorStatistics.of(position).rmse / size, ErrorStatistics.of(rotation).rmse
 
 
 def _mirrored(given: Compared) -> Finding | None:
     mirrored = given.given * np.array([1.0, 1, 1, 1, 1, 1, -1])
-    relative = _explains(given, mirrored, given.reference)
-    if relative is None:
+    relative, before = _errors_of(given, mirrored, given.reference)[0], given.rms()[0] / given.size
+    if relative > EXPLAINED * before or before <= CLOSE[0]:
         return None
     return Finding(
         kind="mirrored",
@@ -184,7 +184,11 @@ def _mirrored(given: Compared) -> Finding | None:
 def _direction(given: Compared) -> Finding | None:
     found = {}
     for name, command in given.directions.items():
-        after = _errors_of_inverse(given, name)
+        poses, reference = given.given, given.reference
+        if name == "A":
+            after = _errors_of(given, inverse_poses(poses), reference)
+        else:
+            after = _errors_of(given, poses, inverse_poses(reference))
         before = given.rms()[0] / given.size, given.rms()[1]
         if after[0] <= before[0] / 2 and after[1] <= EXPLAINED * before[1]:
             found[name] = command, after
@@ -200,22 +204,6 @@ def _direction(given: Compared) -> Finding | None:
         evidence={"inputs": list(found), "relative_rmse": position, "rotation_rmse": rotation},
         is_problem=True,
     )
-
-
-def _errors_of_inverse(given: Compared, name: str) -> tuple[float, float]:
-    """Return errors relative to the size and in degrees, with one input read as inverse poses."""
-    poses, reference = given.given, given.reference
-    if name == "A":
-        poses = inverse_poses(poses)
-    else:
-        reference = inverse_poses(reference)
-    try:
-        similarity = align_centers(poses[:, 4:], reference[:, 4:], given.alignment)
-    except InputError:
-        return np.inf, np.inf
-    position, rotation = absolute_errors(moved_poses(poses, similarity), reference)
-    size = size_of(reference)
-    return ErrorStatistics.of(position).rmse / size, ErrorStatistics.of(rotation).rmse
 
 
 def _axes(given: Compared) -> Finding | None:
@@ -288,6 +276,11 @@ def _poses(result: Mapping[str, Any]) -> str:
     is_image = pairs.by in ("name", "base name", "stem") and not pairs.names[0].isdecimal()
     noun = "image" if is_image else "pose"
     of = f"{len(pairs)} of {plural(whole, noun)}" if missing else f"all {plural(whole, noun)}"
+    # Images alone determine no scale. Trajectories and pose graphs have one.
+    least = IDENTICAL[2] if result["verdict"] == "identical" else AGREES[0]
+    scale = result["similarity"].scale
+    if abs(np.log(scale)) > least and all("num_poses" in one for one in result["inputs"]):
+        of += f", with A scaled by {number(scale)}"
     if result["verdict"] == "identical":
         rounded = " up to rounding errors" if max(position.max, rotation.max) > 0 else ""
         return f"{WORDS['identical']} on {of}{rounded}."
