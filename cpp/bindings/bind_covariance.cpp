@@ -4,6 +4,7 @@
 
 #include <memory>
 #include <optional>
+#include <string>
 #include <utility>
 #include <vector>
 
@@ -74,9 +75,15 @@ py::dict Covariance(const py::object& problem, const py::dict& options,
   return d;
 }
 
-/// Adds the arrays and sums of a reliability to the output of a function.
-void PutReliability(bundle::ReliabilityOutput output, py::ssize_t n, py::dict* to) {
-  py::dict& d = *to;
+py::dict Reliability(const py::object& problem, const py::dict& options,
+                     const py::object& restrictions, const py::object& factors, double least,
+                     int num_worst, bool long_sums) {
+  GivenProblem given(problem, options, restrictions, factors);
+  const py::ssize_t n = given.view().num_observations;
+  const bundle::ReliabilityOptions wanted{least, num_worst, long_sums};
+  bundle::ReliabilityOutput output = given.Run(
+      [&](const auto& p, const auto& o) { return bundle::ComputeReliability(p, o, wanted); });
+  py::dict d;
   const auto count = [](const auto& v) { return static_cast<py::ssize_t>(v.size()); };
   d["residuals"] = ToImmutableNumpy(std::move(output.residuals), {n, 2});
   d["leverages"] = ToImmutableNumpy(std::move(output.leverages), {n, 3});
@@ -93,19 +100,7 @@ void PutReliability(bundle::ReliabilityOutput output, py::ssize_t n, py::dict* t
         py::make_tuple(one.observation, one.point, one.point_sigmas, one.image, one.image_sigmas));
   }
   d["worst"] = worst;
-  PutSums(&output.sums, to);
-}
-
-py::dict Reliability(const py::object& problem, const py::dict& options,
-                     const py::object& restrictions, const py::object& factors, double least,
-                     int num_worst, bool long_sums) {
-  GivenProblem given(problem, options, restrictions, factors);
-  const bundle::AdjustmentProblem& view = given.view();
-  const bundle::ReliabilityOptions wanted{least, num_worst, long_sums};
-  bundle::ReliabilityOutput output = given.Run(
-      [&](const auto& p, const auto& o) { return bundle::ComputeReliability(p, o, wanted); });
-  py::dict d;
-  PutReliability(std::move(output), view.num_observations, &d);
+  PutSums(&output.sums, &d);
   return d;
 }
 
@@ -125,28 +120,31 @@ bundle::InfluenceOptions Derivatives(const bundle::AdjustmentProblem& view,
   return {values(images), values(cameras), values(points)};
 }
 
+/// `without`: "observations" or "points", whose deletions are wanted; other words: none.
 py::dict Influence(const py::object& problem, const py::dict& options,
-                   const py::object& restrictions, const py::object& factors, double least,
-                   const CastArray<double>& images, const CastArray<double>& cameras,
-                   const CastArray<double>& points) {
+                   const py::object& restrictions, const py::object& factors,
+                   const std::string& without, const CastArray<double>& images,
+                   const CastArray<double>& cameras, const CastArray<double>& points) {
   GivenProblem given(problem, options, restrictions, factors);
-  const bundle::AdjustmentProblem& view = given.view();
-  const bundle::InfluenceOptions gradient = Derivatives(view, images, cameras, points);
-  bundle::ReliabilityOptions wanted;
-  wanted.least = least;
+  const py::ssize_t n = given.view().num_observations;
+  const bundle::InfluenceOptions gradient = Derivatives(given.view(), images, cameras, points);
+  const bundle::Deletions wanted = without == "observations" ? bundle::Deletions::kObservations
+                                   : without == "points"     ? bundle::Deletions::kPoints
+                                                             : bundle::Deletions::kNone;
   bundle::InfluenceOutput output = given.Run([&](const auto& p, const auto& o) {
     return bundle::ComputeInfluence(p, o, gradient, wanted);
   });
-  const py::ssize_t n = view.num_observations, num_points = view.num_points;
-  const auto m = static_cast<py::ssize_t>(output.factor_share.size());
+  const auto count = [](const auto& v) { return static_cast<py::ssize_t>(v.size()); };
+  const py::ssize_t m = count(output.factor_share), num_without = count(output.without);
   py::dict d;
   d["variance"] = output.variance;
   d["step"] = output.step;
   d["gauge_share"] = output.gauge_share;
   d["along"] = ToImmutableNumpy(std::move(output.along), {n, 2});
-  d["without_point"] = ToImmutableNumpy(std::move(output.without_point), {num_points});
+  d["weights"] = ToImmutableNumpy(std::move(output.weights), {n});
+  d["without"] = ToImmutableNumpy(std::move(output.without), {num_without});
   d["factor_share"] = ToImmutableNumpy(std::move(output.factor_share), {m});
-  PutReliability(std::move(output.reliability), n, &d);
+  PutSums(&output.sums, &d);
   return d;
 }
 
@@ -277,7 +275,7 @@ void BindCovariance(py::module_& m) {
         py::arg("restrictions"), py::arg("factors"), py::arg("least"), py::arg("num_worst"),
         py::arg("long_sums") = true);
   m.def("influence", &Influence, py::arg("problem"), py::arg("options"), py::arg("restrictions"),
-        py::arg("factors"), py::arg("least"), py::arg("images"), py::arg("cameras"),
+        py::arg("factors"), py::arg("without"), py::arg("images"), py::arg("cameras"),
         py::arg("points"));
   py::class_<PythonAdjoint>(m, "Adjoint")
       .def(py::init<py::object, const py::dict&, py::object, const py::object&, const py::object&,

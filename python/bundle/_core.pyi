@@ -313,7 +313,7 @@ def influence(
     options: dict[str, Any],
     restrictions: _Restrictions | None,
     factors: tuple[list[Any], list[Any], list[tuple[str, int]]] | None,
-    least: float,
+    without: str,
     images: NDArray[np.float64],
     cameras: NDArray[np.float64],
     points: NDArray[np.float64],

@@ -49,16 +49,20 @@ LongMatrix CovarianceComputation::SumHeld() const {
   return held + b.lazyProduct(b.transpose());
 }
 
+/// S^-1 of a small system; empty for a large one.
+LongMatrix CovarianceComputation::LongInverse() const {
+  LongMatrix inverse;
+  if (!is_small_) return inverse;
+  inverse.setIdentity(lower_.rows(), lower_.cols());
+  SolveLong(lower_, &inverse);
+  return inverse;
+}
+
 /// Leverages need the blocks of S^-1, so that S is factorised twice.
 void CovarianceComputation::CorrectScores() {
   Factorize();
-  LongMatrix inverse;
-  if (is_small_) {
-    inverse.setIdentity(lower_.rows(), lower_.cols());
-    SolveLong(lower_, &inverse);
-  } else {
-    Check(system_.Invert());
-  }
+  const LongMatrix inverse = LongInverse();
+  if (!is_small_) Check(system_.Invert());
   CorrectedResiduals corrected = CorrectForLeverage(system_, inverse);
   variance_ = corrected.variance;
   output_.predicted_decrease = system_.point_sums().decrease / corrected.kappa;

@@ -26,7 +26,8 @@
 
 namespace bundle {
 
-struct InfluenceOptions;  // influence.h
+enum class Deletions;  // influence.h
+struct InfluenceOptions;
 struct InfluenceOutput;
 struct ReliabilityOptions;  // reliability.h
 struct ReliabilityOutput;
@@ -78,8 +79,7 @@ class CovarianceComputation {
   }
 
   void FindReliability(const ReliabilityOptions& wanted, ReliabilityOutput* found);
-  void FindInfluence(const InfluenceOptions& gradient, const ReliabilityOptions& wanted,
-                     InfluenceOutput* found);
+  void FindInfluence(const InfluenceOptions& gradient, Deletions wanted, InfluenceOutput* found);
 
  private:
   const ParameterLayout& layout() const { return system_.layout(); }
@@ -308,6 +308,7 @@ class CovarianceComputation {
   // covariance_computation.cpp
   void CorrectScores();
   LongMatrix SumHeld() const;
+  LongMatrix LongInverse() const;
   void Factorize();
   void FindScatter();
   // covariance.cpp

@@ -2,6 +2,7 @@
 
 #include <Eigen/Cholesky>
 #include <Eigen/Core>
+#include <Eigen/Jacobi>
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -10,6 +11,7 @@
 
 #include "core/covariance/covariance_computation.h"
 #include "core/covariance/eliminated_rows.h"
+#include "core/covariance/leverages.h"
 #include "core/dense/decompositions.h"
 
 namespace bundle {
@@ -17,8 +19,42 @@ namespace {
 
 constexpr double kNotComputed = std::numeric_limits<double>::quiet_NaN();
 
-/// Pivots below this are zero: without the point, camera parameters are undetermined.
+/// Redundancy that is zero but for rounding: without the measurement, an unknown is undetermined.
 constexpr double kNoRedundancy = 1e-9;
+
+/// Derivatives of the quantity along an unknown are zero below this share of its sigma.
+constexpr double kNoChange = 1e-6;
+
+/// (J~ a)^T (I - h)^+ r~ of an observation.
+double WithoutObservation(const Eigen::Matrix2d& h, const Eigen::Vector2d& along,
+                          const Eigen::Vector2d& residual, double sigma) {
+  Eigen::JacobiRotation<double> turn;
+  const double off = 0.5 * (h(0, 1) + h(1, 0));
+  turn.makeJacobi(h(0, 0), off, h(1, 1));
+  const double moved = off == 0 ? 0 : turn.s() / turn.c() * off;
+  const double redundancies[2] = {1 - h(0, 0) + moved, 1 - h(1, 1) - moved};
+  const Eigen::Vector2d axes[2] = {{turn.c(), -turn.s()}, {turn.s(), turn.c()}};
+  double change = 0;
+  for (int k = 0; k < 2; ++k) {
+    const double by = along.dot(axes[k]);
+    if (redundancies[k] > kNoRedundancy) {
+      change += by * residual.dot(axes[k]) / redundancies[k];
+    } else if (std::abs(by) > kNoChange * sigma) {
+      return kNotComputed;
+    }
+  }
+  return change;
+}
+
+/// (T a_c)^T (I - T C T^T)^-1 r~ of all observations of a point.
+double WithoutPoint(const Eigen::MatrixXd& leverages, const Eigen::VectorXd& along,
+                    const Eigen::VectorXd& residual) {
+  const Eigen::Index size = leverages.rows();
+  const Eigen::LLT<Eigen::MatrixXd> factor(Eigen::MatrixXd::Identity(size, size) - leverages);
+  if (factor.info() != Eigen::Success) return kNotComputed;
+  const double pivot = factor.matrixLLT().diagonal().cwiseAbs2().minCoeff();
+  return pivot < kNoRedundancy ? kNotComputed : along.dot(factor.solve(residual));
+}
 
 }  // namespace
 
@@ -46,14 +82,12 @@ Eigen::MatrixXd CovarianceComputation::GradientOfCameras(const InfluenceOptions&
   return gradient;
 }
 
-void CovarianceComputation::FindInfluence(const InfluenceOptions& gradient,
-                                          const ReliabilityOptions& wanted,
+void CovarianceComputation::FindInfluence(const InfluenceOptions& gradient, Deletions wanted,
                                           InfluenceOutput* found) {
   if (is_small_) system_.EliminateByRows();
   HoldGauge();
   CountResiduals();
   Factorize();
-  const auto n = static_cast<size_t>(view().num_observations);
   const auto of_point = [&](int p) {
     return Vector3(Eigen::Map<const Vector3>(&gradient.points[3 * size_t(p)]));
   };
@@ -72,25 +106,26 @@ void CovarianceComputation::FindInfluence(const InfluenceOptions& gradient,
     }
     found->gauge_share = terms.isZero(0) ? 0 : along.norm() / terms.norm();
   }
-  // The adjoint.
+  // The adjoint, and the points' part of the variance.
   Eigen::MatrixXd rhs = given, a = Eigen::MatrixXd::Zero(given.rows(), 1);
   system_.ForPoints(1, points, [&](int p, const PointBlocks& blocks, const PointAssembler&, int) {
     SubtractEliminated(blocks, of_point(p), &rhs, 0);
+    found->variance += of_point(p).dot(Eigen::Map<const Matrix3>(blocks.inverse) * of_point(p));
   });
   Check(system_.Solve(rhs.data(), 1, a.data()));
-  LongMatrix inverse;
-  if (is_small_) {
-    inverse.setIdentity(lower_.rows(), lower_.cols());
-    SolveLong(lower_, &inverse);
-  }
+  found->variance += rhs.col(0).dot(a.col(0));
+  const double sigma = std::sqrt(found->variance);
+  const LongMatrix inverse = wanted == Deletions::kNone ? LongMatrix() : LongInverse();
   InvertAndCheck();
-  FindLeverages(inverse, wanted, &found->reliability);
 
-  found->along.assign(2 * n, kNotComputed);
-  found->without_point.assign(view().num_points, kNotComputed);
+  const auto n = static_cast<size_t>(view().num_observations);
   const auto num_points = static_cast<size_t>(view().num_points);
-  std::vector<double> variances(num_points), steps(n);  // sums that no thread changes
-  std::vector<double> moved(3 * num_points);            // a_p
+  found->along.assign(2 * n, kNotComputed);
+  found->weights.assign(n, kNotComputed);
+  if (wanted == Deletions::kObservations) found->without.assign(n, kNotComputed);
+  if (wanted == Deletions::kPoints) found->without.assign(num_points, kNotComputed);
+  std::vector<double> steps(n);               // a sum that no thread changes
+  std::vector<double> moved(3 * num_points);  // a_p
   const auto take = [&](const ObservationRows& rows, const Vector3& by_point) {
     const auto i = static_cast<size_t>(rows.observation);
     Eigen::Vector2d along = Eigen::Map<const TwoRows>(rows.point, 2, 3) * by_point;
@@ -98,47 +133,61 @@ void CovarianceComputation::FindInfluence(const InfluenceOptions& gradient,
       along += RowsByBlock(rows, b) *
                a.col(0).segment(layout().blocks()[rows.block[b]].offset, rows.size[b]);
     }
-    const Eigen::Map<const Eigen::Vector2d> r(rows.residual);
     std::copy_n(along.data(), 2, &found->along[2 * i]);
-    steps[i] = -along.dot(r);
+    found->weights[i] = rows.weight;
+    steps[i] = -along.dot(Eigen::Map<const Eigen::Vector2d>(rows.residual));
   };
-  system_.ForPoints([&](int p, const PointBlocks& blocks, const PointAssembler& rows, int) {
+  const auto take_point = [&](int p, const PointBlocks& blocks, const PointAssembler& rows) {
     Vector3 by_point = Eigen::Map<const Matrix3>(blocks.inverse) * of_point(p);
-    variances[p] = of_point(p).dot(by_point);
-    std::vector<int> unknowns;
     for (size_t b = 0; b < blocks.blocks.size(); ++b) {
-      const int offset = layout().blocks()[blocks.blocks[b]].offset;
+      const double* of_unknown = &a(layout().blocks()[blocks.blocks[b]].offset, 0);
       for (int row = blocks.begin[b]; row < blocks.begin[b + 1]; ++row) {
-        unknowns.push_back(offset + row - blocks.begin[b]);
-        by_point -= Eigen::Map<const Vector3>(&blocks.y[3 * size_t(row)]) * a(unknowns.back(), 0);
+        by_point -= Eigen::Map<const Vector3>(&blocks.y[3 * size_t(row)]) * *of_unknown++;
       }
     }
     std::copy_n(by_point.data(), 3, &moved[3 * size_t(p)]);
     for (int i = 0; i < rows.num_rows(); ++i) take(rows.row(i), by_point);
-    if (rows.num_rows() == 0 || !of_point(p).isZero(0)) return;
-    // A and B of all observations, by the unknowns of the point's blocks.
-    const Eigen::MatrixXd all = AllRows(
-        blocks, rows, {}, [](const ObservationRows&) { return Eigen::Matrix2d::Identity(); });
-    using Rows3 = Eigen::Matrix<double, Eigen::Dynamic, 3, Eigen::RowMajor>;
-    const Eigen::Map<const Rows3> y(blocks.y.data(), blocks.begin.back(), 3);
-    const Eigen::MatrixXd t =
-        all.rightCols(y.rows()) - all.leftCols<3>().lazyProduct(y.transpose());
-    Eigen::VectorXd along(t.rows()), r(t.rows());
-    for (int i = 0; i < rows.num_rows(); ++i) {
-      std::copy_n(rows.row(i).residual, 2, r.data() + 2 * i);
-      std::copy_n(&found->along[2 * size_t(rows.row(i).observation)], 2, along.data() + 2 * i);
-    }
-    const Eigen::MatrixXd h = Multiply(Multiply(t, CovarianceOf(unknowns, inverse)), t.transpose());
-    const Eigen::LLT<Eigen::MatrixXd> factor(Eigen::MatrixXd::Identity(h.rows(), h.cols()) - h);
-    if (factor.info() != Eigen::Success) return;
-    if (factor.matrixLLT().diagonal().cwiseAbs2().minCoeff() < kNoRedundancy) return;
-    found->without_point[p] = along.dot(factor.solve(r));
-  });
+  };
   system_.ForObservationsOfFixedPoints(
       [&](const ObservationRows& rows) { take(rows, Vector3::Zero()); });
+  const auto along_of = [&](const ObservationRows& rows) {
+    return Eigen::Map<const Eigen::Vector2d>(&found->along[2 * size_t(rows.observation)]);
+  };
+  switch (wanted) {
+    case Deletions::kNone:
+      system_.ForPoints([&](int p, const PointBlocks& blocks, const PointAssembler& rows, int) {
+        take_point(p, blocks, rows);
+      });
+      break;
+    case Deletions::kObservations:
+      ForLeverages(
+          system_, inverse,
+          [&](const Eigen::Matrix2d& h, const ObservationRows& rows) {
+            if (!(rows.weight > 0)) return;
+            const Eigen::Map<const Eigen::Vector2d> residual(rows.residual);
+            found->without[rows.observation] =
+                WithoutObservation(h, along_of(rows), residual, sigma);
+          },
+          [&](int p, const PointBlocks& blocks, const PointAssembler& rows, const PointLeverages&) {
+            take_point(p, blocks, rows);
+          });
+      break;
+    case Deletions::kPoints:
+      ForLeverages(system_, inverse, {},
+                   [&](int p, const PointBlocks& blocks, const PointAssembler& rows,
+                       const PointLeverages& leverages) {
+                     take_point(p, blocks, rows);
+                     if (rows.num_rows() == 0 || !of_point(p).isZero(0)) return;
+                     Eigen::VectorXd along(2 * rows.num_rows()), residual(2 * rows.num_rows());
+                     for (int i = 0; i < rows.num_rows(); ++i) {
+                       along.segment<2>(2 * i) = along_of(rows.row(i));
+                       std::copy_n(rows.row(i).residual, 2, residual.data() + 2 * i);
+                     }
+                     found->without[p] = WithoutPoint(leverages.OfCameras(), along, residual);
+                   });
+      break;
+  }
   for (const double step : steps) found->step += step;
-  found->variance = rhs.col(0).dot(a.col(0));
-  for (const double variance : variances) found->variance += variance;
   const size_t m = view().factors == nullptr ? 0 : view().factors->factors.size();
   found->factor_share.assign(m, kNotComputed);
   system_.ForFactors([&](const ReducedSystem::FactorRows& rows) {
@@ -156,16 +205,14 @@ void CovarianceComputation::FindInfluence(const InfluenceOptions& gradient,
   });
   for (const NullPoint& null : system_.null_points()) output_.null_points.push_back(null.point);
   output_.warnings = system_.warnings();
-  found->reliability.sums = std::move(output_);
+  found->sums = std::move(output_);
 }
 
 InfluenceOutput ComputeInfluence(const AdjustmentProblem& problem, const SolveOptions& options,
-                                 const InfluenceOptions& gradient,
-                                 const ReliabilityOptions& wanted) {
+                                 const InfluenceOptions& gradient, Deletions wanted) {
   SolveOptions all = options;
   all.gauge = Gauge::kNone;
-  CovarianceOptions of_inverse;
-  of_inverse.long_sums = wanted.long_sums;
+  const CovarianceOptions of_inverse;
   InfluenceOutput found;
   CovarianceComputation(problem, all, of_inverse).FindInfluence(gradient, wanted, &found);
   return found;

@@ -19,9 +19,10 @@
 ///
 ///   dq = (J~ a)_I^T (I - H_II)^+ r~_I,        H_II = J~_I C J~_I^T.
 ///
-/// For one observation, H_II is its leverage (leverages.h), and callers apply the formula. For all
-/// observations of a point, which then is no unknown any more, the point is eliminated first. With
-/// T = A - B Y^T, its rows by the camera parameters,
+/// For one observation, H_II is its leverage (leverages.h). With H_II u = u, a direction of the
+/// unknowns is undetermined without the observation, and r~^T u = 0 at a minimum; q must not change
+/// along it. For all observations of a point, which then is no unknown any more, the point is
+/// eliminated first. With T = A - B Y^T, its rows by the camera parameters,
 ///
 ///   dq = (T a_c)^T (I - T C T^T)^-1 r~        if g_p = 0; B^T r~ = 0 at a minimum,
 ///
@@ -30,7 +31,7 @@
 
 #include <vector>
 
-#include "core/covariance/reliability.h"
+#include "core/covariance/covariance.h"
 
 namespace bundle {
 
@@ -41,19 +42,23 @@ struct InfluenceOptions {
   std::vector<double> points;   ///< num_points x 3
 };
 
+/// Whose deletions are wanted; each takes more time than all else.
+enum class Deletions { kNone, kObservations, kPoints };
+
 struct InfluenceOutput {
   double variance = 0;
-  double step = 0;            ///< -(J~ a)^T r~ over all measurements
-  double gauge_share = 0;     ///< ||N^T g|| over the sum of the absolute values of its terms
-  LargeVector<double> along;  ///< num_observations x 2: (J~ a)_i; NaN if it does not count
-  std::vector<double> without_point;  ///< num_points: dq; NaN where it has no value
-  std::vector<double> factor_share;   ///< per factor ||(J~ a)_i||^2; NaN if it has no value
-  ReliabilityOutput reliability;
+  double step = 0;              ///< -(J~ a)^T r~ over all measurements
+  double gauge_share = 0;       ///< ||N^T g|| over the sum of the absolute values of its terms
+  LargeVector<double> along;    ///< num_observations x 2: (J~ a)_i; NaN if it does not count
+  LargeVector<double> weights;  ///< num_observations: rho' of the loss, likewise
+  /// dq without each observation or point; NaN where it has no value. Empty unless wanted.
+  LargeVector<double> without;
+  std::vector<double> factor_share;  ///< per factor ||(J~ a)_i||^2; NaN if it has no value
+  CovarianceOutput sums;             ///< as in ReliabilityOutput
 };
 
 /// Throws as ComputeReliability.
 InfluenceOutput ComputeInfluence(const AdjustmentProblem& problem, const SolveOptions& options,
-                                 const InfluenceOptions& gradient,
-                                 const ReliabilityOptions& wanted);
+                                 const InfluenceOptions& gradient, Deletions wanted);
 
 }  // namespace bundle

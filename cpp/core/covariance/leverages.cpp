@@ -148,20 +148,24 @@ void AddPair(BlockOfInverse<double> block, int rows, int columns, bool is_diagon
 
 /// Leverages of the observations of one point, or of none, from blocks of C.
 template <typename Scalar>
-class Leverages {
+class Leverages final : public PointLeverages {
  public:
-  using Matrix3 = Eigen::Matrix<Scalar, 3, 3>;
-
   Leverages(const ReducedSystem& system, const LongMatrix& inverse)
       : system_(system), inverse_(inverse) {}
 
-  /// A C A^T
-  Matrix2d OfCameras(const ObservationRows& rows) const {
-    return Own(rows).template cast<double>();
+  /// A_x C A_y^T
+  Eigen::Matrix<Scalar, 2, 2> OfCameras(const ObservationRows& x, const ObservationRows& y) const {
+    Block2 sum = Block2::Zero();
+    for (int a = 0; a < x.num_blocks; ++a) {
+      for (int b = 0; b < y.num_blocks; ++b) sum += Product(x, a, y, b);
+    }
+    return sum;
   }
 
-  /// C Y and V^-1 + Y^T C Y of a point
-  void TakePoint(const PointBlocks& blocks) {
+  /// C Y and Y^T C Y of a point; keeps references
+  void TakePoint(const PointBlocks& blocks, const PointAssembler& assembler) {
+    blocks_ = &blocks;
+    assembler_ = &assembler;
     y_.assign(blocks.y.size() / 3 * 4, Scalar(0));
     for (size_t i = 0; i < blocks.y.size(); ++i) y_[i / 3 * 4 + i % 3] = blocks.y[i];
     cy_.assign(y_.size(), Scalar(0));
@@ -184,23 +188,58 @@ class Leverages {
         }
       }
     }
-    of_point_ = Eigen::Map<const Eigen::Matrix3d>(blocks.inverse).template cast<Scalar>();
+    by_cameras_.setZero();
     for (size_t row = 0; row < y_.size(); row += 4) {
-      for (int k = 0; k < 9; ++k) of_point_(k / 3, k % 3) += y_[row + k / 3] * cy_[row + k % 3];
+      for (int k = 0; k < 9; ++k) by_cameras_(k / 3, k % 3) += y_[row + k / 3] * cy_[row + k % 3];
     }
   }
 
-  Eigen::Matrix3d covariance() const { return of_point_.template cast<double>(); }
+  Eigen::Matrix3d Covariance() const override {
+    return Eigen::Map<const Eigen::Matrix3d>(blocks_->inverse) +
+           by_cameras_.template cast<double>();
+  }
 
-  /// h, with the products of T C T^T multiplied out
-  Matrix2d OfPoint(const PointBlocks& blocks, const ObservationRows& rows) const {
-    const Eigen::Matrix<Scalar, 2, 3> b =
-        Eigen::Map<const Eigen::Matrix<double, 2, 3, Eigen::RowMajor>>(rows.point)
-            .template cast<Scalar>();
-    Eigen::Matrix<Scalar, 2, 3> acy = Eigen::Matrix<Scalar, 2, 3>::Zero();
+  Eigen::MatrixXd OfCameras() const override {
+    const int m = assembler_->num_rows();
+    const auto row = [this](int i) -> const ObservationRows& { return assembler_->row(i); };
+    std::vector<Row3> acy(m);
+    for (int i = 0; i < m; ++i) acy[i] = TimesCy(row(i));
+    Eigen::MatrixXd all = Eigen::MatrixXd::Zero(2 * m, 2 * m);
+    for (int i = 0; i < m; ++i) {
+      for (int j = 0; j <= i; ++j) {
+        all.block<2, 2>(2 * i, 2 * j) =
+            OfRows(row(i), acy[i], row(j), acy[j]).template cast<double>();
+      }
+    }
+    return all;
+  }
+
+  /// h
+  Matrix2d OfPoint(const ObservationRows& rows) const {
+    const Row3 b = ByPoint(rows), acy = TimesCy(rows);
+    const Row3 own =
+        b.lazyProduct(Eigen::Map<const Eigen::Matrix3d>(blocks_->inverse).template cast<Scalar>());
+    const Block2 h = OfRows(rows, acy, rows, acy) + own.lazyProduct(b.transpose());
+    return h.template cast<double>();
+  }
+
+ private:
+  using Block2 = Eigen::Matrix<Scalar, 2, 2>;
+  using Row3 = Eigen::Matrix<Scalar, 2, 3>;
+
+  /// B
+  static Row3 ByPoint(const ObservationRows& rows) {
+    return Eigen::Map<const Eigen::Matrix<double, 2, 3, Eigen::RowMajor>>(rows.point)
+        .template cast<Scalar>();
+  }
+
+  /// A C Y
+  Row3 TimesCy(const ObservationRows& rows) const {
+    Row3 acy = Row3::Zero();
     for (int k = 0; k < rows.num_blocks; ++k) {
-      const auto at = std::lower_bound(blocks.blocks.begin(), blocks.blocks.end(), rows.block[k]);
-      const Scalar* cy = &cy_[4 * size_t(blocks.begin[at - blocks.blocks.begin()])];
+      const auto at =
+          std::lower_bound(blocks_->blocks.begin(), blocks_->blocks.end(), rows.block[k]);
+      const Scalar* cy = &cy_[4 * size_t(blocks_->begin[at - blocks_->blocks.begin()])];
       for (int r = 0; r < rows.size[k]; ++r, cy += 4) {
         for (int row = 0; row < 2; ++row) {
           const Scalar factor = rows.jacobian[k][row * rows.size[k] + r];
@@ -208,14 +247,16 @@ class Leverages {
         }
       }
     }
-    const Block2 cross = acy.lazyProduct(b.transpose());  // A C Y B^T
-    const Eigen::Matrix<Scalar, 2, 3> by_point = b.lazyProduct(of_point_);
-    const Block2 h = Own(rows) + by_point.lazyProduct(b.transpose()) - cross - cross.transpose();
-    return h.template cast<double>();
+    return acy;
   }
 
- private:
-  using Block2 = Eigen::Matrix<Scalar, 2, 2>;
+  /// T_x C T_y^T of two observations of the point, multiplied out
+  Block2 OfRows(const ObservationRows& x, const Row3& acy_x, const ObservationRows& y,
+                const Row3& acy_y) const {
+    const Row3 bx = ByPoint(x), by = ByPoint(y);
+    const Row3 along = bx.lazyProduct(by_cameras_) - acy_x;
+    return OfCameras(x, y) + along.lazyProduct(by.transpose()) - bx.lazyProduct(acy_y.transpose());
+  }
 
   /// Use of both triangles, for an inverse in long doubles: each column solves the equations up to
   /// rounding, so that its errors are along directions that the rows of J hardly see. With half of
@@ -234,14 +275,14 @@ class Leverages {
     }
   }
 
-  /// A_a C_ab A_b^T of two blocks of an observation
-  Block2 Product(const ObservationRows& rows, int a, int b) const {
-    if (!kIsWhole && rows.block[a] < rows.block[b]) return Product(rows, b, a).transpose();
+  /// A_a C_ab A_b^T of a block of x and one of y
+  Block2 Product(const ObservationRows& x, int a, const ObservationRows& y, int b) const {
+    if (!kIsWhole && x.block[a] < y.block[b]) return Product(y, b, x, a).transpose();
     Block2 sum = Block2::Zero();
-    const BlockOfInverse<Scalar> block = BlockOf(rows.block[a], rows.block[b]);
-    const int size_a = rows.size[a], size_b = rows.size[b];
-    const double *const ja = rows.jacobian[a], *const jb = rows.jacobian[b];
-    const bool is_half = !kIsWhole && rows.block[a] == rows.block[b];
+    const BlockOfInverse<Scalar> block = BlockOf(x.block[a], y.block[b]);
+    const int size_a = x.size[a], size_b = y.size[b];
+    const double *const ja = x.jacobian[a], *const jb = y.jacobian[b];
+    const bool is_half = !kIsWhole && x.block[a] == y.block[b];
     for (int c = 0; c < size_b; ++c) {
       const Scalar* const column = block.values + c * block.stride;
       Scalar down[2] = {}, across[2] = {};  // along the column, and along the row beside it
@@ -259,49 +300,38 @@ class Leverages {
     return sum;
   }
 
-  Block2 Own(const ObservationRows& rows) const {
-    Block2 sum = Block2::Zero();
-    for (int a = 0; a < rows.num_blocks; ++a) {
-      sum += Product(rows, a, a);
-      for (int b = 0; b < a; ++b) {
-        const Block2 product = Product(rows, a, b);
-        sum += product + (kIsWhole ? Product(rows, b, a) : Block2(product.transpose()));
-      }
-    }
-    return sum;
-  }
-
   const ReducedSystem& system_;
   const LongMatrix& inverse_;
+  const PointBlocks* blocks_ = nullptr;
+  const PointAssembler* assembler_ = nullptr;
   std::vector<Scalar> y_, cy_;
-  Matrix3 of_point_ = Matrix3::Zero();
+  Eigen::Matrix<Scalar, 3, 3> by_cameras_ = Eigen::Matrix<Scalar, 3, 3>::Zero();
 };
 
 template <typename Scalar>
 void VisitLeverages(const ReducedSystem& system, const LongMatrix& inverse,
-                    const LeverageVisitor& of_observation, const PointCovarianceVisitor& of_point) {
+                    const LeverageVisitor& of_observation, const PointLeverageVisitor& of_point) {
   std::vector<Leverages<Scalar>> of_thread(system.num_threads(), {system, inverse});
   system.ForPoints([&](int p, const PointBlocks& blocks, const PointAssembler& rows, int thread) {
     Leverages<Scalar>& leverages = of_thread[thread];
-    leverages.TakePoint(blocks);
-    for (int i = 0; i < rows.num_rows(); ++i) {
-      of_observation(leverages.OfPoint(blocks, rows.row(i)), rows.row(i));
+    leverages.TakePoint(blocks, rows);
+    if (of_point) of_point(p, blocks, rows, leverages);
+    for (int i = 0; of_observation && i < rows.num_rows(); ++i) {
+      of_observation(leverages.OfPoint(rows.row(i)), rows.row(i));
     }
-    if (of_point) of_point(p, leverages.covariance());
   });
-  system.ForObservationsOfFixedPoints(
-      [&](const ObservationRows& rows) { of_observation(of_thread[0].OfCameras(rows), rows); });
+  if (!of_observation) return;
+  system.ForObservationsOfFixedPoints([&](const ObservationRows& rows) {
+    of_observation(of_thread[0].OfCameras(rows, rows).template cast<double>(), rows);
+  });
 }
 
 }  // namespace
 
 void ForLeverages(const ReducedSystem& system, const LongMatrix& inverse,
-                  const LeverageVisitor& of_observation, const PointCovarianceVisitor& of_point) {
-  if (inverse.size() > 0) {
-    VisitLeverages<long double>(system, inverse, of_observation, of_point);
-  } else {
-    VisitLeverages<double>(system, inverse, of_observation, of_point);
-  }
+                  const LeverageVisitor& of_observation, const PointLeverageVisitor& of_point) {
+  const auto visit = inverse.size() > 0 ? &VisitLeverages<long double> : &VisitLeverages<double>;
+  visit(system, inverse, of_observation, of_point);
 }
 
 CorrectedResiduals CorrectForLeverage(const ReducedSystem& system, const LongMatrix& inverse) {

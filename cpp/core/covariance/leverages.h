@@ -53,15 +53,24 @@ inline constexpr double kLeastCurvature = 1e-3;
 
 /// Takes h of an observation that counts.
 using LeverageVisitor = std::function<void(const Eigen::Matrix2d& h, const ObservationRows& rows)>;
-/// Takes V^-1 + Y^T C Y, the covariance of a free point.
-using PointCovarianceVisitor = std::function<void(int point, const Eigen::Matrix3d& covariance)>;
 
-/// Visits all observations and then, unless `of_point` is empty, their point, on all threads.
+/// Covariances of a free point, and of the predictions of its observations.
+class PointLeverages {
+ public:
+  virtual ~PointLeverages() = default;
+  virtual Eigen::Matrix3d Covariance() const = 0;  ///< V^-1 + Y^T C Y
+  /// The lower triangle of T C T^T of all observations, two rows each.
+  virtual Eigen::MatrixXd OfCameras() const = 0;
+};
+using PointLeverageVisitor = std::function<void(int point, const PointBlocks&,
+                                                const PointAssembler&, const PointLeverages&)>;
+
+/// Visits all free points, unless `of_point` is empty, each before its observations, unless
+/// `of_observation` is empty, and then the observations of constant points; on all threads.
 /// `inverse` empty: the values of the system are C (ReducedSystem::Invert). C may be any inverse of
 /// a gauge: J N = 0.
 void ForLeverages(const ReducedSystem& system, const LongMatrix& inverse,
-                  const LeverageVisitor& of_observation,
-                  const PointCovarianceVisitor& of_point = {});
+                  const LeverageVisitor& of_observation, const PointLeverageVisitor& of_point = {});
 
 struct CorrectedResiduals {
   std::vector<double> scores;  ///< r^, two numbers per observation; zero if it does not count

@@ -67,11 +67,7 @@ void CovarianceComputation::FindReliability(const ReliabilityOptions& wanted,
   const BlockValues held = wanted.num_worst > 0 ? system_.values() : BlockValues();
   Factorize();
   FindDirections();
-  LongMatrix inverse;
-  if (is_small_) {
-    inverse.setIdentity(lower_.rows(), lower_.cols());
-    SolveLong(lower_, &inverse);
-  }
+  const LongMatrix inverse = LongInverse();
   InvertAndCheck();
   FindLeverages(inverse, wanted, found);
   if (wanted.num_worst > 0) {
@@ -117,8 +113,9 @@ void CovarianceComputation::FindLeverages(const LongMatrix& inverse,
         found->leverages[3 * i + 1] = 0.5 * (h(0, 1) + h(1, 0));
         found->leverages[3 * i + 2] = h(1, 1);
       },
-      [&](int point, const Eigen::Matrix3d& covariance) {
-        if (const auto at = of_points.find(point); at != of_points.end()) at->second = covariance;
+      [&](int point, const PointBlocks&, const PointAssembler&, const PointLeverages& leverages) {
+        const auto at = of_points.find(point);
+        if (at != of_points.end()) at->second = leverages.Covariance();
       });
   const size_t m = view().factors == nullptr ? 0 : view().factors->factors.size();
   found->factor_measurements.assign(m, 0);

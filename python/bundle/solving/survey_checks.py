@@ -46,7 +46,7 @@ from bundle.georeference.point_check import (
 from bundle.georeference.scale_bars import MOST_TESTED, FoundBars, bars_among
 from bundle.georeference.target_priors import TargetPriors, survey_sigmas
 from bundle.graphs.factors.factors import Factor, PositionFactor
-from bundle.interface.analysis_options import GAUGE, NOT_CHECKABLE
+from bundle.interface.analysis_options import GAUGE
 from bundle.interface.georeference_options import OFFSET_AXES
 from bundle.model.problem import Problem
 from bundle.model.rigid_motions import rotation_matrices
@@ -94,7 +94,7 @@ def _check_bars(prepared: Prepared) -> tuple[BarCheck, ...]:
 
     def variance(*rows: int) -> tuple[float, float]:
         images, points = (np.sum([by_bar[row][k] for row in rows], axis=0) for k in range(2))
-        out = _core.influence(problem, *given, NOT_CHECKABLE, images, cameras, points)
+        out = _core.influence(problem, *given, "", images, cameras, points)
         return out["variance"], out["gauge_share"]
 
     if count > MOST_TESTED or problem.num_images > MOST_IMAGES:

@@ -101,6 +101,30 @@ def test_derivatives_and_deletions_agree_with_dense_matrices(small, text):
         assert checked >= 1
 
 
+def test_deletions_of_a_problem_beyond_long_sums_agree_with_dense_matrices():
+    """The rank formula with all leverages, of which three are those of a point's coordinates."""
+    problem = make_problem(num_images=12, num_points=200, seed=5, perturbation=1e-3, shared=True)
+    problem = bundle.solve(problem, **TIGHT).problem
+    text = "distance 3 9 / baseline 1 4"
+    dense, quantity = Dense(problem), quantity_of(text, problem, {})
+    columns = columns_of(dense)
+    scale = np.linalg.norm(dense.jacobian[:, columns], axis=0)
+    rows, r = dense.jacobian[:, columns] / scale, dense.residual
+    a = np.linalg.pinv(rows.T @ rows, rcond=1e-12, hermitian=True)
+    along = rows @ (a @ (gradient_of(dense, quantity)[columns] / scale))
+    found = bundle.influence(problem, text)
+    for owner, keys, values, rank in (
+        (np.arange(problem.num_observations), range(0, 2400, 311), found.without_observation, 0),
+        (problem.observation_point, range(0, 200, 31), found.without_point, 3),
+    ):
+        for key in keys:
+            own = np.repeat(owner == key, 2)
+            rest = np.eye(own.sum()) - rows[own] @ a @ rows[own].T
+            share, axes = np.linalg.eigh(rest)
+            change = (axes.T @ along[own] / share * (axes.T @ r[own]))[rank:].sum()
+            assert values[key] - found.value == pytest.approx(change, rel=1e-6, abs=1e-9)
+
+
 @pytest.mark.parametrize("text", TEXTS)
 def test_gradients_of_quantities_agree_with_differences(small, text):
     """Gradients by poses, which move by (w, t), by parameters and by points."""
@@ -321,11 +345,16 @@ def test_places_at_one_place_have_no_direction(small):
 def test_changes_are_sorted_and_it_pickles(small):
     for without in ("observations", "points", "images"):
         found = bundle.influence(small, "f 1", without=without)
-        sizes = [abs(change.sigmas) for change in found.changes]
-        assert sizes == sorted(sizes, reverse=True) and sizes
+        values = getattr(found, f"without_{without[:-1]}")
+        order = np.argsort(-np.nan_to_num(np.abs(values - found.value), nan=-1), kind="stable")
+        shown = order[np.isfinite(values[order])][:20]
+        np.testing.assert_array_equal([one.value for one in found.changes], values[shown])
         assert found.changes[0].what.startswith("point" if without == "points" else "image")
     again = pickle.loads(pickle.dumps(found))
-    np.testing.assert_array_equal(again.share, found.share)
+    asked = bundle.influence(small, "f 1", without="points")
+    for name in ("share", "without_observation", "without_point", "without_image"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(found, name))
+    np.testing.assert_array_equal(again.without_point, asked.without_point)
     assert repr(found).startswith("Influence: f 1") and len(found.sentences) <= 4
     assert 1 <= found.hangs_on <= found.num_observations
     assert not any(isinstance(one, np.ndarray) for one in found.entries.values())

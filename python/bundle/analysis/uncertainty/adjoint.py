@@ -435,7 +435,10 @@ class Adjoint(Displayed):
         rows, count = None, 0
         failure = "No minimum: the Hessian is not positive definite."
         if self.next_step > CONVERGED:
-            failure = f"The next step has {number(self.next_step)} sigmas: use smaller tolerances."
+            failure = (
+                f"The next step has {number(self.next_step)} sigmas: use smaller tolerances, or "
+                "fix what bundle diagnose finds hardly determined."
+            )
         elif self.is_converged and self.exact:
             rows, count = system.solve(rest)
             failure = f"No solution of the adjoint equations after {plural(count, 'product')}."

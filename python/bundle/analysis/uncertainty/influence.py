@@ -11,7 +11,8 @@ sigma are predicted to a few percent of it. The weights of a loss stay as they a
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from functools import cache, cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,18 +26,17 @@ from bundle.analysis.uncertainty.covariance_by_input import (
 )
 from bundle.analysis.uncertainty.quantity import Quantity, lacking, quantity_of
 from bundle.analysis.uncertainty.reliability import notes_of
-from bundle.base.arrays import FrozenArrays, filled, freeze
+from bundle.base.arrays import FrozenArrays, freeze
 from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
 from bundle.base.words import number
 from bundle.errors import InputError
-from bundle.interface.analysis_options import GAUGE, NOT_CHECKABLE, WITHOUT
+from bundle.interface.analysis_options import GAUGE, WITHOUT
 from bundle.interface.option_class import takes_options
 from bundle.interface.option_fields import choice
 from bundle.interface.options import SolveOptions
 from bundle.interface.tabular import Tabular
 from bundle.io.files import Source
-from bundle.model.residuals import directions_of
 from bundle.solving.prepare import Prepared, prepare
 from bundle.solving.request import SolveRequest
 from bundle.solving.result import Result
@@ -78,8 +78,6 @@ class Influence(FrozenArrays, Displayed, Tabular):
         by_observation: (n, 2) derivative with respect to the measured pixel [unit per px].
         share: (n,) share of the observation in the variance.
         share_of_factors: share of priors and other factors in the variance.
-        without_observation: (n,) value without an observation.
-        without_point: (num_points,) value without a point; NaN of points in the quantity.
         without_image: (num_images,) value without an image; NaN unless requested.
         hangs_on: number of observations that make half of their part of the variance.
         num_observations: number of observations that count.
@@ -96,19 +94,32 @@ class Influence(FrozenArrays, Displayed, Tabular):
     by_observation: NDArray[np.float64]
     share: NDArray[np.float64]
     share_of_factors: float
-    without_observation: NDArray[np.float64]
-    without_point: NDArray[np.float64]
     without_image: NDArray[np.float64]
     hangs_on: int
     num_observations: int
     without: str
     changes: tuple[Change, ...]
     notes: tuple[str, ...]
+    _without: Callable[[str], NDArray[np.float64]]  # by the kind of what is left out
+
+    @cached_property
+    def without_observation(self) -> NDArray[np.float64]:
+        """(n,) value without an observation, computed at the first access."""
+        return self._without("observations")
+
+    @cached_property
+    def without_point(self) -> NDArray[np.float64]:
+        """(num_points,) value without a point, likewise; NaN of points in the quantity."""
+        return self._without("points")
+
+    def __getstate__(self) -> dict[str, Any]:
+        self.without_observation, self.without_point  # noqa: B018
+        return vars(self) | {"_without": None}
 
     @property
     def entries(self) -> dict[str, Any]:
         """Fields other than arrays, for JSON."""
-        names = [field.name for field in dataclasses.fields(self)]
+        names = [field.name for field in dataclasses.fields(self) if field.name != "_without"]
         values = {name: getattr(self, name) for name in names}
         return {name: one for name, one in values.items() if not isinstance(one, np.ndarray)}
 
@@ -199,17 +210,22 @@ def influence(
         problem, options, changes, "influence", factors=factors, priors=priors, align=align,
         bounds=bounds, constraints=constraints,
     )  # fmt: skip
-    return _influence(*differentiate(request, on), without)
+    return _influence(*differentiate(request, on, without), without)
 
 
-def differentiate(request: SolveRequest, on: str) -> tuple[Prepared, Quantity, dict[str, Any]]:
-    """Return a prepared request, a quantity and the output of the core about it."""
+def differentiate(
+    request: SolveRequest, on: str, without: str = ""
+) -> tuple[Prepared, Quantity, dict[str, Any]]:
+    """Return a prepared request, a quantity and the output of the core about it.
+
+    ``without``: "observations" or "points", of which the output then has the deletions.
+    """
     prepared = at_control_points(prepare(request))
     if not prepared.request.problem.num_observations:
         raise InputError("problem: expected observations, found 0")
     refuse_huge(prepared.start)
     quantity = quantity_of(on, prepared.start, names_of_markers(prepared))
-    out = _core_influence(prepared, quantity)
+    out = _core_influence(prepared, quantity, without)
     start = prepared.start
     if out["gauge_share"] > GAUGE:
         raise InputError(
@@ -243,7 +259,9 @@ def with_observations(start: Problem, keep: NDArray[np.bool_]) -> Problem:
     return start.replace(**{name: one[keep] for name, one in arrays.items() if one is not None})
 
 
-def _core_influence(prepared: Prepared, quantity: Quantity, keep: Any = None) -> dict[str, Any]:
+def _core_influence(
+    prepared: Prepared, quantity: Quantity, without: str = "", keep: Any = None
+) -> dict[str, Any]:
     """Return the output of the core, with some of the observations."""
     layout = prepared.layout
     start = prepared.start if keep is None else with_observations(prepared.start, keep)
@@ -252,7 +270,7 @@ def _core_influence(prepared: Prepared, quantity: Quantity, keep: Any = None) ->
         layout.options.asdict(),
         layout.limits,
         layout.core_factors(),
-        NOT_CHECKABLE,
+        without,
         quantity.images,
         quantity.cameras,
         quantity.points,
@@ -270,19 +288,18 @@ def _influence(
     share = (out["along"] ** 2).sum(axis=1) / out["variance"]
     share[~(out["weights"] > 0)] = np.nan
     by_pixel = out["along"] * (np.sqrt(weight) / spread)[:, None]
-    value, n = quantity.value, given.num_observations
-    of_observations = value + _without_observations(out, sigma)
-    of_points = value + out["without_point"]
-    of_images = filled((start.num_images,), np.nan, float)
-    if without == "images":
-        of_images = _without_images(prepared, quantity, out)
+    value, n, first = quantity.value, given.num_observations, out["without"]
+
+    @cache
+    def values_without(kind: str) -> NDArray[np.float64]:
+        change = first if kind == without else _core_influence(prepared, quantity, kind)["without"]
+        return freeze(value + change[: n if kind == "observations" else given.num_points])
+
+    is_by_image = without == "images"
+    of_images = _without_images(prepared, quantity, out if is_by_image else {})
     ordered = np.sort(share[np.isfinite(share)])[::-1]
     hangs_on = int(np.searchsorted(np.cumsum(ordered), 0.5 * ordered.sum()) + 1)
-    arrays = {
-        "observations": (of_observations[:n], None),
-        "points": (of_points[: given.num_points], start.observation_point),
-        "images": (of_images[: given.num_images], start.observation_image),
-    }
+    values = of_images if is_by_image else values_without(without)
     return Influence(
         on=quantity.text,
         unit=quantity.unit,
@@ -292,76 +309,54 @@ def _influence(
         by_observation=freeze(by_pixel[:n]),
         share=freeze(share[:n]),
         share_of_factors=float(np.nansum(out["factor_share"]) / out["variance"]),
-        without_observation=freeze(of_observations[:n].copy()),
-        without_point=freeze(of_points[: given.num_points].copy()),
-        without_image=freeze(np.array(of_images[: given.num_images])),
+        without_image=of_images,
         hangs_on=min(hangs_on, len(ordered)),
         num_observations=len(ordered),
         without=without,
-        changes=_changes(prepared, without, *arrays[without], share, value, sigma),
+        changes=_changes(prepared, without, values, share, value, sigma),
         notes=notes_of(prepared, out),
+        _without=values_without,
     )
-
-
-NO_REDUNDANCY = 1e-9
-"""Redundancy that is zero but for rounding."""
-
-
-def _without_observations(out: Mapping[str, Any], sigma: float) -> NDArray[np.float64]:
-    """Return (J a)^T (I - H)^+ r of each observation, by the two eigenvectors u of its H.
-
-    With H u = u, a direction of the unknowns is undetermined without the observation, and r u = 0
-    at a minimum. NaN if the quantity changes along it: u^T J a is its derivative.
-    """
-    directions, redundancies = directions_of(out["leverages"])
-    change = np.zeros(len(redundancies))
-    for u, rest in zip(directions, redundancies.T, strict=True):
-        along = (out["along"] * u).sum(axis=1)
-        residual = (out["residuals"] * u).sum(axis=1)
-        is_seen = rest > NO_REDUNDANCY
-        change += np.where(is_seen, along * residual / np.where(is_seen, rest, 1), 0)
-        change[~is_seen & (np.abs(along) > 1e-6 * sigma)] = np.nan
-    change[~(out["weights"] > 0)] = np.nan
-    return change
 
 
 def _without_images(
     prepared: Prepared, quantity: Quantity, whole: Mapping[str, Any]
 ) -> NDArray[np.float64]:
-    """Return the value without each image that has observations."""
+    """Return the value without each image that has observations; NaN if ``whole`` is empty."""
     start = prepared.start
     values = np.full(start.num_images, np.nan)
     used = np.flatnonzero(quantity.points.any(axis=1))
-    for image in np.unique(start.observation_image):
+    for image in np.unique(start.observation_image) if whole else ():
         keep = start.observation_image != image
         if not keep.any() or quantity.images[image].any():
             continue
         try:
-            out = _core_influence(prepared, quantity, keep)
+            out = _core_influence(prepared, quantity, keep=keep)
         except InputError:
             continue  # without the image, something is undetermined
         if np.isin(used, out["null_points"]).any() or out["gauge_share"] > GAUGE:
             continue
         values[image] = quantity.value + out["step"] - whole["step"]
-    return values
+    return freeze(values[: prepared.request.problem.num_images].copy())
 
 
 def _changes(
     prepared: Prepared,
     without: str,
     values: NDArray[np.float64],
-    owner: NDArray[np.int32] | None,
     share: NDArray[np.float64],
     value: float,
     sigma: float,
 ) -> tuple[Change, ...]:
     """Return the largest changes by one observation, point or image."""
-    start = prepared.start
-    sizes = share
-    if owner is not None:
+    start, sizes = prepared.start, share
+    if without != "observations":
+        owner = start.observation_point if without == "points" else start.observation_image
         sizes = np.bincount(owner, np.nan_to_num(share), len(values)).astype(float)
-    change = np.abs(values - value)
-    rows = np.argsort(-np.where(np.isfinite(change), change, -1), kind="stable")[:MOST]
+    change = np.nan_to_num(np.abs(values - value), nan=-1)
+    least = np.partition(change, -MOST)[-MOST] if len(change) > MOST else -1
+    rows = np.flatnonzero(change >= least)
+    rows = rows[np.argsort(-change[rows], kind="stable")][:MOST]
 
     def words(row: int) -> str:
         if without == "points":
@@ -380,5 +375,5 @@ def _changes(
             sigmas=float((values[row] - value) / sigma),
         )
         for row in rows
-        if np.isfinite(change[row])
+        if change[row] >= 0
     )

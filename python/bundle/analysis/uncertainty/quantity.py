@@ -8,9 +8,10 @@ centre c = -R^T t of an image, whose pose moves by (w, t), R to Exp(w) R,
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -104,10 +105,10 @@ def _parameter(words: Sequence[str], problem: Problem) -> Quantity:
     kinds = ", ".join((*PLACES, "or a camera's parameter such as f"))
     if len(words) != 2:
         raise InputError(f"on: expected {kinds}, found {brief(' '.join(words))}")
-    rows = np.flatnonzero(problem.camera_ids.astype(str) == words[1])
-    if not len(rows):
+    rows = _rows_of(words[1], problem.camera_ids)
+    if not rows:
         raise InputError(f"on: expected the id of a camera of the model, found {brief(words[1])}")
-    camera = int(rows[0])
+    camera = rows[0]
     names = parameter_names("on", problem, camera)
     if words[0] not in names:
         raise InputError(f"on: expected {kinds} ({', '.join(names)}), found {brief(words[0])}")
@@ -126,19 +127,22 @@ def _place(
     if is_image:
         name = word.removeprefix("image:")
         rows = [row for row, one in enumerate(problem.image_names) if one == name]
-        rows += np.flatnonzero(problem.image_ids.astype(str) == name).tolist()
-        what, found = "the name or id of an image", rows
+        what, found = "the name or id of an image", rows + _rows_of(name, problem.image_ids)
     else:
-        key = markers.get(word)
-        ids = problem.point_ids if key is not None else problem.point_ids.astype(str)
-        found = np.flatnonzero(ids == (word if key is None else key)).tolist()
+        found = _rows_of(str(markers.get(word, word)), problem.point_ids)
         what = "the id of a point, the name of a control point or image:NAME"
     if not found:
         raise InputError(f"on: expected {what} of the model, found {brief(word)}")
     seen = problem.observation_image if is_image else problem.observation_point
     if found[0] not in seen:
         raise InputError(f"on: expected a place with observations, {brief(word)} has 0")
-    return is_image, int(found[0])
+    return is_image, found[0]
+
+
+def _rows_of(word: str, ids: NDArray[Any]) -> list[int]:
+    """Return the rows with the id that a word spells."""
+    is_number = re.fullmatch("0|-?[1-9][0-9]*", word)
+    return [int(row) for row in np.flatnonzero(ids == int(word))] if is_number else []
 
 
 def _distance(at: _Floats) -> tuple[float, _Floats]:
