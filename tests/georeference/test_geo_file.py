@@ -248,6 +248,22 @@ TABLES = {
 }
 
 
+@pytest.mark.parametrize(("south", "west"), [("South", "West"), ("S", "W"), ("s", "w")])
+def test_hemispheres_of_unsigned_degrees(tmp_path, south, west):
+    path = tmp_path / "positions.csv"
+    rows = f"""SourceFile,GPSLatitude,GPSLatitudeRef,GPSLongitude,GPSLongitudeRef
+a.jpg,33.4,{south},70.6,{west}
+b.jpg,-33.4,{south},-70.6,{west}
+c.jpg,33.4,North,70.6,E
+d.jpg,,{south},,{west}
+"""
+    path.write_text(rows)
+    found = read_geo_file(path)
+    assert found.names == ("a.jpg", "b.jpg", "c.jpg") and found.notes == ()
+    signs = np.array([[-1, -1], [-1, -1], [1, 1]])
+    np.testing.assert_array_equal(found.geodetic[:, :2], signs * [33.4, 70.6])
+
+
 @pytest.mark.parametrize("text", TABLES.values(), ids=TABLES)
 def test_tables_with_named_columns(tmp_path, text):
     path = tmp_path / "positions.csv"

@@ -316,6 +316,7 @@ def _table(
             break
     else:
         return None
+    hemispheres = [k for k, title in enumerate(letters) if re.search("l(at|ong)ituderef$", title)]
     systems = ["EPSG:4326"] * bool(re.search("lon|lng", letters[columns[1]]))
     for _, line in lines[:first]:
         code = _METASHAPE.search(line)
@@ -336,10 +337,15 @@ def _table(
                 f"each title, found {len(fields)}"
             )
         image, *numbers = (fields[column] if column >= 0 else "" for column in columns)
+        for column in hemispheres:
+            axis = int("lat" in letters[column])
+            if numbers[axis] and fields[column][:1] in tuple("SsWw"):  # South, West
+                numbers[axis] = f"-{numbers[axis].lstrip('-')}"
         if any(numbers[:2]):
             words = [number.replace(",", decimal) or "nan" for number in numbers]
             rows.append((number, [image, *words]))
-    unused = [title for column, title in enumerate(titles) if title and column not in columns]
+    used = {*columns, *hemispheres}
+    unused = [title for column, title in enumerate(titles) if title and column not in used]
     note = f"Columns of {shown(path)} without a use: {few(map(shown, unused))}."
     names = [titles[column] for column in columns]
     return system_of(place, systems[-1]), rows, names, [note] * bool(unused)
