@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import platform
 import subprocess
@@ -12,10 +13,12 @@ import pytest
 
 import bundle
 from bundle import _core
+from bundle.planning.inspection import inspection_result
 from bundle.planning.inspection.peak_memory import total
 from bundle.planning.inspection.problem_time import make_scene
 from tests.planning.inspection.dense_oracle import drive
 from tests.printed import in_order
+from tests.scenes import make_problem
 
 ORDERINGS = ("natural", "amd", "colamd", "metis", "nesdis")
 
@@ -208,3 +211,11 @@ def test_memory_is_what_a_solve_takes(inspect, backend, solver):
         and m.ordering != "cameras_first"
     )
     assert method.memory_in_bytes == pytest.approx(measured, rel=0.4)
+
+
+@pytest.mark.parametrize(("more", "is_said"), [(1.0, False), (1.04, False), (1.06, True)])
+def test_flops_are_compared_where_two_digits_differ(more, is_said):
+    (chosen, *_) = (one for one in bundle.inspect(make_problem()).methods if one.flops)
+    rival = dataclasses.replace(chosen, linear_solver_type="OTHER", flops=more * chosen.flops)
+    text = inspection_result.explain([chosen, rival], 0, 1.0)
+    assert ("1.1 times the flops" in text) == is_said and "OTHER" in text and "as long" in text

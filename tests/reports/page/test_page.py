@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 
 import cv2
 import numpy as np
@@ -13,6 +14,8 @@ import bundle
 from bundle.figures.marks import linear, logarithmic, short
 from bundle.reports.page.elimination_player import place
 from bundle.reports.page.page import as_json, png, tag, write_page
+from bundle.reports.page.table import declared
+from bundle.reports.sections import Table
 from tests.reports.page.reader import Page, check_self_contained
 
 HOSTILE = "</script><script>alert(1)</script><!-- & \u2028 \" ' \\"
@@ -120,3 +123,13 @@ def test_no_two_vertices_share_a_place(count, edges):
     assert (positions >= -1e-9).all() and (positions <= 1 + 1e-9).all()
     apart = np.linalg.norm(positions[:, None] - positions, axis=2) + np.eye(count)
     assert count < 2 or apart.min() > 0.2 / count
+
+
+def test_empty_columns_of_a_table_are_left_out():
+    rows = [("a", "", "", 1), ("b", "", "x", 2)]
+    head = ("name", "unit", "note", "size")
+    source = declared(Table.of(head, rows, left=2))
+    assert re.findall('<th scope="col"[^>]*>([^<]*)', source) == ["name", "unit", "note", "size"]
+    source = declared(Table.of(head, rows, left=1))
+    assert re.findall('<th scope="col"[^>]*>([^<]*)', source) == ["name", "note", "size"]
+    assert re.findall("<td[^>]*>([^<]*)", source) == ["", "1", "x", "2"]

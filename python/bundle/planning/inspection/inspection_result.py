@@ -283,7 +283,7 @@ def _against(rival: MethodInspection, chosen: MethodInspection) -> str:
     if not rival.fits_in_memory:
         return f"{name} needs {format_size(rival.memory_in_bytes)}, more than the free memory"
     times = rival.time_per_step_in_seconds / chosen.time_per_step_in_seconds
-    if chosen.flops and rival.flops > chosen.flops:
+    if chosen.flops and rival.flops > 1.05 * chosen.flops:
         more = rival.flops / chosen.flops
         return f"{name} needs {_two_digits(more)} times the flops and takes {_as_long(times)}"
     return f"{name} takes {_as_long(times)}"

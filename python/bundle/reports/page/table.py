@@ -68,10 +68,12 @@ def table(
 
 
 def declared(made: Table) -> str:
-    """Return the markup of a :class:`Table` with its legend; rows beyond ``most`` are folded."""
-    head = [column.title for column in made.columns]
-    rows = [[str(column.cell(row)) for column in made.columns] for row in made.rows]
-    words = [k for k in range(1, len(head)) if k < made.left or made.columns[k].title == "note"]
+    """Return the markup of a table: empty columns left out, rows beyond ``most`` folded, legend."""
+    cells = [[str(column.cell(row)) for row in made.rows] for column in made.columns]
+    kept = [k for k, column in enumerate(cells) if k < made.left or any(column)]
+    head = [made.columns[k].title for k in kept]
+    rows = [[cells[k][row] for k in kept] for row in range(len(made.rows))]
+    words = [k for k in range(1, len(head)) if k < made.left or head[k] == "note"]
     legend = tag("p", escape(made.legend), class_="quiet") if made.legend else ""
     return table(head, rows, words=words, best=made.best, rows_shown=made.most) + legend
 
