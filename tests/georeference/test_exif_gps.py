@@ -2,6 +2,7 @@
 
 import math
 import sys
+from datetime import datetime
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from PIL import Image
 from PIL.TiffImagePlugin import IFDRational
 
 from bundle import InputError
-from bundle.georeference.exif_gps import read_exif_gps
+from bundle.georeference.exif_gps import capture_times, read_exif_gps
 
 HERE = {1: "N", 2: (48.0, 30.0, 36.0), 3: "W", 4: (9.0, 15.0, 18.0), 5: b"\0", 6: 420.25}
 """The tags of GPS by number: latitude, longitude and altitude with their references."""
@@ -148,3 +149,27 @@ def test_no_folder_and_no_images(tmp_path):
         read_exif_gps(tmp_path, ["a.jpg", "b.jpg"])
     with pytest.raises(InputError, match="which have no names"):
         read_exif_gps(tmp_path, ["", ""])
+
+
+def test_times_of_capture(tmp_path):
+    taken = {
+        "b.jpg": "2021:05:02 09:00:30",
+        "a.jpg": "2021:05:01 10:03:00",
+        "c.jpg": "0000:00:00 00:00:00",  # a clock that was never set
+        "d.jpg": "",
+        "e.jpg": None,
+    }
+    for name, time in taken.items():
+        exif = Image.Exif()
+        exif[271] = "Maker"
+        if time is not None:
+            exif[0x8769] = {0x9003: time}
+        Image.new("RGB", (8, 6)).save(tmp_path / name, exif=exif.tobytes())
+    (tmp_path / "broken.jpg").write_bytes(b"no picture")
+    names = [*taken, "broken.jpg", "elsewhere.jpg"]
+    first, last = datetime(2021, 5, 1, 10, 3), datetime(2021, 5, 2, 9, 0, 30)
+    assert capture_times(tmp_path, names) == (first, last)
+    assert capture_times(tmp_path, ["b.jpg"]) == (last, last)
+    assert capture_times(tmp_path, names[2:]) is None
+    assert capture_times(tmp_path / "no folder", names) is None
+    assert capture_times(tmp_path, [""]) is None

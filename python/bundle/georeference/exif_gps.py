@@ -16,7 +16,8 @@ import os
 import warnings
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from datetime import datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 from xml.etree import ElementTree
@@ -30,7 +31,7 @@ from bundle.georeference.gps_positions import EXIF_TAGS, GpsPositions, counted_i
 from bundle.georeference.reference_system import WGS84
 from bundle.georeference.text_lines import last_part
 
-_GPS = 0x8825  # tag of the directory of GPS tags
+_GPS, _EXIF, _CAPTURED = 0x8825, 0x8769, 0x9003  # two directories of tags, DateTimeOriginal
 _LATITUDE, _LONGITUDE, _ALTITUDE_REFERENCE, _ALTITUDE, _POSITIONING_ERROR = 2, 4, 5, 6, 31
 """Tags of latitude and longitude. The tag of the letter (N, S, E, W) precedes each of them."""
 _BELOW = (1, 3)
@@ -113,17 +114,7 @@ def _position(path: Path) -> tuple[float, float, float, float, float] | None:
     Returns:
         None without a position: tags are missing, not numeric, or out of range.
     """
-    from PIL import Image  # start-up: loads slowly
-
-    allow_heic(path)
-    with path.open("rb") as file:
-        try:
-            with Image.open(file) as image:
-                tags = image.getexif().get_ifd(_GPS)
-        except Exception as error:  # broken files may raise anything; skip them
-            if isinstance(error, OSError) and error.errno is not None:
-                raise  # a disk error, not an error of the format
-            return None
+    tags = _tags(path, _GPS)
     latitude = _angle(tags, _LATITUDE, "NS", 90)
     longitude = _angle(tags, _LONGITUDE, "EW", 180)
     if latitude is None or longitude is None or latitude == longitude == 0:
@@ -136,6 +127,37 @@ def _position(path: Path) -> tuple[float, float, float, float, float] | None:
     if math.isfinite(rtk.horizontal):
         accuracy = rtk.horizontal
     return latitude, longitude, height, accuracy if accuracy > 0 else math.nan, rtk.vertical
+
+
+def capture_times(
+    folder: str | os.PathLike[str], names: Iterable[str]
+) -> tuple[datetime, datetime] | None:
+    """Return the first and the last time of capture in the EXIF tags; None without a time.
+
+    The arguments are those of :func:`read_exif_gps`. Times are those of the cameras' clocks.
+    """
+    times = []
+    with suppress(InputError), _any_size():  # no such images
+        for path in files_of_images(folder, names)[0].values():
+            with suppress(ValueError, OSError):  # no time, as "0000:00:00 00:00:00"
+                text = str(_tags(path, _EXIF).get(_CAPTURED, ""))
+                times.append(datetime.strptime(text[:19], "%Y:%m:%d %H:%M:%S"))
+    return (min(times), max(times)) if times else None
+
+
+def _tags(path: Path, directory: int) -> Mapping[int, Any]:
+    """Return the tags of a directory of an image; none of a broken file."""
+    from PIL import Image  # start-up: loads slowly
+
+    allow_heic(path)
+    with path.open("rb") as file:
+        try:
+            with Image.open(file) as image:
+                return image.getexif().get_ifd(directory)
+        except Exception as error:  # broken files may raise anything; skip them
+            if isinstance(error, OSError) and error.errno is not None:
+                raise  # a disk error, not an error of the format
+            return {}
 
 
 def _file(root: Path, name: str, *, alone: bool) -> Path | None:

@@ -38,8 +38,12 @@ def written(solved, tmp_path):
     photographs = tmp_path / "photographs"
     photographs.mkdir()
     first, second = (image.name for image in solved.worst_images[:2])
-    Image.new("RGB", (400, 300), (90, 120, 150)).save(photographs / first)
-    Image.new("RGB", (300, 400)).save(photographs / second)  # of another shape
+    exif = Image.Exif()
+    exif[0x8769] = {0x9003: "2021:05:01 10:03:20"}
+    Image.new("RGB", (400, 300), (90, 120, 150)).save(photographs / first, "JPEG", exif=exif)
+    exif[0x8769] = {0x9003: "2021:05:01 10:41:00"}
+    other = Image.new("RGB", (300, 400))  # of another shape
+    other.save(photographs / second, "JPEG", exif=exif)
     notes = write_report(solved, path, images=photographs, name="<b>scene")
     return path, Page(path), notes
 
@@ -54,6 +58,7 @@ def test_the_page_says_what_went_in_and_came_out(written, solved):
     assert rows["images"] == ["8", "8"] and rows["points"] == ["300", "300"]
     assert "<b>scene" in page.text
     assert "8 images, 1 camera, 300 points" in page.text
+    assert "Captured 2021-05-01 10:03 to 2021-05-01 10:41." in page.text
     for words in solved.summary.warnings:
         assert words in page.text
 

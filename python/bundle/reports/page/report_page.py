@@ -23,6 +23,7 @@ from bundle.figures.residual_field import residual_fields, rows_of_sets
 from bundle.figures.residual_figures import residual_histogram, worst_residuals
 from bundle.figures.scene_view import MOST_POINTS, scene_before, scene_view
 from bundle.figures.structure_figures import covisibility_graph, track_statistics
+from bundle.georeference.exif_gps import capture_times
 from bundle.georeference.similarity import moved
 from bundle.graphs.factors.factor_graph import FactorGraph, GraphResult
 from bundle.graphs.pose_graphs.edge_weights import is_graph, refuse_for_graphs
@@ -106,8 +107,8 @@ def write_report(
         result_or_problem: result of a solve, or a problem, its path, or a pycolmap.Reconstruction.
             Only a result has values before and after.
         path: path of the page. A failed write leaves no partial file.
-        images: folder of the photographs, for the worst images; names of images are paths relative
-            to it.
+        images: folder of the photographs, for the worst images and the time of capture; names of
+            images are paths relative to it.
         georeference: fit of the model to positions and control points: the content of
             ``georeference.json``, or the output of ``bundle.georeference`` for a result.
         covariance: covariance of the same problem, from :func:`bundle.covariance`; None computes
@@ -232,7 +233,7 @@ class _Page:
             self.data["placement"] = self.place
         first = [
             *([] if result is None else [lead(headline(result))]),
-            tag("p", escape(contents_of(problem)), class_="quiet"),
+            tag("p", escape(contents_of(problem) + _captured(problem, folder)), class_="quiet"),
             "" if counts else tag("p", escape(self.notes[-1]), class_="warn"),
             tag(
                 "div",
@@ -350,6 +351,15 @@ class _Page:
         if projections:
             self.data["projection"] = projection_data(projections)
         return certainty_sections(self.problem, known, cameras, projections)
+
+
+def _captured(problem: Problem, folder: str | os.PathLike[str] | None) -> str:
+    """Return a sentence on the time of capture, with a blank before it; "" if it is unknown."""
+    times = None if folder is None else capture_times(folder, problem.image_names)
+    if times is None:
+        return ""
+    first, last = (f"{time:%Y-%m-%d %H:%M}" for time in times)
+    return f" Captured {first}." if first == last else f" Captured {first} to {last}."
 
 
 def report_findings(
