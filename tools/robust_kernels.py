@@ -48,9 +48,8 @@ Adjustment - A Modern Synthesis*, section 4.3. For a Cauchy kernel of scale 1 an
 
 Beyond ‖r‖ = {cauchy:.3f}, beyond the inflection point of the kernel, the block is not positive
 definite. The quadratic model then has no minimum, and no corrected Jacobian J has J^T J equal to
-this block. Triggs' correction exists in the rows with a number. Towards the inflection point its
-Jacobian vanishes and its residual
-grows without bound.
+this block. Triggs' correction exists only where the column *full correction* has numbers. Towards
+the inflection point its Jacobian vanishes and its residual grows without bound.
 
 Ceres omits the second-order term wherever rho'' <= 0, which holds everywhere for every loss of the
 table. The remaining block is rho' JᵀJ, {clamped:+.3f} at r = {clamped_at:g}: never negative, and
