@@ -105,7 +105,8 @@ def test_notebooks_show_what_they_computed(browser, site):  # noqa: F811
 def test_theory_has_rendered_formulas(browser, site, page):  # noqa: F811
     browser.open(site / "theory" / f"{page}.html")
     assert browser.count('div.formula > math[display="block"]') >= (1 if page == "index" else 2)
-    high = "[...document.querySelectorAll('div.formula math')].every((m) => m.clientHeight > 15)"
+    # A row without ascenders has 14 px in Debian 13's Chromium, a formula that is not drawn none.
+    high = "[...document.querySelectorAll('div.formula math')].every((m) => m.clientHeight > 10)"
     assert browser.evaluate(high)
     assert browser.evaluate("document.querySelector('article').textContent").count("$$") == 0
 
