@@ -16,6 +16,7 @@ from bundle.judging.findings.measured import Measured
 from bundle.judging.findings.next_command import NextCommand
 from bundle.judging.findings.outliers import outliers
 from tests.campaigns.findings import judge, make
+from tests.scenes import make_problem
 
 
 def kinds(problem, **more):
@@ -132,10 +133,12 @@ def test_later_commands_have_the_scale_that_the_outliers_need():
     assert found["outliers"].command == found["shared_lens"].command
 
 
-def judged(errors, *, loss="cauchy", loss_scale=1.0, scale=1.0, sigma=None, robust=None):
+def judged(
+    errors, *, loss="cauchy", loss_scale=1.0, scale=1.0, sigma=None, robust=None, sizes=(0, 0)
+):
     """Return the finding about these errors, in surroundings of this scale.
 
-    robust is the scale after a robust solve.
+    robust is the scale after a robust solve; sizes are the numbers of points and images.
     """
     errors = np.asarray(errors, float)
     measured = SimpleNamespace(
@@ -144,7 +147,7 @@ def judged(errors, *, loss="cauchy", loss_scale=1.0, scale=1.0, sigma=None, robu
         local_scale=np.full(len(errors), scale),
         scale=scale,
         options=SimpleNamespace(loss=loss, loss_scale=loss_scale),
-        problem=SimpleNamespace(observation_sigma=sigma),
+        problem=SimpleNamespace(observation_sigma=sigma, num_points=sizes[0], num_images=sizes[1]),
         command=NextCommand(),
     )
     measured.standardized = measured
@@ -243,6 +246,28 @@ def test_a_loss_far_above_the_noise_gets_a_smaller_scale(loss):
     assert judged([50.0] * 10 + [1.0] * 100, loss=loss, loss_scale=1.0) is None
 
 
+@pytest.mark.parametrize(
+    ("sizes", "is_found"),
+    # 110 observations tell at most (110 - unknowns / 2) / 2 outliers apart, of which there are 10.
+    [((60, 0), True), ((61, 0), False), ((58, 1), True), ((58, 2), False), ((0, 30), True)],
+)
+def test_more_outliers_than_the_redundancy_tells_apart_are_not_named(sizes, is_found):
+    errors = [50.0] * 10 + [1.0] * 100
+    assert (judged(errors, loss="tukey", loss_scale=100.0, sizes=sizes) is not None) == is_found
+    assert judged(errors, loss="huber", sizes=sizes) is not None
+
+
+def test_good_observations_that_a_loss_rejects_in_points_of_two_images_are_no_outliers():
+    """Tukey's loss fits 80 of 120 observations within 0.01 px, at a noise of 0.7 px."""
+    problem = make_problem(
+        num_images=6, num_points=60, track=2, seed=9, perturbation=1e-3, noise=0.7, shared=True
+    )
+    solved = bundle.solve(problem, loss="tukey")
+    measured = Measured(whole=solved.problem, command=NextCommand(), options=solved.options)
+    assert measured.scale < 0.05
+    assert outliers(measured) is None
+
+
 def test_influence_decides_after_a_bounded_loss():
     # psi^2 = e^2 / (1 + e^2 / c^2)^2 with c = 10: 9 at 30, and 0.980296 at 1.
     known = {"loss_scale": 10.0}
@@ -250,7 +275,7 @@ def test_influence_decides_after_a_bounded_loss():
     assert judged([30.0] * 3 + [1.0] * 111, **known) is None  # 19.88 %
     found = judged([30.0] * 3 + [1.0] * 111, sigma=np.full(114, 30.0), **known)
     assert "they have 95.98 % of the influence" in found.sentence  # 2.9409 of 3.0642
-    many = [7.0] * 60 + [1.0] * 40
+    many = [7.0] * 40 + [1.0] * 60
     assert judged(many, loss_scale=2.41)
     assert judged(many, loss_scale=2.4) is None  # the scale is not raised
     halves = {"sigma": np.full(100, 0.5)}

@@ -16,6 +16,10 @@ q < 0.003, and rounds that delete them change the position errors by factors of 
 scenes): no command helps. They keep q >= 0.2 only if c is much larger than the noise. Then the
 suggested scale is 2.4 times the noise, where the Cauchy loss is 94 % efficient for Gaussian noise.
 
+No estimate tells more outliers from good observations than half of the redundancy (Rousseeuw and
+Leroy 1987, section 3.4). Beyond that, a loss that rejects observations has fitted the
+others too well, as in short tracks: these seem to have hardly any noise, and no finding is made.
+
 A scale c below the noise wastes good observations: the loss is 76 % efficient at c = 1 noise, 55 %
 at half of it, and needs twice the steps. So the scale is suggested, too, if it is below 1.5 times
 the noise (86 %). The noise is that of the model after a robust solve, because outliers bend the
@@ -67,7 +71,9 @@ def outliers(measured: Measured, robust: Measured | None = None) -> Finding | No
         influence = whitened * evaluate_loss(options.loss, options.loss_scale, whitened)[:, 1] ** 2
         pull = float(influence[far].sum() / max(influence.sum(), 1e-300))
         scale = EFFICIENT * measured.scale / median(sigmas)
-        if not pull >= SHARE or options.loss_scale <= scale:
+        unknowns = 3 * measured.problem.num_points + 6 * measured.problem.num_images
+        is_told_apart = num <= 0.5 * (count - unknowns / 2)
+        if not pull >= SHARE or options.loss_scale <= scale or not is_told_apart:
             return None
         advice = (
             f"they have {number(100 * pull)} % of the influence, because the {options.loss} loss "
