@@ -134,7 +134,15 @@ def test_later_commands_have_the_scale_that_the_outliers_need():
 
 
 def judged(
-    errors, *, loss="cauchy", loss_scale=1.0, scale=1.0, sigma=None, robust=None, sizes=(0, 0)
+    errors,
+    *,
+    loss="cauchy",
+    loss_scale=1.0,
+    scale=1.0,
+    sigma=None,
+    robust=None,
+    sizes=(0, 0),
+    refine=("poses", "points"),
 ):
     """Return the finding about these errors, in surroundings of this scale.
 
@@ -146,7 +154,7 @@ def judged(
         errors=errors,
         local_scale=np.full(len(errors), scale),
         scale=scale,
-        options=SimpleNamespace(loss=loss, loss_scale=loss_scale),
+        options=SimpleNamespace(loss=loss, loss_scale=loss_scale, refine=refine),
         problem=SimpleNamespace(observation_sigma=sigma, num_points=sizes[0], num_images=sizes[1]),
         command=NextCommand(),
     )
@@ -247,14 +255,23 @@ def test_a_loss_far_above_the_noise_gets_a_smaller_scale(loss):
 
 
 @pytest.mark.parametrize(
-    ("sizes", "is_found"),
+    ("sizes", "refine", "is_found"),
     # 110 observations tell at most (110 - unknowns / 2) / 2 outliers apart, of which there are 10.
-    [((60, 0), True), ((61, 0), False), ((58, 1), True), ((58, 2), False), ((0, 30), True)],
+    [
+        ((60, 0), ("points",), True),
+        ((61, 0), ("points",), False),
+        ((58, 1), ("poses", "points"), True),
+        ((58, 2), ("poses", "points"), False),
+        ((58, 2), ("points", "focal"), True),
+        ((999, 30), ("poses",), True),
+        ((999, 31), ("poses",), False),
+        ((999, 31), ("focal",), True),
+    ],
 )
-def test_more_outliers_than_the_redundancy_tells_apart_are_not_named(sizes, is_found):
-    errors = [50.0] * 10 + [1.0] * 100
-    assert (judged(errors, loss="tukey", loss_scale=100.0, sizes=sizes) is not None) == is_found
-    assert judged(errors, loss="huber", sizes=sizes) is not None
+def test_more_outliers_than_the_redundancy_tells_apart_are_not_named(sizes, refine, is_found):
+    errors, known = [50.0] * 10 + [1.0] * 100, {"sizes": sizes, "refine": refine}
+    assert (judged(errors, loss="tukey", loss_scale=100.0, **known) is not None) == is_found
+    assert judged(errors, loss="huber", **known) is not None
 
 
 def test_good_observations_that_a_loss_rejects_in_points_of_two_images_are_no_outliers():

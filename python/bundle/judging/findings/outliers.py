@@ -71,8 +71,9 @@ def outliers(measured: Measured, robust: Measured | None = None) -> Finding | No
         influence = whitened * evaluate_loss(options.loss, options.loss_scale, whitened)[:, 1] ** 2
         pull = float(influence[far].sum() / max(influence.sum(), 1e-300))
         scale = EFFICIENT * measured.scale / median(sigmas)
-        unknowns = 3 * measured.problem.num_points + 6 * measured.problem.num_images
-        is_told_apart = num <= 0.5 * (count - unknowns / 2)
+        points = measured.problem.num_points * ("points" in options.refine)
+        images = measured.problem.num_images * ("poses" in options.refine)
+        is_told_apart = num <= 0.5 * (count - (3 * points + 6 * images) / 2)
         if not pull >= SHARE or options.loss_scale <= scale or not is_told_apart:
             return None
         advice = (
