@@ -153,7 +153,7 @@ def test_no_folder_and_no_images(tmp_path):
 
 def test_times_of_capture(tmp_path):
     taken = {
-        "b.jpg": "2021:05:02 09:00:30",
+        "b.jpg": "2021:05:02 09:00:30 +02:00",  # some cameras add their zone
         "a.jpg": "2021:05:01 10:03:00",
         "c.jpg": "0000:00:00 00:00:00",  # a clock that was never set
         "d.jpg": "",

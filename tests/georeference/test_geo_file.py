@@ -256,11 +256,13 @@ a.jpg,33.4,{south},70.6,{west}
 b.jpg,-33.4,{south},-70.6,{west}
 c.jpg,33.4,North,70.6,E
 d.jpg,,{south},,{west}
+e.jpg,33.4,{south},70.6,East
+f.jpg,33.4,N,70.6,{west}
 """
     path.write_text(rows)
     found = read_geo_file(path)
-    assert found.names == ("a.jpg", "b.jpg", "c.jpg") and found.notes == ()
-    signs = np.array([[-1, -1], [-1, -1], [1, 1]])
+    assert found.names == ("a.jpg", "b.jpg", "c.jpg", "e.jpg", "f.jpg") and found.notes == ()
+    signs = np.array([[-1, -1], [-1, -1], [1, 1], [-1, 1], [1, -1]])
     np.testing.assert_array_equal(found.geodetic[:, :2], signs * [33.4, 70.6])
 
 

@@ -118,6 +118,16 @@ def test_a_scale_that_the_alignment_hides_is_in_the_headline(factor, noise, is_n
     assert "scaled by" not in rigid.headline[0]
 
 
+def test_a_model_has_no_scale_to_name():
+    model = make_problem(num_images=9)
+    larger = PoseTable.of_problem(model).poses.copy()
+    larger[:, 4:] *= 2
+    table = PoseTable(larger, names=model.image_names)
+    for pair in ((table, model), (model, table)):
+        found = bundle.evaluate(*pair)
+        assert found.verdict == "identical" and "scaled by" not in found.headline[0]
+
+
 def test_named_poses_of_a_graph_are_those_of_the_images():
     graph = dataclasses.replace(as_graph(example.REFERENCE, np.arange(4)), names=example.NAMES)
     found = bundle.evaluate(graph, example.REFERENCE)
