@@ -20,9 +20,18 @@ def test_a_source_has_a_header_or_names_its_class(path: Path) -> None:
     if header.exists():
         assert first == f'#include "{header.relative_to(ROOT / "cpp").as_posix()}"'
         return
-    named = re.fullmatch(r"/// Part of (?:\w+ \((\w+\.h)\)|(\w+\.h))\.", first)
-    assert named, "expected '/// Part of CLASS (header.h).' in the first line"
+    named = re.match(r"/// Part of (?:\w+ \((\w+\.h)\)|(\w+\.h)): \S", first)
+    assert named, "expected '/// Part of CLASS (header.h): CONTENTS' in the first line"
     assert (path.parent / (named[1] or named[2])).exists()
+
+
+def test_a_header_says_what_it_contains() -> None:
+    """CONTRIBUTING lists a folder by the first of these lines of each header."""
+    comments = re.compile(r"^/// (.*)", re.MULTILINE)
+    headers = [path for path in FILES if path.suffix == ".h"]
+    first = {path.name: comments.search(path.read_text()) for path in headers}
+    silent = re.compile(r"Included |\\")
+    assert [name for name, line in first.items() if not line or silent.match(line[1])] == []
 
 
 def test_no_file_is_too_long() -> None:

@@ -1,7 +1,6 @@
-/// \file
-/// Counts in messages: "1 residual", "2 residuals".
-
 #pragma once
+
+/// Counts in messages: "1 residual", "2 residuals".
 
 #include <cstdint>
 #include <string>

@@ -1,6 +1,5 @@
-/// Part of CeresSolve (ceres_solve.h).
-///
-/// The ceres::Problem of a bundle adjustment: parameter blocks, bounds, observations and factors.
+/// Part of CeresSolve (ceres_solve.h): the ceres::Problem of a bundle adjustment, with its
+/// parameter blocks, bounds, observations and factors.
 
 #include <memory>
 #include <utility>

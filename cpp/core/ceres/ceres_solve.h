@@ -1,6 +1,7 @@
 #pragma once
 
-/// Included only by solve_with_ceres.cpp and build_ceres_problem.cpp.
+/// One bundle adjustment by Ceres, step by step. Included only by solve_with_ceres.cpp and
+/// build_ceres_problem.cpp.
 
 #include <cstdint>
 #include <limits>

@@ -1,6 +1,5 @@
-/// Part of AdjointComputation (adjoint_computation.h).
-///
-/// The factor of the exact Hessian, with the points eliminated (adjoint.h has the mathematics).
+/// Part of AdjointComputation (adjoint_computation.h): the factor of the exact Hessian, with the
+/// points eliminated (adjoint.h has the mathematics).
 
 #include <Eigen/Cholesky>
 #include <Eigen/Core>

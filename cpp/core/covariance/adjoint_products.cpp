@@ -1,4 +1,4 @@
-/// Part of AdjointComputation (adjoint_computation.h).
+/// Part of AdjointComputation (adjoint_computation.h): products with the exact Hessian.
 
 #include <algorithm>
 #include <cmath>

@@ -1,7 +1,6 @@
-/// Part of ReducedSystem (reduced_system.h).
-///
-/// Points with directions that no residual determines. A first linearisation finds them; a second
-/// one holds them constant by factors on these points alone (point_blocks.h).
+/// Part of ReducedSystem (reduced_system.h): points with directions that no residual determines. A
+/// first linearisation finds them; a second one holds them constant by factors on these points
+/// alone (point_blocks.h).
 
 #include <algorithm>
 #include <cmath>

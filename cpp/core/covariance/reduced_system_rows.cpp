@@ -1,7 +1,5 @@
-/// Part of ReducedSystem (reduced_system.h).
-///
-/// Rows of the Jacobian other than observations of free points, and the decision whether points are
-/// eliminated from rows.
+/// Part of ReducedSystem (reduced_system.h): rows of the Jacobian other than observations of free
+/// points, and the decision whether points are eliminated from rows.
 
 #include <cstddef>
 #include <cstdint>

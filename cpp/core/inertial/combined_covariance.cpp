@@ -1,6 +1,4 @@
-/// Part of Preintegration (preintegration.h).
-///
-/// The joint covariance of a preintegrated motion and of biases with a random walk during it.
+/// Part of Preintegration (preintegration.h): the joint covariance of motion and biases.
 ///
 /// preintegration.cpp assumes constant biases. A bias with a random walk of density s_b ends at b_j
 /// = b_i + n, with covariance s_b^2 T I, and affects the motion meanwhile. In an interval, the

@@ -12,8 +12,8 @@
 
 namespace bundle {
 
-/// Collects numbers and words as text and passes it on in blocks, each to all files. Numbers are
-/// the shortest that read back as the same value.
+/// Numbers as text, the shortest that read back as the same value. Collects numbers and words and
+/// passes them on in blocks, each to all files.
 class NumberWriter {
  public:
   /// `on_block` is called between blocks; it may throw to end the writing. Keeps references.

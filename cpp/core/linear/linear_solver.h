@@ -1,5 +1,7 @@
 #pragma once
 
+/// Linear solvers of the reduced camera system: their interface, solutions and statistics.
+
 #include <functional>
 #include <stdexcept>
 #include <string>

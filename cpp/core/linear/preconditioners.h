@@ -10,7 +10,8 @@
 
 namespace bundle {
 
-/// z = M^-1 r, where M approximates S and is easier to invert.
+/// Preconditioner of conjugate gradients: z = M^-1 r, where M approximates S and is easier to
+/// invert.
 class Preconditioner {
  public:
   virtual ~Preconditioner() = default;

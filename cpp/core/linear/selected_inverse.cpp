@@ -1,9 +1,8 @@
-/// Part of SupernodalCholesky (supernodal_cholesky.h).
-///
-/// Entries of S^-1 in the pattern of its Cholesky factor, by Takahashi's recursion (K. Takahashi,
-/// J. Fagan, M.-S. Chin: Formation of a sparse bus impedance matrix and its application to short
-/// circuit study, 1973; A. M. Erisman, W. F. Tinney: On computing certain elements of the inverse
-/// of a sparse matrix, 1975), panel by panel.
+/// Part of SupernodalCholesky (supernodal_cholesky.h): entries of S^-1 in the pattern of its
+/// Cholesky factor, by Takahashi's recursion (K. Takahashi, J. Fagan, M.-S. Chin: Formation of a
+/// sparse bus impedance matrix and its application to short circuit study, 1973; A. M. Erisman, W.
+/// F. Tinney: On computing certain elements of the inverse of a sparse matrix, 1975), panel by
+/// panel.
 ///
 /// Let Z = S^-1 = L^-T L^-1, hence Z L = L^-T, which is upper triangular. For a panel with its own
 /// columns J and the rows R below them,

@@ -10,7 +10,7 @@
 
 namespace bundle {
 
-/// S = L L^T in place, in the panels of the factor.
+/// Supernodal Cholesky factorisation: S = L L^T in place, in the panels of the factor.
 class SupernodalCholesky {
  public:
   /// `offset` as in BlockStructure.

@@ -1,6 +1,4 @@
-/// Part of SupernodalCholesky (supernodal_cholesky.h).
-///
-/// Triangular solves.
+/// Part of SupernodalCholesky (supernodal_cholesky.h): triangular solves.
 ///
 /// L y = b goes through the panels in order: a panel solves its own rows by its diagonal block, and
 /// subtracts the products of its rows below from theirs. L^T x = y goes back, with sums over the

@@ -1,6 +1,6 @@
 #pragma once
 
-/// Included only by trust_region.cpp.
+/// Numbers and times of the passes of a solve. Included only by trust_region.cpp.
 
 #include <chrono>
 

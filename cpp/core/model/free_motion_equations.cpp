@@ -1,6 +1,5 @@
-/// Part of FreeMotions (gauge_count.h).
-///
-/// Equations [delta_i, -M_s] of the images that move by one pose (derived in gauge_count.cpp).
+/// Part of FreeMotions (gauge_count.h): equations [delta_i, -M_s] of the images that move by one
+/// pose (derived in gauge_count.cpp).
 
 #include <Eigen/Core>
 #include <algorithm>

@@ -1,7 +1,6 @@
-/// Part of ParameterLayout (parameter_layout.h).
-///
-/// Camera parameters that are multiples of one number, and images that turn about their centre. The
-/// unknowns of their blocks move the columns of an image by maps.
+/// Part of ParameterLayout (parameter_layout.h): camera parameters that are multiples of one
+/// number, and images that turn about their centre. The unknowns of their blocks move the columns
+/// of an image by maps.
 
 #include <algorithm>
 #include <cstddef>

@@ -1,7 +1,5 @@
-/// Part of SchurProblem (schur_problem.h).
-///
-/// States of a solve by the cost of all observations, also of those with a held residual, and the
-/// return to the best of them (LeastSquares::CostOfAll).
+/// Part of SchurProblem (schur_problem.h): states of a solve by the cost of all observations, also
+/// of those with a held residual, and the return to the best of them (LeastSquares::CostOfAll).
 
 #include <algorithm>
 #include <cstdint>

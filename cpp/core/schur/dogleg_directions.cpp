@@ -1,6 +1,5 @@
-/// Part of SchurProblem (schur_problem.h).
-///
-/// Gradient and Newton direction for doglegs, and their inner products.
+/// Part of SchurProblem (schur_problem.h): gradient and Newton direction for doglegs, and their
+/// inner products.
 
 #include <algorithm>
 #include <cstddef>

@@ -13,10 +13,6 @@ namespace bundle {
 class ImageParts;  // image_parts.h
 class ThreadPool;
 
-/// Kinds of parts of the camera parameters (image_parts.h).
-enum PartKind { kOwnPart, kCameraPart, kSensorPart };
-inline constexpr int kMaxParts = 3;
-
 /// Plan of the elimination of the points: their order, and their division into chunks and tiles.
 ///
 /// A point adds to S the products of its *entries*. An entry of a point is a part of the camera
@@ -41,6 +37,10 @@ inline constexpr int kMaxParts = 3;
 /// pass reads forwards; 8 more with sigmas; 4 bytes for its image in the chunk and its place in the
 /// tile, and 2 for each kind of parts. Also 4 bytes for every pair of a point, and 4 for every
 /// block of a tile.
+
+/// Kinds of parts of the camera parameters (image_parts.h).
+enum PartKind { kOwnPart, kCameraPart, kSensorPart };
+inline constexpr int kMaxParts = 3;
 
 /// Two entries of one point, by their numbers in the tile.
 struct EntryPair {

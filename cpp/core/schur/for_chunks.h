@@ -1,5 +1,7 @@
 #pragma once
 
+/// The loop of a pass over the chunks of a SchurProblem, on all threads.
+
 #include <atomic>
 
 #include "core/schur/assembly/ordered_sums.h"

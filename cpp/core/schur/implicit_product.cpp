@@ -1,10 +1,8 @@
-/// Part of SchurProblem (schur_problem.h).
-///
-/// Products with S that is not formed, for conjugate gradients. Where points have long tracks in
-/// many images, S is full, and forming it takes longer than hundreds of products: a point with L
-/// observations adds L^2 / 2 blocks to S, but only L terms to a product. Here the diagonal blocks
-/// of S are summed as usual, for the preconditioner, and a product is a pass over the points
-/// (kernels/multiply_schur.h).
+/// Part of SchurProblem (schur_problem.h): products with S that is not formed, for conjugate
+/// gradients. Where points have long tracks in many images, S is full, and forming it takes longer
+/// than hundreds of products: a point with L observations adds L^2 / 2 blocks to S, but only L
+/// terms to a product. Here the diagonal blocks of S are summed as usual, for the preconditioner,
+/// and a product is a pass over the points (kernels/multiply_schur.h).
 ///
 /// Chunks are added in their order, so that the bits do not depend on the number of threads.
 

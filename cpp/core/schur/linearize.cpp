@@ -1,6 +1,5 @@
-/// Part of SchurProblem (schur_problem.h).
-///
-/// Linearisation: a pass over the points, sums over ranks, damping.
+/// Part of SchurProblem (schur_problem.h): linearisation, which is a pass over the points, sums
+/// over ranks, and damping.
 ///
 /// Newton decrements (minimize/sigma_rule.h) are nearly without damping. But a point whose depth is
 /// less certain than the depth itself slides to infinity and back at no cost, and its linear model

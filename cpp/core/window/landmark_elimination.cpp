@@ -1,7 +1,5 @@
-/// Part of WindowProblem (window_problem.h).
-///
-/// Elimination of the landmarks, three unknowns each, by Cholesky factors of their 3 x 3 blocks.
-/// The formulas are in window_problem.h.
+/// Part of WindowProblem (window_problem.h): elimination of the landmarks, three unknowns each, by
+/// Cholesky factors of their 3 x 3 blocks. The formulas are in window_problem.h.
 
 #include <algorithm>
 #include <cmath>

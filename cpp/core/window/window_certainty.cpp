@@ -1,7 +1,6 @@
-/// Part of WindowProblem (window_problem.h).
-///
-/// Certainty of a window from its normal equations without damping: eigenvalues, the covariance of
-/// the last state, and the expected cost of its IMU factors.
+/// Part of WindowProblem (window_problem.h): certainty of a window from its normal equations
+/// without damping: eigenvalues, the covariance of the last state, and the expected cost of its IMU
+/// factors.
 ///
 /// With C = (J^T J)^-1 over all factors, residuals r of sigma 1 leave r - J C J^T r at the minimum.
 /// So n rows J_f of one family of factors cost 1/2 (n - tr(J_f C J_f^T)) on average. This is close

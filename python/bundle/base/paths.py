@@ -1,4 +1,4 @@
-"""Paths from users, the lines of text files, and the path of the C++ headers."""
+"""Paths from users, lines of text files, the cache folder, and the path of the C++ headers."""
 
 from __future__ import annotations
 

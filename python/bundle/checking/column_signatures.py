@@ -1,4 +1,4 @@
-"""Signatures of columns.
+"""Signatures of mistakes in columns: zeros, constant factors, swapped or transposed blocks.
 
 Single columns may be zero, or have a wrong sign, a factor or a missing term. Several columns may be
 in a wrong order, transposed, or miss a product.

@@ -1,4 +1,4 @@
-"""Entry point of `bundle`: run the subcommand and print every expected error as one line."""
+"""Entry point of `bundle`: run the subcommand, print expected errors as one line; completion."""
 
 from __future__ import annotations
 

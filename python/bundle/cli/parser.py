@@ -1,4 +1,4 @@
-"""Parser of the command line: one-line errors with suggestions, and help."""
+"""Parser of the command line: help, config files, one-line errors with suggestions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One run of a command: check the arguments, open INPUT, call the API, report, write.
+"""One run of a command: check arguments, open INPUT, call the API, report, write; --dry-run.
 
 The row of the command (``bundle.cli.commands``) states the differences. Where more than that
 differs, it names a function that gets the run, uses what it needs of it, and returns the report.

@@ -1,4 +1,4 @@
-"""Georeference of a refined model, and its residuals to the measurements."""
+"""Georeference of a refined model: content of georeference.json, residuals to measurements."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Options of a covariance, and of a check of Jacobians."""
+"""Options of covariances, reliability, influence and plans, and of a check of Jacobians."""
 
 from __future__ import annotations
 

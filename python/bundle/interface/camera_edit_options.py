@@ -1,4 +1,4 @@
-"""Options that change the cameras of an input and the way they read images."""
+"""Options of camera models, shared cameras, rules (``--set``) and rolling shutters."""
 
 from __future__ import annotations
 

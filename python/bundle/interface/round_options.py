@@ -1,4 +1,4 @@
-"""Options of rounds (their number, the limits of their filter) and of files; records of rounds."""
+"""Options of rounds, of a part of the images, of checkpoints, out of core; records of rounds."""
 
 from __future__ import annotations
 

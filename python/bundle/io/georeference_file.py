@@ -1,4 +1,4 @@
-"""``georeference.json``, the georeference of one model.
+"""Place of ``georeference.json``, and its model; ``georeferenced.py`` has its content.
 
 It is in the folder of a COLMAP model, or in the folder that contains a BAL file. For a BAL file,
 the entry "model" holds the name of the file. Without this entry it belongs to the COLMAP model in

@@ -1,4 +1,4 @@
-"""JSON reports: their schema (draft 2020-12), and ``save_report``.
+"""Schema of the JSON reports (draft 2020-12), and ``save_report``.
 
 It is derived from the classes of results, options and records. Every report has the entries of
 :data:`COMMON`, and those of its command; entries that exist for one kind of input only are

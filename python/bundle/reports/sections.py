@@ -1,4 +1,4 @@
-"""Reports of commands as data: sections for people, one dictionary for programs.
+"""Reports of commands as data: sections and tables for people, JSON for programs.
 
 A command computes a :class:`Report`. Terminals show its sections
 (:func:`bundle.reports.terminal.screen.laid_out`), and ``--json`` writes its data. Rows of tables

@@ -1,4 +1,4 @@
-"""Synthesis of a filmed scene: images of a smooth motion, read by a rolling shutter.
+"""Scenes filmed in a smooth motion: drone grids, and all scenes with a rolling shutter.
 
 An observation is the position at which the shutter reads the point (:mod:`..shutter_motion` solves
 the fixed point), plus noise in both coordinates. A camera recognises a point within its reach with

@@ -1,6 +1,4 @@
-/// Part of panel_kernels.h.
-///
-/// Choice of the instruction set.
+/// Part of panel_kernels.h: choice of the instruction set.
 
 #include "core/linear/kernels/panel_kernels.h"
 #include "core/parallel/instruction_set.h"

@@ -1,6 +1,4 @@
-/// Part of edge_kernels.h.
-///
-/// Passes for one instruction set, with a lane per edge (parallel/pack.h).
+/// Part of edge_kernels.h: passes for one instruction set, with a lane per edge (parallel/pack.h).
 ///
 /// The formulae are those of edge_kernel.h, relative_pose.h and geometry. Their coefficients are
 /// entire functions of the squared angle s <= pi^2 up to half a turn, so that series without

@@ -1,6 +1,4 @@
-/// Part of edge_kernels.h.
-///
-/// Choice of the instruction set.
+/// Part of edge_kernels.h: choice of the instruction set.
 
 #include "core/parallel/instruction_set.h"
 #include "core/pose_graph/kernels/edge_kernels.h"

@@ -1,7 +1,5 @@
-/// Part of kernels.h.
-///
-/// Choice of the instruction set of the kernels. A build contains the kernels for all instruction
-/// sets of its processor family, so that one binary is fast on each machine.
+/// Part of kernels.h: choice of the instruction set of the kernels. A build contains the kernels
+/// for all instruction sets of its processor family, so that one binary is fast on each machine.
 
 #include "core/parallel/instruction_set.h"
 #include "core/schur/kernels/kernels.h"

@@ -1,4 +1,4 @@
-"""Nonzero pattern of a symmetric block matrix, under any block order, and as a small image."""
+"""Nonzero patterns of block matrices under any block order, and their pictures (``spy``)."""
 
 from __future__ import annotations
 

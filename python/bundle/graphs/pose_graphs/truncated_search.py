@@ -1,4 +1,4 @@
-"""Search for edge sets of low truncated cost: solve, classify, and test single edges.
+"""Edge sets of low truncated cost: solve, classify, test single edges; choice of a loss (auto).
 
 Let S be the set of doubted edges that are in use ("in"). The truncated cost is
 the minimum, over sets S and poses, of the sum of chi2 over trusted edges and S, plus c^2 for each

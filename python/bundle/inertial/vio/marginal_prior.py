@@ -1,4 +1,4 @@
-"""Priors of a window: from marginalisation, and on steady speed without excitation.
+"""Priors of a window: at its start, from marginalisation, on steady speed without excitation.
 
 A marginal prior is indexed by the stamps of its frames, because their positions in the window
 change as it slides.

@@ -1,4 +1,4 @@
-"""Errors of relative poses over all pairs of images, and the area under their recall (AUC).
+"""Errors of relative poses over all pairs of images and their recall (AUC); shared points.
 
 Of images i and j, with rotations R world_from_camera and centres c, the relative pose in the camera
 of j is R_j^T R_i and R_j^T (c_i - c_j). Its errors are

@@ -1,4 +1,4 @@
-"""``triage``: the cause of the difference between two reports of one input.
+"""``triage``: the cause of the difference between two reports of one input, tests of each cause.
 
 A report of compare contains solves by many methods. A cause of one method is a cause of all, except
 the machine: its load changes all times, so that the median ratio over the methods decides.

@@ -1,4 +1,4 @@
-"""Result of a triage: causes with sentences and evidence, and differences without effect."""
+"""Result of a triage: records of causes, and of differences without effect, in words."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Sections of a model: outcome and residuals, lenses, tracks, georeference."""
+"""Sections on a model: outcome, RMSE, lenses, shutters, tracks, georeference."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Sections on residuals over image planes and on covariances."""
+"""Sections on images: residuals over the plane, worst images, photographs, covariances."""
 
 from __future__ import annotations
 

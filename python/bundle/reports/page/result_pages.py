@@ -1,4 +1,4 @@
-"""Pages of results: sections of their reports with all details, and figures."""
+"""Pages of `evaluate`, `compare`, `vio` and `check`: sections of their reports, and figures."""
 
 from __future__ import annotations
 

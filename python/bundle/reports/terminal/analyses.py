@@ -1,4 +1,4 @@
-"""Reports of `bundle check`, `covariance` and `diagnose` on a reconstruction or a graph."""
+"""Reports of `bundle check`, `covariance`, `diagnose`, `influence` and `plan`."""
 
 from __future__ import annotations
 
