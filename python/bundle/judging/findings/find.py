@@ -77,10 +77,9 @@ def find(
     )
     found = {one.kind: one for one in _findings(measured) if one is not None}
     drift, loose = found.get("scale_drift"), found.get("undetermined_intrinsics")
-    if drift is not None and loose is not None and drift.command:
+    if drift is not None and loose is not None and drift.command and loose.command:
         # Positions that move the cameras far would move them along what is not determined.
-        command = measured.command.with_flags_of(loose.command).with_flags_of(drift.command)
-        found["scale_drift"] = dataclasses.replace(drift, command=command.refine())
+        found["scale_drift"] = dataclasses.replace(drift, command=loose.command)
     repairs = [one.command for one in found.values() if one.kind in BENDING]
     repairs = [command for command in repairs if command.startswith("bundle refine")]
     if "outliers" in found and repairs:  # the last stage has the repairs of all before it
@@ -166,7 +165,7 @@ def _findings(measured: Measured) -> Iterator[Finding | None]:
         command = measured.command
         if far is not None:
             command = command.with_flags_of(far.command)
-        for one in (turned, places):  # a bend is repaired beside the measurements that bend
+        for one in (turned, drift, places):  # a bend is repaired beside what bends
             if one is not None and one.command:
                 command = command.with_flags_of(one.command)
         measured = free.of_command(command)
