@@ -7,12 +7,15 @@ import threading
 import numpy as np
 import pytest
 
+import bundle
 from bundle.graphs.factors import check_solve
+from bundle.judging.findings.find import find
 from tests.campaigns import (
     advice,
     conventions,
     covariance,
     degenerate,
+    findings,
     foreign_mutants,
     gauges,
     healthy,
@@ -128,6 +131,29 @@ def test_faults_of_advice_are_seen():
     moved = np.random.default_rng(0).normal(size=(5, 3))
     turned = moved @ np.array([[0, 1.0, 0], [-1, 0, 0], [0, 0, 1]]) * 3 + [1, 2, 3]
     np.testing.assert_allclose(advice.similar(moved, turned), turned, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("after", "repaired", "faults", "expected"),
+    [
+        (1.0, np.nan, (), True),
+        (1.0, 0.96, ("worse",), True),
+        (1.0, 0.94, ("worse",), False),
+        (1.0, np.nan, ("worse",), False),  # a model without truth
+        (1.0, 9.0, ("worse", "exit 2"), False),
+    ],
+)
+def test_a_step_is_harmless_up_to_the_error_of_a_perfect_repair(after, repaired, faults, expected):
+    step = advice.Step("outliers", (), 0.5, after, faults, repaired)
+    assert advice.does_no_harm(step) == expected
+
+
+def test_a_perfect_repair_leaves_nothing_but_noise():
+    scene = findings.make(20_000, ("outliers", "positions"))
+    clean = advice.without_errors(scene, np.random.default_rng(1))
+    solved = bundle.solve(clean.start, num_threads=1, priors=clean.priors, align=True)
+    assert find(solved.problem, options=solved.options, priors=clean.priors) == ()
+    assert [one.image for one in clean.priors] == scene.truth.image_ids.tolist()
 
 
 def test_two_loops(monkeypatch):

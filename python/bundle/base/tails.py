@@ -1,4 +1,4 @@
-"""Tails of the F and chi-squared distributions, and quantiles of chi squared.
+"""Tails of the F and chi-squared distributions, quantiles of Student's t and chi squared.
 
 With x = m / (m + k f), the probability that F with k and m degrees of freedom exceeds f is the
 regularised incomplete beta function I_x(m/2, k/2), computed by its continued fraction (Press et
@@ -43,6 +43,18 @@ def f_tail(value: float, numerator: int, freedom: float) -> float:
     return 1.0 - _beta_front(a, b, x) * _beta_fraction(b, a, 1 - x) / b
 
 
+def student_quantile(z: float, freedom: int) -> float:
+    """Return the t that Student's |t| exceeds as often as a standard normal value exceeds z >= 0.
+
+    Without a degree of freedom: z.
+    """
+    tail, low, high = chi2_tail(z * z, 1), z, 1e9 if freedom >= 1 else z
+    for _ in range(100):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if f_tail(middle**2, 1, freedom) > tail else (low, middle)
+    return high
+
+
 def _beta_front(a: float, b: float, x: float) -> float:
     whole = math.lgamma(a + b) - math.lgamma(a) - math.lgamma(b)
     return math.exp(whole + a * math.log(x) + b * math.log1p(-x)) if x < 1 else 0.0
@@ -78,29 +90,18 @@ ONE_IN_2000 = {3: 17.72999622894616, 6: 24.102798994983747}
 """99.95 % quantiles: limit of a squared error that one correct edge in 2000 exceeds."""
 
 ONE_IN_A_MILLION = {
-    1: 23.928126976934827,
-    2: 27.631021115928547,
-    3: 30.664849706213598,
-    4: 33.37684158171984,
-    5: 35.888186879672865,
-    6: 38.25833637720969,
-}
+    1: 23.928126976934827, 2: 27.631021115928547, 3: 30.664849706213598,
+    4: 33.37684158171984, 5: 35.888186879672865, 6: 38.25833637720969,
+}  # fmt: skip
 """Quantiles at 1 - 1e-6: limit of a squared error that one correct edge in a million exceeds."""
 
 _MEDIANS = {
-    1: 0.454936423119572,
-    2: 1.386294361119891,
-    3: 2.3659738843753377,
-    4: 3.3566939800333224,
-    5: 4.351460191095526,
-    6: 5.348120627447118,
-}
-"""Medians."""
+    1: 0.454936423119572, 2: 1.386294361119891, 3: 2.3659738843753377,
+    4: 3.3566939800333224, 5: 4.351460191095526, 6: 5.348120627447118,
+}  # fmt: skip
 
 _NORMAL_QUANTILE = 3.2905267314918945  # 99.95 % quantile of the standard normal distribution
-
-_NORMAL_ONE_IN_A_MILLION = 4.753424308822899
-"""Quantile of the standard normal distribution at 1 - 1e-6."""
+_NORMAL_ONE_IN_A_MILLION = 4.753424308822899  # the one at 1 - 1e-6
 
 
 def chi2_quantile(degrees: int) -> float:

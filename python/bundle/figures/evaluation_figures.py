@@ -173,11 +173,12 @@ def error_figure(found: Validation) -> Figure:
 
 
 def difference_figure(found: Validation) -> Figure:
-    """Return the difference of each candidate to the best, with two standard errors."""
+    """Return the difference of each candidate to the best, with its standard errors that decide."""
     order = [k for k in np.argsort(found.decision.scores) if not found.candidates[k].error]
     place = np.arange(1.0, len(order) + 1)
     y = found.decision.differences[order]
-    spread = 2 * found.decision.standard_errors[order]
+    num_errors = found.decision.num_standard_errors
+    spread = num_errors * found.decision.standard_errors[order]
     limit = found.rule.threshold * found.decision.scores[found.best]
     ends = np.array([0.5, len(order) + 0.5])
     words = f"{100 * found.rule.threshold:g} % of the best"
@@ -185,7 +186,7 @@ def difference_figure(found: Validation) -> Figure:
     colours = tuple(int(k == found.recommended) for k in order)
     return Figure(
         name="difference",
-        title="Difference to the best, with two standard errors",
+        title=f"Difference to the best, with {num_errors:.1f} standard errors",
         x=linear([0.0, len(order) + 1.0], "rank of the candidate"),
         y=linear([*(y - spread), *(y + spread), limit], "difference [sigma]", low=None),
         marks=(

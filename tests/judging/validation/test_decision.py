@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from bundle.errors import InputError
 from bundle.judging.validation.validation_result import Cameras, DecisionRule, decide, jackknife
@@ -99,11 +100,26 @@ def test_both_limits_of_the_rule_count():
     ratio = decision.differences[0] / decision.standard_errors[0]
     share = decision.differences[0] / decision.scores[1]
     for factor, recommended in ((0.99, 1), (1.01, 0)):
-        rule = DecisionRule(threshold=0.0, num_standard_errors=ratio * factor)
+        many = stats.norm.isf(stats.t.sf(ratio * factor, 19))  # images without end
+        rule = DecisionRule(threshold=0.0, num_standard_errors=many)
         assert decide(errors, image, [10, 20], rule=rule).recommended == recommended
         rule = DecisionRule(threshold=share * factor, num_standard_errors=0.0)
         assert decide(errors, image, [10, 20], rule=rule).recommended == recommended
     assert (DecisionRule().num_standard_errors, DecisionRule().threshold) == (2.0, 0.01)
+
+
+@pytest.mark.parametrize(("num_images", "limit"), [(3, 4.527), (5, 2.869), (60, 2.043)])
+def test_few_images_leave_their_standard_error_uncertain(num_images, limit):
+    """A lens per image was recommended by 2.02 standard errors over five images."""
+    errors, image = planted([1.2, 1.0], num_images=num_images, per_image=40)
+    errors[0, image == 0] /= 1.2
+    found = decide(errors, image, [10, 20])
+    assert found.num_standard_errors == pytest.approx(limit, abs=1e-3)
+    ratio = found.differences[0] / found.standard_errors[0]
+    for factor, is_equal in ((0.99, False), (1.01, True)):
+        many = stats.norm.isf(stats.t.sf(ratio * factor, num_images - 1))
+        rule = DecisionRule(threshold=0.0, num_standard_errors=many)
+        assert decide(errors, image, [10, 20], rule=rule).is_equal[0] == is_equal
 
 
 def cameras(distance, sigma, certainties):

@@ -5,6 +5,7 @@ from unittest import mock
 
 import numpy as np
 import pytest
+from scipy import stats
 
 import bundle
 from bundle.judging.findings.images import GAIN
@@ -68,7 +69,13 @@ def test_a_lens_lacks_a_term_if_it_predicts_clearly_and_relevantly_worse(
         scores=np.array([2.0, 2.0 + difference]),
         best=0,
     )
-    monkeypatch.setattr(judgement, "_decision", lambda *_: decided)
+
+    def decide_by(_, image, rule):
+        tail = stats.norm.sf(rule.num_standard_errors)
+        decided.num_standard_errors = stats.t.isf(tail, len(np.unique(image)) - 1)
+        return decided
+
+    monkeypatch.setattr(judgement, "_decision", decide_by)
     image = np.repeat(np.arange(10), 3)
     found = judgement.are_clearly_worse(np.ones((2, 30)), image, DecisionRule())
     assert found.tolist() == [False, lacks]

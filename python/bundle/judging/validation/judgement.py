@@ -11,7 +11,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.base.tails import f_tail
 from bundle.editing.rolling_shutters import with_shutters
 from bundle.errors import InputError
 from bundle.georeference.pose_alignment import align_centers
@@ -364,7 +363,7 @@ def _command(fit: CandidateFit, fitting: Fitting, source: str, flags: str) -> st
 #   already shown, at 1e-4, that no lens without it describes the images. Held-out errors of a few
 #   images cannot: four images have 3 degrees of freedom.
 # - It is motion if, besides, one of the lenses with a shutter predicts as well as the best of all,
-#   lenses per image among them, by the rule of the decision (two standard errors and 1 %): lenses
+#   lenses per image among them, by the rule of the decision (its standard errors and 1 %): lenses
 #   that differ would predict better.
 #
 # Where motion is found, by this or by the row test, a lens per image is vetoed. If the shutter
@@ -372,13 +371,12 @@ def _command(fit: CandidateFit, fitting: Fitting, source: str, flags: str) -> st
 # lens with lens. But a shutter also absorbs a lens term that is missing in all images, such as fx /
 # fy. Motion that varies from image to image moves such a term by chance only, and the standard
 # error over the images contains this chance: a shared lens is vetoed, too, if without a shutter it
-# predicts worse than the best one by more than the quantile 0.9995 of Student's t with (images - 1)
-# degrees of freedom: t^2 has the distribution F(1, images - 1).
+# predicts worse than the best one by more than the quantile 0.9995 of the decision.
 #
 # Fits, positions and commands do not include it: a separate test compares its gain with the loss of
 # certainty (:func:`bundle.judging.findings.images.gain_of_shutter`).
 
-_CLEAR = 0.001
+_CLEAR = 3.2905  # standard errors: quantile 0.9995 of the normal distribution
 
 
 class MotionTest(NamedTuple):
@@ -445,12 +443,8 @@ def are_clearly_worse(
     plain: _Floats, image: NDArray[np.int64], rule: DecisionRule
 ) -> NDArray[np.bool_]:
     """Return a mask of the shared lenses that lack a term, by errors (m, n) without a shutter."""
-    found = _decision(plain, image, rule)
-    freedom = len(np.unique(image)) - 1
-    above = np.zeros(len(plain), bool)
-    for k in np.flatnonzero(found.standard_errors > 0).tolist():
-        statistic = float(found.differences[k] / found.standard_errors[k]) ** 2
-        above[k] = f_tail(statistic, 1, freedom) < _CLEAR
+    found = _decision(plain, image, replace(rule, num_standard_errors=_CLEAR))
+    above = found.differences > found.num_standard_errors * found.standard_errors
     relevant: NDArray[np.bool_] = found.differences > rule.threshold * found.scores[found.best]
     return above & relevant
 

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
+from bundle.base.tails import student_quantile
 from bundle.base.words import plural
 from bundle.errors import InputError
 from bundle.interface.finding import Finding
@@ -32,13 +33,16 @@ from bundle.model.problem import Problem
 #
 #     SE^2 = (m - 1) / m  sum_i (D_(i) - D_(.))^2
 #
-# (Efron and Tibshirani 1993, "An introduction to the bootstrap", chapter 11.) A candidate is as
-# good as the best if its score is not significantly higher (D <= z SE), or not higher by a relevant
-# amount (D <= t S_best): with many observations, any difference is significant. A candidate with
-# fewer parameters and a lower score than such a candidate also is as good, although its smaller
-# difference may have a smaller error. The recommended candidate is the one of these with the fewest
-# free parameters, as in the one-standard-error rule of Breiman, Friedman, Olshen and Stone (1984).
-# Among equal numbers of parameters the lower score decides.
+# (Efron and Tibshirani 1993, "An introduction to the bootstrap", chapter 11.) The SE of few images
+# is itself uncertain: D / SE has Student's t distribution with m - 1 degrees of freedom. Its limit
+# z is the quantile that has the probability of 2 in a normal distribution: 2.1 for 20 images, 2.9
+# for 5, 4.5 for 3. A candidate is as good as the best if its score is not significantly higher (D
+# <= z SE), or not higher by a relevant amount (D <= t S_best): with many observations, any
+# difference is significant. A candidate with fewer parameters and a lower score than such a
+# candidate also is as good, although its smaller difference may have a smaller error. The
+# recommended candidate is the one of these with the fewest free parameters, as in the
+# one-standard-error rule of Breiman, Friedman, Olshen and Stone (1984). Among equal numbers of
+# parameters the lower score decides.
 #
 # Two exceptions depend on the cameras. A significant difference of less than t to a smaller lens is
 # relevant if the cameras of both fits are farther apart than m = 1 times their standard deviation:
@@ -61,7 +65,7 @@ class DecisionRule:
     """Numbers of the rule."""
 
     clip: float = 3.0  # largest normalised error that counts, in sigmas
-    num_standard_errors: float = 2.0  # significance z of a difference, in standard errors
+    num_standard_errors: float = 2.0  # significance z of a difference over infinitely many images
     threshold: float = 0.01  # relevant difference t, relative to the best score
     movement: float = 1.0  # relevant distance m of the cameras, in their standard deviations
     expensive: float = 3.0  # ratio of the standard deviations of positions that has its price
@@ -86,6 +90,7 @@ class Decision:
     scores: _Floats  # RMS of normalised errors, clipped; NaN for a candidate without errors
     differences: _Floats  # score minus the score of the best candidate
     standard_errors: _Floats  # standard error of each difference over the images; 0 for the best
+    num_standard_errors: float  # significance z of a difference over these images
     is_equal: NDArray[np.bool_]  # True for a candidate as good as the best; False if vetoed
     by_price: NDArray[np.bool_]  # True: predicts worse, but costs less certainty than the best
 
@@ -131,7 +136,8 @@ def decide(
         limit[is_cheaper] *= rule.price
         moved = cameras.distances[:, best] > rule.movement * cameras.sigmas[best]
         limit[moved & ~is_cheaper & (cost < cost[best])] = 0.0
-    is_equal = takes_part & ((above <= rule.num_standard_errors * spread) | (above <= limit))
+    num_errors = student_quantile(rule.num_standard_errors, int((counts > 0).sum()) - 1)
+    is_equal = takes_part & ((above <= num_errors * spread) | (above <= limit))
     for k in np.flatnonzero(is_equal).tolist():
         is_equal |= takes_part & (cost < cost[k]) & (scores <= scores[k])
     order = np.lexsort((scores, cost))
@@ -142,9 +148,8 @@ def decide(
         differences=above,
         standard_errors=spread,
         is_equal=is_equal,
-        by_price=is_equal
-        & (above > rule.num_standard_errors * spread)
-        & (above > rule.threshold * scores[best]),
+        num_standard_errors=num_errors,
+        by_price=is_equal & (above > num_errors * spread) & (above > rule.threshold * scores[best]),
     )
 
 
