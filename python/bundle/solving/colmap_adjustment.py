@@ -94,7 +94,7 @@ def bundle_adjustment(
     read = adjustment_objects.adjusted_fields(reconstruction, selected, asked.min_track_length)
     part = adjusted_part(read, asked, selected)
     if part.problem.num_observations == 0:
-        return adjustment_objects.empty_summary()
+        return adjustment_objects.BundleAdjustmentSummary()
     limits = _Limits(progress, cancellation_token, asked.max_seconds)
     refined, summary = _refined(part, limits)
     adjustment_objects.set_values(
@@ -105,7 +105,7 @@ def bundle_adjustment(
         read=read,
     )
     if config is None:
-        adjustment_objects.update_errors(reconstruction)
+        reconstruction.update_point_3d_errors()
     result = adjustment_objects.summary_of(
         vars(summary) | limits.outcome(summary),
         part.counts(),

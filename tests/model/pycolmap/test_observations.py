@@ -1,16 +1,15 @@
-"""Observations of images: from a file that pycolmap writes, or from its objects."""
+"""Observations of images and tracks: from files that pycolmap writes, or from its objects."""
 
 import os
 from pathlib import Path
 
 import numpy as np
+import pycolmap
 import pytest
 
 from bundle.model.pycolmap import reconstruction as module
-from bundle.model.pycolmap.reconstruction import Observations
+from bundle.model.pycolmap.reconstruction import Observations, observations_and_tracks
 from tests.solving.colmap_adjustment.option_space import rigs
-
-COLUMNS = ("image", "keypoint", "point_id", "xy")
 
 
 def images_of(model):
@@ -29,23 +28,31 @@ def from_objects(images):
     return image, keypoint, point_id, np.array([row[3:] for row in rows])
 
 
-def check(images):
-    found = Observations.of(images)
-    for name, expected in zip(COLUMNS, from_objects(images), strict=True):
-        assert (getattr(found, name) == expected).all(), name
+def check(images, points=()):
+    """Compare observations and tracks with those of one object at a time."""
+    found, elements = observations_and_tracks(images, list(points))
+    columns = found.image, found.keypoints(), found.point_id, found.xy
+    for column, expected in zip(columns, from_objects(images), strict=True):
+        assert (column == expected).all()
+    expected = [
+        [element.image_id, element.point2D_idx, row]
+        for row, point in enumerate(points)
+        for element in point.track.elements
+    ]
+    assert sorted(elements.tolist()) == sorted(expected)
 
 
 @pytest.fixture
 def files_read(monkeypatch):
-    """Lengths of the files that are read, and nothing left of them afterwards."""
-    read, found = module._records_from_file, []
+    """Numbers of images found in files, and nothing left of the files afterwards."""
+    read, found = module._keypoints_in, []
 
-    def counted(keypoints):
-        records = read(keypoints)
+    def counted(*arguments):
+        records = read(*arguments)
         found.append(len(records))
         return records
 
-    monkeypatch.setattr(module, "_records_from_file", counted)
+    monkeypatch.setattr(module, "_keypoints_in", counted)
     yield found
     assert not list(Path("/dev/shm").glob(f"bundle-{os.getpid()}-*"))
 
@@ -59,12 +66,18 @@ needs_memory_folder = pytest.mark.skipif(
 @pytest.mark.parametrize("images_per_file", [1, 3, 64])
 def test_files_have_the_observations_of_the_objects(monkeypatch, files_read, images_per_file):
     monkeypatch.setattr(module, "_IMAGES_PER_FILE", images_per_file)
-    images = images_of(rigs(1))
+    model = rigs(1)
+    images = images_of(model)
+    points = [model.point3D(key) for key in sorted(model.points3D, reverse=True)]
+    points[3].track = pycolmap.Track()
+    points[4].track.add_element(2**32 - 2, 2**32 - 2)
     images[2].points2D[0].point3D_id = 2**64 - 2  # any id but that of no point
     images[1].points2D[3].xy[:] = 1e-300, -0.1
-    check(images)
+    check(images, points)
     assert sum(files_read) == len(images)
     assert max(files_read) == min(images_per_file, len(images))
+    monkeypatch.delattr(pycolmap.Track, "elements")
+    assert len(observations_and_tracks([], points)[1]) == sum(p.track.length() for p in points)
 
 
 @needs_memory_folder
@@ -73,13 +86,36 @@ def test_images_without_observations_and_no_images_have_none(files_read):
     image = images_of(model)[0]
     for index in image.get_observation_point2D_idxs():
         model.delete_observation(image.image_id, index)
-    assert len(Observations.of([image]).xy) == 0
+    assert len(Observations.of([image]).keypoints()) == len(Observations.of([image]).xy) == 0
     assert len(Observations.of([]).xy) == 0
-    assert files_read == [1]
+    assert files_read == [1, 1, 0]
+
+
+def _cut(content):
+    return content[:-8]
+
+
+def _other_version(content):
+    return content[:8] + bytes(8) + content[8:-8]
+
+
+def _second_of_the_same_id(content):
+    return content[:8] + content[-51:-43] + content[16:]  # the last track is empty
+
+
+FAULTS = {
+    "no folder": (None, None),
+    "not written": (None, None),
+    "images cut": ("images.bin", _cut),
+    "tracks cut": ("points3D.bin", _cut),
+    "other images": ("images.bin", _other_version),
+    "other tracks": ("points3D.bin", _other_version),
+    "a point twice": ("points3D.bin", _second_of_the_same_id),
+}
 
 
 @needs_memory_folder
-@pytest.mark.parametrize("fault", ["no folder", "not written", "cut", "other version"])
+@pytest.mark.parametrize("fault", FAULTS)
 def test_objects_are_read_where_a_file_cannot(monkeypatch, files_read, fault):
     def refuse(*_):
         raise PermissionError("read-only")
@@ -87,20 +123,22 @@ def test_objects_are_read_where_a_file_cannot(monkeypatch, files_read, fault):
     def fail(*_):
         raise ValueError("Could not open images.bin")  # as pycolmap
 
-    def cut(content):
-        return content[:-8]
-
-    def other_version(content):
-        return content[:8] + bytes(8) + content[8:-8]
-
-    images = images_of(rigs(1))
+    model = rigs(1)
+    images, points = images_of(model), [point for _, point in sorted(model.points3D.items())]
+    if fault == "a point twice":
+        for point in points:
+            point.track = pycolmap.Track()
+    name, change = FAULTS[fault]
     if fault == "no folder":
         monkeypatch.setattr(module.Path, "mkdir", refuse)
     elif fault == "not written":
         monkeypatch.setattr(module.pycolmap.Reconstruction, "write_binary", fail)
     else:
-        change = cut if fault == "cut" else other_version
         read = module.Path.read_bytes
-        monkeypatch.setattr(module.Path, "read_bytes", lambda path: change(read(path)))
-    check(images)
-    assert files_read == [0]
+        monkeypatch.setattr(
+            module.Path,
+            "read_bytes",
+            lambda path: change(read(path)) if path.name == name else read(path),
+        )
+    check(images, points)
+    assert files_read == [len(images) if name == "points3D.bin" else 0]

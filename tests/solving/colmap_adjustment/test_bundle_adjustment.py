@@ -359,9 +359,21 @@ def test_observations_of_a_part_ascend_whichever_images_the_configuration_names(
     for point_id in sorted(reconstruction.points3D):
         config.add_variable_point(point_id)
     fields = read(reconstruction, config)[1].fields
-    columns = [fields[f"observation_{name}"] for name in ("keypoint", "image", "point")]
     assert len(fields["image_ids"]) > 3
-    assert (np.lexsort(columns) == np.arange(len(columns[0]))).all()
+    expected = [
+        (key, image_id, *image.points2D[index].xy)
+        for key in sorted(reconstruction.points3D)
+        for image_id, index in sorted(
+            (one.image_id, one.point2D_idx) for one in reconstruction.point3D(key).track.elements
+        )
+        for image in [reconstruction.image(image_id)]
+    ]
+    columns = (
+        fields["point_ids"][fields["observation_point"]],
+        fields["image_ids"][fields["observation_image"]],
+        *fields["observation_xy"].T,
+    )
+    assert list(zip(*(column.tolist() for column in columns), strict=True)) == expected
 
 
 def test_images_whose_points_are_all_left_out_take_no_part():

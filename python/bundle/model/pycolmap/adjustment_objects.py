@@ -25,13 +25,15 @@ from bundle.errors import InputError
 from bundle.interface.colmap_options import ColmapAdjustment, colmap_adjustment
 from bundle.model.pycolmap.reconstruction import (
     Observations,
+    check_elements,
     check_lengths,
     fields_of,
     fields_of_images,
     ids_of_points,
     is_valid,
     lengths_of_tracks,
-    records_of,
+    observations_and_tracks,
+    records_from_objects,
 )
 
 if TYPE_CHECKING:
@@ -44,7 +46,6 @@ __all__ = [
     "BundleAdjustmentSummary",
     "Reconstruction",
     "config_of",
-    "empty_summary",
     "options_of",
     "summary_of",
 ]
@@ -185,11 +186,6 @@ def _summary_fields() -> dict[str, Mapping[str, Any]]:
     return {name: getattr(type(value), "__members__", {}) for name, value in fields.items()}
 
 
-def empty_summary() -> BundleAdjustmentSummary:
-    """Return pycolmap's summary of a problem without observations."""
-    return BundleAdjustmentSummary()
-
-
 def _check_ids(place: str, what: str, given: Any, known: Any) -> None:
     for found in sorted(given):
         if found not in known:
@@ -221,25 +217,24 @@ def adjusted_fields(
     reconstruction: Reconstruction, config: AdjustmentConfig, min_track_length: int
 ) -> AdjustedFields:
     """Read the observations of named images and points, without points with shorter tracks."""
-    observations = Observations.of([reconstruction.image(key) for key in sorted(config.images)])
-    listed = sorted(config.variable_points | config.constant_points)
     is_whole = len(config.images) == reconstruction.num_reg_images()
-    if listed and not is_whole:
-        observations = _with_others(reconstruction, observations, config.images, listed)
-    order = np.argsort(observations.point_id, kind="stable")  # images and keypoints ascend already
-    sorted_ids = observations.point_id[order]
-    is_first = np.ones(len(order), bool)
-    is_first[1:] = sorted_ids[1:] != sorted_ids[:-1]
-    ids = sorted_ids[is_first].tolist()
-    point_ids = ids_of_points(ids)
+    listed = [] if is_whole else sorted(config.variable_points | config.constant_points)
+    observations, elements = observations_and_tracks(
+        [reconstruction.image(key) for key in sorted(config.images)],
+        list(map(reconstruction.point3D, listed)),
+    )
+    if listed:
+        elements[:, 2] = ids_of_points(listed)[elements[:, 2]]
+        observations = observations.joined(_outside(reconstruction, config.images, elements))
+    order, ids, seen = observations.by_point()
     try:
-        points = list(map(reconstruction.point3D, ids))
+        points = list(map(reconstruction.point3D, ids.tolist()))
     except IndexError:
         observations.points(ids_of_points(sorted(reconstruction.point3D_ids())))
         raise
+    point_ids = ids_of_points(ids.tolist())
     tracks = lengths_of_tracks(points)
-    seen = np.bincount(np.cumsum(is_first) - 1, minlength=len(ids))
-    are_read = is_whole | (np.isin(point_ids, listed) if listed else False)
+    are_read = is_whole | np.isin(point_ids, listed)
     check_lengths(point_ids, tracks, seen, (seen > tracks) | (are_read & (seen < tracks)))
     if is_whole and not is_valid(reconstruction):
         fields_of(reconstruction)  # names the fault
@@ -255,54 +250,28 @@ def adjusted_fields(
         "observation_image": observations.image,
         "observation_point": np.repeat(np.arange(len(seen), dtype=np.int32), seen),
         "observation_xy": observations.xy,
-        "observation_keypoint": observations.keypoint,
     }
     frames = np.array([image.frame_id for image in images], np.int64)
     return AdjustedFields(fields, tracks, frames, points, positions)
 
 
-def _with_others(
-    reconstruction: Reconstruction, inside: Observations, images: frozenset[int], listed: list[int]
+def _outside(
+    reconstruction: Reconstruction, images: frozenset[int], elements: NDArray[np.int64]
 ) -> Observations:
-    """Return observations of images with those of listed points in other images."""
-    points, ids = list(map(reconstruction.point3D, listed)), np.array(listed, np.uint64)
-    tracks, sorted_ids = lengths_of_tracks(points), np.sort(inside.point_id)
-    seen = np.searchsorted(sorted_ids, ids, "right") - np.searchsorted(sorted_ids, ids)
-    are_longer = tracks > seen  # new points are often in these images alone
-    getters = vars(pycolmap.TrackElement)  # attrgetter takes a third longer
-    of_images, keypoints = list[int](), list[int]()
-    for point in compress(points, are_longer.tolist()):  # objects freed at once leave warm memory
-        elements = point.track.elements
-        of_images += map(getters["image_id"].fget, elements)
-        keypoints += map(getters["point2D_idx"].fget, elements)
-    of_points = np.repeat(ids[are_longer].astype(np.int64), tracks[are_longer])
-    rows = np.array([of_images, keypoints, of_points], np.int64).T
-    rows = rows[~np.isin(rows[:, 0], np.fromiter(images, np.int64, len(images)))]
-    if not len(rows):
-        return inside
-    rows = rows[np.lexsort((rows[:, 1], rows[:, 0]))]  # points ascend already
-    rows = rows[np.append(True, (rows[1:] != rows[:-1]).any(axis=1))]
-    _check_elements(rows, np.isin(rows[:, 0], reconstruction.reg_image_ids()))
+    """Return the observations of elements (image, keypoint, point) of tracks in other images."""
+    rows = elements[~np.isin(elements[:, 0], np.fromiter(images, np.int64, len(images)))]
+    rows = rows[np.lexsort(rows.T[::-1])]
+    rows = rows[np.append(True, (rows[1:] != rows[:-1]).any(axis=1))[: len(rows)]]
+    check_elements(rows, np.isin(rows[:, 0], reconstruction.reg_image_ids()))
     image_ids, image = np.unique(rows[:, 0], return_inverse=True)
     seen_in = list(map(reconstruction.image, image_ids.tolist()))
     counts = np.array([image.num_points2D() for image in seen_in], np.int64)
-    _check_elements(rows, rows[:, 1] < counts[image])
+    check_elements(rows, rows[:, 1] < counts[image])
     seeing = [seen_in[row] for row in image.tolist()]
-    found = map(pycolmap.Image.point2D, seeing, rows[:, 1].tolist())
-    (records,) = records_of([pycolmap.Point2DList(found)])
-    _check_elements(rows, records["point_id"] == rows[:, 2].astype(np.uint64))
-    columns = image.astype(np.int32), rows[:, 1].astype(np.int32)
-    return inside.joined(Observations(seen_in, *columns, records["point_id"], records["xy"]))
-
-
-def _check_elements(elements: NDArray[np.int64], are_right: _Mask) -> None:
-    """Raise an InputError about the first wrong element (image, keypoint, point) of a track."""
-    if not are_right.all():
-        image_id, keypoint, point_id = elements[np.argmin(are_right)]
-        raise InputError(
-            f"point {point_id}: expected keypoints that refer to it in its track, found keypoint "
-            f"{keypoint} of image {image_id}"
-        )
+    found = list(map(pycolmap.Image.point2D, seeing, rows[:, 1].tolist()))
+    records = records_from_objects(found)
+    check_elements(rows, records["point_id"] == rows[:, 2].astype(np.uint64))
+    return Observations(seen_in, image.astype(np.int32), records["point_id"], records["xy"])
 
 
 # Changes of a ``pycolmap.Reconstruction`` in place: refined values, and bad observations.
@@ -319,14 +288,9 @@ def set_values(
     points: _Mask,
     read: AdjustedFields | None = None,
 ) -> None:
-    """Set the refined values of a sub-problem.
+    """Set the refined values of a sub-problem, which was ``read`` before.
 
-    Args:
-        reconstruction: the reconstruction to change.
-        refined: the sub-problem with its new values.
-        images: mask of its images whose poses are set, each with its frame.
-        points: mask of its points that are set.
-        read: the sub-problem as it was read, if it was.
+    ``images``, ``points``: masks of those that are set, images with their frames.
     """
     found = _points_again(reconstruction, refined.point_ids[points].tolist())
     for camera_id, params in zip(refined.camera_ids.tolist(), refined.camera_params, strict=True):
@@ -376,11 +340,6 @@ def _points_again(
 def delete_observations_behind(reconstruction: pycolmap.Reconstruction) -> None:
     """Delete observations of points behind their camera, as ``pycolmap.bundle_adjustment`` does."""
     pycolmap.ObservationManager(reconstruction).filter_observations_with_negative_depth()
-
-
-def update_errors(reconstruction: pycolmap.Reconstruction) -> None:
-    """Recompute the reprojection errors that the points store."""
-    reconstruction.update_point_3d_errors()
 
 
 def _rigid(pose: NDArray[np.float64]) -> pycolmap.Rigid3d:

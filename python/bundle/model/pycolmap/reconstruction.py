@@ -12,7 +12,7 @@ import os
 import struct
 import threading
 import time
-from itertools import compress
+from itertools import chain, compress
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
@@ -27,11 +27,9 @@ from bundle.base.records import dataclass
 from bundle.errors import InputError
 from bundle.model import rig_arrays
 from bundle.model.cameras import camera_models
-from bundle.model.colmap.model_records import ModelRecords, model_records
+from bundle.model.colmap.model_records import MAX_POINT_ID, ModelRecords, model_records
 from bundle.model.problem_arrays import ProblemArrays
 from bundle.model.pycolmap.problem_source import Packed, is_reconstruction, packed, unpacked
-
-MAX_POINT_ID = 2**63 - 1  # ids are stored as signed numbers here
 
 
 def fields_of(reconstruction: pycolmap.Reconstruction) -> dict[str, Any]:
@@ -50,7 +48,7 @@ def fields_of(reconstruction: pycolmap.Reconstruction) -> dict[str, Any]:
     fields = fields_of_images(reconstruction, images, cameras) | dict(
         points=positions_of(points),
         point_ids=point_ids,
-        **observations.fields(observations.points(point_ids)),
+        **observations.fields(point_ids),
         source=reconstruction,
     )
     _check_tracks(reconstruction, points, fields)
@@ -130,38 +128,26 @@ class Observations:
 
     images: list[pycolmap.Image]  # the images
     image: NDArray[np.int32]  # positions in `images`
-    keypoint: NDArray[np.int32]  # indices in the image
     point_id: NDArray[np.uint64]  # ids of points, unsigned
     xy: NDArray[np.float64]  # (n, 2) in pixels
 
     @staticmethod
     def of(images: list[pycolmap.Image]) -> Observations:
         """Return the observations of images."""
-        counts = np.array([image.num_points3D for image in images], np.int64)
-        keypoint = np.empty(int(counts.sum()), np.int32)
-        end = 0
-        for image, count in zip(images, counts.tolist(), strict=True):
-            start, end = end, end + count
-            keypoint[start:end] = image.get_observation_point2D_idxs()
-        image_index = np.repeat(np.arange(len(images), dtype=np.int32), counts)
-        xy, point_id = _pixels_and_points(images, counts)
-        return Observations(images, image_index, keypoint, point_id, xy)
+        return observations_and_tracks(images, [])[0]
 
     def joined(self, others: Observations) -> Observations:
         """Return these observations and those of other images."""
-        images = sorted([*self.images, *others.images], key=attrgetter("image_id"))
-        rows = {image.image_id: row for row, image in enumerate(images)}
-        image = np.concatenate(
-            [
-                np.array([rows[image.image_id] for image in part.images], np.int32)[part.image]
-                for part in (self, others)
-            ]
-        )
+        if not len(others.image):
+            return self
+        both = [*self.images, *others.images]
+        by_id = np.argsort([image.image_id for image in both])
+        image = np.concatenate([self.image, len(self.images) + others.image])
+        image = np.argsort(by_id).astype(np.int32)[image]
         order = np.argsort(image, kind="stable")
         return Observations(
-            images,
+            [both[row] for row in by_id.tolist()],
             image[order],
-            np.concatenate([self.keypoint, others.keypoint])[order],
             np.concatenate([self.point_id, others.point_id])[order],
             np.concatenate([self.xy, others.xy])[order],
         )
@@ -173,10 +159,16 @@ class Observations:
         return Observations(
             list(compress(self.images, used.tolist())),
             (np.cumsum(used, dtype=np.int32) - np.int32(1))[image],
-            self.keypoint[rows],
             self.point_id[rows],
             self.xy[rows],
         )
+
+    def by_point(self) -> tuple[NDArray[np.intp], NDArray[np.uint64], NDArray[np.int64]]:
+        """Return the order by point, image and keypoint, and ids and counts of the points."""
+        order = np.argsort(self.point_id, kind="stable")  # images and keypoints ascend already
+        sorted_ids = self.point_id[order]
+        starts = np.flatnonzero(np.append(True, sorted_ids[1:] != sorted_ids[:-1])[: len(order)])
+        return order, sorted_ids[starts], np.diff(np.append(starts, len(order)))
 
     def points(self, point_ids: NDArray[np.int64]) -> NDArray[np.int32]:
         """Return the position of each observed point in `point_ids`, which ascend."""
@@ -185,87 +177,126 @@ class Observations:
         refuse_row(
             ~found,
             lambda bad: (
-                f"image {self.images[self.image[bad]].image_id}, keypoint {self.keypoint[bad]}: "
+                f"image {self.images[self.image[bad]].image_id}, keypoint {self.keypoints()[bad]}: "
                 f"expected a point of the reconstruction, found point {self.point_id[bad]}"
             ),
         )
         return rows
 
-    def fields(self, points: NDArray[np.int32]) -> dict[str, Any]:
+    def keypoints(self) -> NDArray[np.int32]:
+        """Return the indices of all observations of the images among their keypoints."""
+        found = map(pycolmap.Image.get_observation_point2D_idxs, self.images)
+        return np.fromiter(chain.from_iterable(found), np.int32, len(self.image))
+
+    def fields(self, point_ids: NDArray[np.int64]) -> dict[str, Any]:
         """Return the fields of a problem with these points, sorted by point, image, keypoint."""
+        points = self.points(point_ids)
         order = np.argsort(points, kind="stable")  # images and keypoints ascend already
         return {
             "observation_image": self.image[order],
             "observation_point": points[order],
             "observation_xy": self.xy[order],
-            "observation_keypoint": self.keypoint[order],
+            "observation_keypoint": self.keypoints()[order],
         }
 
 
-def _pixels_and_points(
-    images: list[pycolmap.Image], counts: NDArray[np.int64]
-) -> tuple[NDArray[np.float64], NDArray[np.uint64]]:
-    """Return the pixels (n, 2) and point ids (n,) of the observations of images.
+_KEYPOINT = np.dtype([("xy", "<f8", 2), ("point_id", "<u8")])  # in COLMAP's images.bin
+_IMAGE = struct.Struct("<I7dIxQ")  # id, pose, camera, empty name, number of keypoints
+_POINT = struct.Struct("<Q35xQ")  # id; position, colour and error; length of the track
+_IMAGES_PER_FILE = 64
 
-    pycolmap has no arrays of them, and takes 0.5 us for the object of a keypoint. Writing a model
-    with only these keypoints to a file takes 50 ns per keypoint.
+
+def observations_and_tracks(
+    images: list[pycolmap.Image], points: list[pycolmap.Point3D]
+) -> tuple[Observations, NDArray[np.int64]]:
+    """Return the observations of images, and the elements of points' tracks.
+
+    The (n, 3) columns of elements are image id, keypoint, and position in ``points``.
+    pycolmap has no arrays of them, and takes 0.5 us for the object of a keypoint or element.
+    Writing a model with only these keypoints and points to a file takes 50 ns for each.
     """
+    counts = np.array([image.num_points3D for image in images], np.int64)
     xy, point_id = np.empty((counts.sum(), 2)), np.empty(counts.sum(), np.uint64)
     end = 0
-    for first in range(0, len(images), _IMAGES_PER_FILE):
-        some = slice(first, first + _IMAGES_PER_FILE)
-        for found in records_of([image.get_observation_points2D() for image in images[some]]):
+    for first in range(0, max(len(images), 1), _IMAGES_PER_FILE):
+        some = images[first : first + _IMAGES_PER_FILE]
+        keypoints = [image.get_observation_points2D() for image in some]
+        of_images, of_points = _written(keypoints, [] if first else points)
+        records = _keypoints_in(of_images, keypoints)
+        for found in records or map(records_from_objects, keypoints):
             start, end = end, end + len(found)
             xy[start:end], point_id[start:end] = found["xy"], found["point_id"]
-    return xy, point_id
+        if not first:
+            elements = _elements_in(of_points, points)
+    image = np.repeat(np.arange(len(images), dtype=np.int32), counts)
+    return Observations(images, image, point_id, xy), elements
 
 
-_IMAGES_PER_FILE = 64
-_RECORD = np.dtype([("xy", "<f8", 2), ("point_id", "<u8")])  # keypoint in COLMAP's images.bin
+def _written(
+    keypoints: list[pycolmap.Point2DList], points: list[pycolmap.Point3D]
+) -> tuple[bytes, bytes]:
+    """Return images.bin and points3D.bin of a model with these keypoints of images, and points.
 
-
-def records_of(keypoints: list[pycolmap.Point2DList]) -> list[NDArray[Any]]:
-    """Return the "xy" and "point_id" of the keypoints of each image."""
-    return _records_from_file(keypoints) or list(map(_records_from_objects, keypoints))
-
-
-def _records_from_file(keypoints: list[pycolmap.Point2DList]) -> list[NDArray[Any]]:
-    """Return the records of the keypoints of each image; an empty list if there is no such file."""
+    Image ids count from 1, point ids from 0. Both are empty if there is no folder in memory.
+    """
     model = pycolmap.Reconstruction()
-    camera = _identity_camera()
-    model.add_camera_with_trivial_rig(camera)
+    model.add_camera_with_trivial_rig(_identity_camera())
     for row, of_image in enumerate(keypoints):
-        image = pycolmap.Image("", of_image, camera.camera_id, row + 1)
+        image = pycolmap.Image("", of_image, _identity_camera().camera_id, row + 1)
         model.add_image_with_trivial_frame(image, pycolmap.Rigid3d())
+    for _ in map(model.points3D.__setitem__, range(len(points)), points):
+        pass
     name = f"bundle-{os.getpid()}-{threading.get_ident()}-{time.monotonic_ns()}"
     folder = Path("/dev/shm", name)
     try:
         folder.mkdir(0o700)
         try:
             model.write_binary(folder)
-            content = (folder / "images.bin").read_bytes()
+            return (folder / "images.bin").read_bytes(), (folder / "points3D.bin").read_bytes()
         finally:
             for path in folder.iterdir():
                 path.unlink()
             folder.rmdir()
     except (OSError, ValueError):  # no such folder, or pycolmap cannot write there
-        return []
-    header, item = struct.Struct("<I7dIxQ"), _RECORD.itemsize
-    if len(content) != 8 + sum(header.size + len(one) * item for one in keypoints):
-        return []
+        return b"", b""
+
+
+def _keypoints_in(content: bytes, keypoints: list[pycolmap.Point2DList]) -> list[NDArray[Any]]:
+    """Return the records of the keypoints of each image; an empty list if the file has others."""
+    size = sum(_IMAGE.size + len(one) * _KEYPOINT.itemsize for one in keypoints)
     records, start = [], 8
-    for row, of_image in enumerate(keypoints):  # id, pose, camera, empty name, number of keypoints
-        image_id, *_, count = header.unpack_from(content, start)
+    if len(content) != start + size:
+        return []
+    for row, of_image in enumerate(keypoints):
+        image_id, *_, count = _IMAGE.unpack_from(content, start)
         if (image_id, count) != (row + 1, len(of_image)):
             return []
-        records.append(np.frombuffer(content, _RECORD, count, start + header.size))
-        start += header.size + count * item
+        records.append(np.frombuffer(content, _KEYPOINT, count, start + _IMAGE.size))
+        start += _IMAGE.size + count * _KEYPOINT.itemsize
     return records
 
 
-def _records_from_objects(keypoints: pycolmap.Point2DList) -> NDArray[Any]:
-    records = np.empty(len(keypoints), _RECORD)
-    records["xy"] = pixels_of(keypoints)
+def _elements_in(content: bytes, points: list[pycolmap.Point3D]) -> NDArray[np.int64]:
+    """Return the elements of points' tracks, from objects if the file has other points."""
+    rows, tracks, end = list[int](), list[bytes](), 8
+    while end + _POINT.size <= len(content):  # in any order
+        row, length = _POINT.unpack_from(content, end)
+        start, end = end + _POINT.size, end + _POINT.size + 8 * length
+        rows.append(row)
+        tracks.append(content[start:end])
+    if end != len(content) or sorted(rows) != list(range(len(points))):
+        found = [(row, one) for row, point in enumerate(points) for one in point.track.elements]
+        columns = [(one.image_id, one.point2D_idx, row) for row, one in found]
+        return np.array(columns, np.int64).reshape(-1, 3)
+    elements = np.frombuffer(b"".join(tracks), "<u4").reshape(-1, 2)
+    lengths = np.array([len(track) // 8 for track in tracks], np.int64)
+    return np.column_stack([elements, np.repeat(np.array(rows, np.int64), lengths)])
+
+
+def records_from_objects(keypoints: Any) -> NDArray[Any]:
+    """Return the "xy" and "point_id" of a list of keypoints, one object at a time."""
+    records = np.empty(len(keypoints), _KEYPOINT)
+    records["xy"] = pixels_of(pycolmap.Point2DList(keypoints))
     ids = map(attrgetter("point3D_id"), keypoints)
     records["point_id"] = np.fromiter(ids, np.uint64, len(keypoints))
     return records
@@ -300,22 +331,28 @@ def _check_tracks(
     check_lengths(point_ids, length, observed, length != observed)
     if is_valid(reconstruction):
         return
-    ends = np.cumsum(observed)
-    images = fields["image_ids"][fields["observation_image"]]
-    for point_id, point, start, end in zip(point_ids, points, ends - observed, ends, strict=True):
-        referring = set(
-            zip(
-                images[start:end].tolist(),
-                fields["observation_keypoint"][start:end].tolist(),
-                strict=True,
-            )
-        )
-        for element in point.track.elements:
-            if (element.image_id, element.point2D_idx) not in referring:
-                raise InputError(
-                    f"point {point_id}: expected keypoints that refer to it in its track, found "
-                    f"keypoint {element.point2D_idx} of image {element.image_id}"
-                )
+    elements = observations_and_tracks([], points)[1]
+    elements = elements[np.argsort(elements[:, 2], kind="stable")]
+    elements[:, 2] = point_ids[elements[:, 2]]
+    columns = (
+        fields["image_ids"][fields["observation_image"]],
+        fields["observation_keypoint"],
+        point_ids[fields["observation_point"]],
+    )
+    referring = set(zip(*(column.tolist() for column in columns), strict=True))
+    are_right = [tuple(row) in referring for row in elements.tolist()]
+    check_elements(elements, np.array(are_right, bool))
+
+
+def check_elements(elements: NDArray[np.int64], are_right: NDArray[np.bool_]) -> None:
+    """Raise an InputError about the first wrong element (image, keypoint, point) of a track."""
+    refuse_row(
+        ~are_right,
+        lambda bad: (
+            "point {2}: expected keypoints that refer to it in its track, found keypoint {1} of "
+            "image {0}".format(*elements[bad])
+        ),
+    )
 
 
 def positions_of(points: list[pycolmap.Point3D]) -> NDArray[np.float64]:

@@ -139,7 +139,7 @@ class TrackBuilder:
         return self._problem.replace(
             points=positions_of([made.point3D(key) for key in ids]),
             point_ids=point_ids,
-            **found.fields(found.points(point_ids)),
+            **found.fields(point_ids),
         )
 
 
