@@ -110,7 +110,7 @@ class ThreadCrew:
 
 
 class ThreadMeeting:
-    """All processes; see ``slices.slice_reading.Meeting``."""
+    """All processes; see ``ranks.crew.Meeting``."""
 
     def __init__(self, crew: ThreadCrew, rank: int) -> None:
         self._crew = crew

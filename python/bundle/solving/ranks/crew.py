@@ -21,6 +21,25 @@ class Ranks(Protocol):
     traffic: dict[str, list[float]]
 
 
+class Meeting:
+    """Communication of all processes, which make the same calls in the same order; here of one."""
+
+    rank = 0
+    num_ranks = 1
+
+    def broadcast(self, value: Any = None) -> Any:
+        """Return the value of rank 0."""
+        return value
+
+    def gather(self, value: Any) -> list[Any]:
+        """Return the values of all ranks to rank 0, None to the other ranks."""
+        return [value]
+
+    def ranks(self) -> Ranks:
+        """Return the communication of this rank in one solve."""
+        raise NotImplementedError
+
+
 class Crew(Protocol):
     """Interface of rank 0 to the other processes."""
 

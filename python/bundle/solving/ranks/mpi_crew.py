@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 import bundle._core as _core
-from bundle.solving.ranks.crew import Job, PartOfOutput, Ranks
+from bundle.solving.ranks.crew import Job, Meeting, PartOfOutput, Ranks
 from bundle.solving.ranks.divided_solve import work_on
 
 BETWEEN_LOOKS = 0.01
@@ -81,8 +81,8 @@ class MpiCrew:
             _any_size(self._comm).send(None, rank)
 
 
-class MpiMeeting:
-    """All processes; see ``slices.slice_reading.Meeting``."""
+class MpiMeeting(Meeting):
+    """All processes."""
 
     def __init__(self, comm: Any) -> None:
         self._comm = comm

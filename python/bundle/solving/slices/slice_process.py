@@ -32,11 +32,11 @@ from bundle.solving.kept_errors import (
     Totals,
     inlier_sums,
 )
-from bundle.solving.ranks.crew import Job, PartOfOutput, Ranks
+from bundle.solving.ranks.crew import Job, Meeting, PartOfOutput, Ranks
 from bundle.solving.ranks.divided_solve import work_on
 from bundle.solving.ranks.partition import ProblemPart
 from bundle.solving.rounds.input_digest import sums_of_rows
-from bundle.solving.slices.slice_reading import Meeting, Slice, Survey, blocks, read_slice
+from bundle.solving.slices.slice_reading import Slice, Survey, blocks, read_slice
 
 # Statistics of reprojection errors on disk, with temporaries of one block.
 #

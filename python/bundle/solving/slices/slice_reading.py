@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,25 +17,8 @@ from bundle.io import bal, colmap
 from bundle.io.atomic.replaced_paths import ROLLING_SHUTTER
 from bundle.io.rolling_shutter_file import with_rolling_shutter
 from bundle.model.problem import Problem
-from bundle.solving.ranks.crew import Ranks
+from bundle.solving.ranks.crew import Meeting
 from bundle.solving.ranks.partition import ProblemPart, divide_tracks, shared_of
-
-
-class Meeting(Protocol):
-    """Communication of all processes, which make the same calls in the same order."""
-
-    rank: int
-    num_ranks: int
-
-    def broadcast(self, value: Any = None) -> Any:
-        """Return the value of rank 0."""
-
-    def gather(self, value: Any) -> list[Any]:
-        """Return the values of all ranks to rank 0, None to the other ranks."""
-
-    def ranks(self) -> Ranks:
-        """Return the communication of this rank in one solve."""
-
 
 _BLOCK = 1 << 20
 

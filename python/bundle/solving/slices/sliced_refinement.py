@@ -7,7 +7,7 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Protocol, cast
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +29,7 @@ from bundle.solving.executors import solve_prepared
 from bundle.solving.gauge_freedom import gauge_freedom
 from bundle.solving.kept_errors import PixelErrors, outlier_limit
 from bundle.solving.prepare import Executor, Prepared, prepare
-from bundle.solving.ranks.crew import Crew
+from bundle.solving.ranks.crew import Crew, Meeting
 from bundle.solving.ranks.divided_solve import heeding, process_record
 from bundle.solving.request import SolveRequest
 from bundle.solving.result import Result
@@ -49,7 +49,7 @@ from bundle.solving.slices.slice_process import (
     point_errors_on_disk,
     rmse_on_disk,
 )
-from bundle.solving.slices.slice_reading import Meeting, Survey, survey
+from bundle.solving.slices.slice_reading import Survey, survey
 
 
 @dataclass
@@ -102,26 +102,27 @@ class AllSlices:
 class SlicedRefinement:
     """Refinement as seen by rank 0. Call the methods in the order of definition.
 
-    ``crew``: the other ranks, which wait for a job. ``path``: path of a BAL file, or of the folder
-    of a binary COLMAP model.
+    ``crew``: the other ranks, which wait for a job; None: this process has the only slice.
+    ``path``: path of a BAL file, or of the folder of a binary COLMAP model.
     """
 
-    def __init__(self, crew: SliceCrew, path: Path) -> None:
+    def __init__(self, crew: SliceCrew | None, path: Path) -> None:
         self._crew = crew
         self._path = path.absolute()
-        found = survey(path, crew.num_ranks)
+        found = survey(path, 1 if crew is None else crew.num_ranks)
         if found.num_observations == 0:
             raise InputError(f"{shown(path)}: expected observations to refine, found 0")
-        crew.send_to_all(SliceJob(self._path))
-        self._process, self._executor = self._started(crew, found)
+        self._process, self._executor = self._started(found)
         self._slice = self._process.slice
         self._survey = found
         self._model = DividedModel.of(self._slice.cameras, found)
 
-    def _started(self, crew: SliceCrew, found: Survey) -> tuple[Process, Executor]:
+    def _started(self, found: Survey) -> tuple[Process, Executor]:
         """Read the slice of this process; return the process and the executor on all."""
-        process = Process(crew.meeting(), self._path, found)
-        return process, AllSlices(crew, process, found.owner)
+        assert self._crew is not None  # else OutOfCoreRefinement
+        self._crew.send_to_all(SliceJob(self._path))
+        process = Process(self._crew.meeting(), self._path, found)
+        return process, AllSlices(self._crew, process, found.owner)
 
     @property
     def cameras(self) -> Problem:
@@ -213,7 +214,8 @@ class SlicedRefinement:
         )
         if gauge is not None:
             values["gauge_freedom"] = gauge_freedom(gauge, result.options)
-        self._crew.release()
+        if self._crew is not None:
+            self._crew.release()
 
     def _finished(self, result: Result) -> Result:
         self._refined = result.problem
@@ -329,48 +331,11 @@ def scratch_folder(folder: str) -> Iterator[None]:
         _core.close_scratch()
 
 
-class LoneMeeting:
-    """One process alone; see ``slice_reading.Meeting``."""
-
-    rank = 0
-    num_ranks = 1
-
-    def broadcast(self, value: Any = None) -> Any:
-        """Return the value."""
-        return value
-
-    def gather(self, value: Any) -> list[Any]:
-        """Return the value, of the only rank."""
-        return [value]
-
-    def ranks(self) -> Any:
-        """Raise an error: the solve is not divided."""
-        raise NotImplementedError
-
-
-class LoneCrew:
-    """One process alone; see ``sliced_refinement.SliceCrew``."""
-
-    num_ranks = 1
-    is_solving = False
-    is_told_to_end = False
-
-    def meeting(self) -> LoneMeeting:
-        """Return the communication of the only rank."""
-        return LoneMeeting()
-
-    def send_to_all(self, job: SliceJob) -> None:
-        """Do nothing: there are no others."""
-
-    def release(self) -> None:
-        """Do nothing: there are no others."""
-
-
 class LoneProcess(Process):
-    """Process with the complete model on disk."""
+    """Process with the complete model on disk, and the executor on it."""
 
-    def adjust(self, prepared: Prepared, progress: Progress | None) -> dict[str, Any]:
-        """Return the output of the core from the current values.
+    def run(self, prepared: Prepared, progress: Progress | None) -> dict[str, Any]:
+        """Return the output of the core from the current values; see :meth:`Executor.run`.
 
         Ceres would keep the problem in memory, so the backend is fused.
         """
@@ -397,28 +362,17 @@ class LoneProcess(Process):
         return measure_on_disk(before, after, limit)
 
 
-@dataclass(frozen=True)
-class OneSlice:
-    """Executor on the slice of the only process."""
-
-    process: LoneProcess
-
-    def run(self, prepared: Prepared, progress: Progress | None) -> dict[str, Any]:
-        """See :meth:`Executor.run`."""
-        return self.process.adjust(prepared, progress)
-
-
 class OutOfCoreRefinement(SlicedRefinement):
     """Refinement by one process within :func:`scratch_folder`; see ``SlicedRefinement``."""
 
     def __init__(self, path: Path, folder: str) -> None:
         self._folder = folder
-        super().__init__(cast(SliceCrew, LoneCrew()), path)  # it sends no parts
+        super().__init__(None, path)
 
-    def _started(self, crew: SliceCrew, found: Survey) -> tuple[Process, Executor]:
+    def _started(self, found: Survey) -> tuple[Process, Executor]:
         refuse_small_disk(self._folder, found.num_observations, len(found.owner))
-        self._lone = LoneProcess(crew.meeting(), self._path, found)
-        return self._lone, OneSlice(self._lone)
+        self._lone = LoneProcess(Meeting(), self._path, found)
+        return self._lone, self._lone
 
     def measure(self, result: Result) -> None:
         """See :meth:`SlicedRefinement.measure`."""
