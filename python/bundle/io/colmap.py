@@ -193,12 +193,13 @@ def _write_shutter(problem: Problem, folder: Path) -> None:
 def _rewrite(problem: Problem, folder: Path, model: _core.ColmapModel) -> tuple[str, ...]:
     """Write the files of the source with the poses, parameters and points of a problem."""
     problem.check_padding()
+    errors, behind = _core.reprojection_errors(problem, 0, "auto")
     model.write(
         folder,
         problem.cam_from_world,
         problem.camera_params,
         problem.points,
-        _point_errors(problem)[:, None],
+        point_errors(errors, behind, problem.observation_point, problem.num_points)[:, None],
         problem.rig_from_world,
         problem.sensor_from_rig,
         problem.point_ids,
@@ -271,11 +272,6 @@ def _model(problem: Problem, *, binary: bool) -> _core.ColmapModel | None:
         np.array_equal(getattr(problem, name), fields[name]) for name in _SHARED_ARRAYS
     )
     return model if shared else None
-
-
-def _point_errors(problem: Problem) -> NDArray[np.float64]:
-    errors, behind = _core.reprojection_errors(problem, 0, "auto")
-    return point_errors(errors, behind, problem.observation_point, problem.num_points)
 
 
 def point_errors(

@@ -35,10 +35,7 @@ _COLUMNS = "name qw qx qy qz tx ty tz"
 
 def pose_format(path: str | os.PathLike[str]) -> str | None:
     """Return the format of a file of poses by its first line; None if it has no such format."""
-    return _format_of_line(first_line(Path(path))[1])
-
-
-def _format_of_line(line: str) -> str | None:
+    line = first_line(Path(path))[1]
     words = line.replace(",", " ").split()
     if "," in line and len(words) >= 8 and (_is_number(words[0]) or words[0] == "timestamp"):
         return "euroc"

@@ -112,7 +112,15 @@ def chi2_kinds(source: Any, options: Any = None, **changes: Any) -> tuple[Chi2Ki
     source.check_free()
     poses = pose_graph_of(source)
     if poses is None:
-        return _kinds_of_factors(source)
+        from bundle.analysis.factor_equations import FactorEquations
+
+        equations = FactorEquations(source)
+        if equations.open_blocks():
+            return ()
+        names = np.array([type(factor).__name__ for factor in source.factors])
+        squares = equations.squares
+        has_no_loss = np.abs(2 * equations.costs - squares) <= 1e-9 * squares + 1e-300
+        return _summed(equations, names, has_no_loss)
     return _kinds_of_edges(weighted_graph(poses.graph, None, {}, "chi2_kinds"), source)
 
 
@@ -130,18 +138,6 @@ def _kinds_of_edges(
     return _summed(
         PoseEquations(weighted), names, (weighted.weights[edges] == 1) & (not is_selected)
     )
-
-
-def _kinds_of_factors(graph: FactorGraph) -> tuple[Chi2Kind, ...]:
-    from bundle.analysis.factor_equations import FactorEquations
-
-    equations = FactorEquations(graph)
-    if equations.open_blocks():
-        return ()
-    names = np.array([type(factor).__name__ for factor in graph.factors])
-    squares = equations.squares
-    has_no_loss = np.abs(2 * equations.costs - squares) <= 1e-9 * squares + 1e-300
-    return _summed(equations, names, has_no_loss)
 
 
 def _summed(

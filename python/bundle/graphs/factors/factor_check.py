@@ -25,7 +25,6 @@ import bundle._core as _core
 from bundle.base.arrays import as_flag
 from bundle.base.records import dataclass
 from bundle.checking.function import UserFunction, called
-from bundle.checking.gradient_report import GradientReport
 from bundle.checking.residual_blocks import Block, Layout, Manifold, sample
 from bundle.checking.sample_check import check_samples
 from bundle.checking.step_curve import SamplePoint
@@ -90,7 +89,12 @@ def check_each(
             values.append([_sample(variable, radius, rng) for variable in factor.variables])
         by = tangent if factor.is_own else TANGENTS[0]
         layout = _layout(factor.variables, values, by)
-        reports[factor.name] = _check(factor, values, layout, by, tolerance, details)
+        points: list[SamplePoint] = []
+        for at in values:
+            size = points[0].user.num_residuals if points else 0
+            here = _InTangentCoordinates(factor, at, by, size)
+            points.append(SamplePoint(UserFunction.at(here, here.origins, size), here.origins))
+        reports[factor.name] = check_samples(points, layout, tolerance=tolerance, details=details)
         members[factor.name] = Member(
             kinds.setdefault(factor.kind, len(kinds)),
             factor.label,
@@ -103,22 +107,6 @@ def check_each(
         if progress is not None:
             progress(done + 1)
     return FactorCheck(reports, members, len(reports) if num_factors is None else num_factors)
-
-
-def _check(
-    factor: CheckedFactor,
-    values: Sequence[list[Array]],
-    layout: Layout,
-    tangent: str,
-    tolerance: float,
-    details: bool,
-) -> GradientReport:
-    points: list[SamplePoint] = []
-    for at in values:
-        size = points[0].user.num_residuals if points else 0
-        here = _InTangentCoordinates(factor, at, tangent, size)
-        points.append(SamplePoint(UserFunction.at(here, here.origins, size), here.origins))
-    return check_samples(points, layout, tolerance=tolerance, details=details)
 
 
 def _owners(variables: Sequence[Variable]) -> list[int]:

@@ -316,7 +316,9 @@ def largest_set(conflicts: Flags) -> tuple[Flags, bool]:
         Mask (n,) of the set; and False if HiGHS reached the time limit, so that a larger set may
         exist.
     """
-    sparse = _import_scipy()
+    require_package("scipy", "scipy", "consistency")
+    from scipy import sparse  # optional dependency
+
     chosen: Flags = np.logical_not(conflicts.any(axis=1))
     open_ = np.flatnonzero(~chosen)
     if not len(open_):
@@ -391,10 +393,3 @@ def _greedy(conflicts: Flags) -> Flags:
         left &= ~dropped
         count = count - conflicts[:, dropped].sum(axis=1)
     return chosen
-
-
-def _import_scipy() -> Any:
-    require_package("scipy", "scipy", "consistency")
-    from scipy import sparse  # optional dependency
-
-    return sparse

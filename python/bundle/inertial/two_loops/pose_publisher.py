@@ -327,7 +327,10 @@ class PosePublisher(Displayed):
             self._state = self._advanced(
                 np.asarray(solution.state), solution.timestamp_ns, [held, *since]
             )
-        self._forget_samples()
+        newest = self._samples[-1].timestamp_ns
+        begin = max(self._solution.timestamp_ns, newest - self._memory_ns)
+        while len(self._samples) > 2 and self._samples[1].timestamp_ns <= begin:
+            self._samples.popleft()
         shift, turn = self._follow_target()
         self._num_published += 1
         return PublishedPose(
@@ -384,12 +387,6 @@ class PosePublisher(Displayed):
         )
         last: Array = states[-1]
         return last
-
-    def _forget_samples(self) -> None:
-        newest = self._samples[-1].timestamp_ns
-        begin = max(self._solution.timestamp_ns, newest - self._memory_ns)
-        while len(self._samples) > 2 and self._samples[1].timestamp_ns <= begin:
-            self._samples.popleft()
 
     def _follow_target(self) -> tuple[float, float]:
         """Add new corrections to the target, move one share; return shift [m], turn [rad]."""

@@ -78,7 +78,12 @@ class Imported:
                     f"{shown(self.path)}: expected the same reprojection error ({name}) by the "
                     f"formula of the format and by COLMAP's, found {one:.9g} px and {other:.9g} px"
                 )
-        self._check_axes(behind)
+        count = int(np.count_nonzero(behind))
+        if 2 * count > len(behind):
+            raise InputError(
+                f"{shown(self.path)}: expected points in front of their cameras, found "
+                f"{count} of {len(behind)} observed points behind{self.axes}"
+            )
         source = ImportedSource(
             point_ids=problem.point_ids,
             point_colors=self.colors,
@@ -88,14 +93,6 @@ class Imported:
             data=self.data,
         )
         return problem._moved(source=source)
-
-    def _check_axes(self, behind: NDArray[np.bool_]) -> None:
-        count = int(np.count_nonzero(behind))
-        if 2 * count > len(behind):
-            raise InputError(
-                f"{shown(self.path)}: expected points in front of their cameras, found "
-                f"{count} of {len(behind)} observed points behind{self.axes}"
-            )
 
     def _errors(self, problem: Problem) -> Array:
         """Return the error of each observation in pixels by the formula of the format."""

@@ -107,7 +107,13 @@ def _tracks(
         empty = np.empty(0, np.int32)
         no_pixels: dict[str, Any] = {"xy": np.empty((0, 2)), "scale": np.empty(0)}
         return {"image": empty, "point": empty, "key": empty, **no_pixels}
-    listed = _tracks_file(path)
+    folders = (path.parent, path.parent.parent)
+    listed = next((folder / TRACKS for folder in folders if (folder / TRACKS).is_file()), None)
+    if listed is None:
+        raise InputError(
+            f"{shown(path)}: expected {TRACKS}, which has the observations, in its folder or the "
+            "folder above, found no such file"
+        )
     tracks = _core.read_tracks_csv(
         listed,
         [name.encode(errors="surrogateescape") for name in shots],
@@ -121,17 +127,6 @@ def _tracks(
             f"{shown(path)}, found 0"
         )
     return tracks
-
-
-def _tracks_file(path: Path) -> Path:
-    folders = (path.parent, path.parent.parent)
-    found = next((folder / TRACKS for folder in folders if (folder / TRACKS).is_file()), None)
-    if found is None:
-        raise InputError(
-            f"{shown(path)}: expected {TRACKS}, which has the observations, in its folder or the "
-            "folder above, found no such file"
-        )
-    return found
 
 
 def _imported(

@@ -60,7 +60,14 @@ def find_calibration(
             )
     own = next((path for path, kind in kinds.items() if kind == "own"), None)
     if own is not None:
-        return _own(own, given)
+        if len(given) > 1:
+            raise InputError(f"{shown(own)}: expected no second file of --calibration beside it")
+        calibration = load_calibration(own)
+        if calibration.camera_model is None:
+            raise InputError(
+                f"{shown(own)}: camera_model: expected a model of COLMAP for images, found null"
+            )
+        return FoundCalibration(calibration, None, (f"Calibration: {shown(own)}.",))
     cameras = [path for path, kind in kinds.items() if kind in ("camchain", "camera")]
     imus = [path for path, kind in kinds.items() if kind == "imu"]
     beside = [each for path in cameras for each in _beside(path)]
@@ -75,17 +82,6 @@ def find_calibration(
         f"Noise of the IMU: {shown(imu_path)}.",
     )
     return FoundCalibration(_combined(sensor, imu, stamps), sensor.size, notes)
-
-
-def _own(path: Path, given: Sequence[Path]) -> FoundCalibration:
-    if len(given) > 1:
-        raise InputError(f"{shown(path)}: expected no second file of --calibration beside it")
-    calibration = load_calibration(path)
-    if calibration.camera_model is None:
-        raise InputError(
-            f"{shown(path)}: camera_model: expected a model of COLMAP for images, found null"
-        )
-    return FoundCalibration(calibration, None, (f"Calibration: {shown(path)}.",))
 
 
 def _combined(sensor: CameraSensor, imu: ImuSensor, stamps: tuple[Any, Any]) -> Calibration:
@@ -211,7 +207,8 @@ def camera_sensor(path: Path, content: Table, name: str) -> CameraSensor:
             raise InputError(f"{place}: expected the camera {name}, found {cameras}")
         content, place = content[name], f"{place}: {name}"
     for key in ("camera_model", "intrinsics", "distortion_model"):
-        _needed(place, content, key)
+        if key not in content:
+            raise InputError(f"{place}: expected the key {key}; it is missing")
     if "T_cam_imu" in content:
         key, pose = "T_cam_imu", _motion(place, content, "T_cam_imu")
     elif "T_BS" in content:
@@ -316,8 +313,3 @@ def _rate(place: str, content: Table) -> float | None:
         return None
     rate = one_number(f"{place}: {key}", content[key])
     return rate if rate > 0 else None
-
-
-def _needed(place: str, content: Table, key: str) -> None:
-    if key not in content:
-        raise InputError(f"{place}: expected the key {key}; it is missing")

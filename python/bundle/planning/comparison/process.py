@@ -47,7 +47,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import field
 from pathlib import Path
 from typing import IO, Any, Literal, TextIO
@@ -166,7 +166,11 @@ def _listen(
             end.outcome, end.message = "out_of_memory", beyond(memory_cap)
             return end
         if time.monotonic() > deadline:
-            end.outcome, end.message = "timed_out", _too_long(timeout, end.iterations)
+            words = f"stopped after the time-out of {timeout:g} s"
+            if end.iterations:
+                latest = end.iterations[-1]
+                words += f", at iteration {latest['iteration']} and cost {latest['cost']:.4e}"
+            end.outcome, end.message = "timed_out", words
             return end
 
 
@@ -191,14 +195,6 @@ def beyond(memory_cap: int) -> str:
     if not memory_cap:
         return "ran out of memory"
     return f"needed more than {format_size(memory_cap)} beyond the loaded problem"
-
-
-def _too_long(timeout: float, iterations: Sequence[dict[str, Any]]) -> str:
-    words = f"stopped after the time-out of {timeout:g} s"
-    if iterations:
-        latest = iterations[-1]
-        words += f", at iteration {latest['iteration']} and cost {latest['cost']:.4e}"
-    return words
 
 
 def _explained(end: WorkerEnd, code: int, words: str) -> WorkerEnd:

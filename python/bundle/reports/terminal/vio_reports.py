@@ -228,20 +228,19 @@ def with_loops(
     report: Report, result: TwoLoopsResult, error: TrajectoryError | None, written: str | None
 ) -> Report:
     """Return the report of an odometry, extended by that of its two loops and their poses."""
-    return replace(
-        report,
-        headline=[*report.headline, _published(result, error)],
-        sections=[*report.sections, _section(result, error)],
-        data={**report.data, "two_loops": _data(result, error, written)},
-    )
-
-
-def _published(result: TwoLoopsResult, error: TrajectoryError | None) -> str:
     found = result.statistics
     late = "" if found.lateness is None else f", {found.num_late:,} late by more than 5 ms"
     accuracy = "" if error is None else f"; error {number(error.ate)} m rms (ATE)"
     closures = plural(found.num_closures, "closure")
-    return f"Published {found.num_poses:,} poses with {closures}{late}{accuracy}."
+    return replace(
+        report,
+        headline=[
+            *report.headline,
+            f"Published {found.num_poses:,} poses with {closures}{late}{accuracy}.",
+        ],
+        sections=[*report.sections, _section(result, error)],
+        data={**report.data, "two_loops": _data(result, error, written)},
+    )
 
 
 def _section(result: TwoLoopsResult, error: TrajectoryError | None) -> Section:
