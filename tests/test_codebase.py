@@ -12,7 +12,7 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
-from tools import quoted_outputs
+from tools import contents, quoted_outputs
 
 import bundle
 from bundle import _core
@@ -191,3 +191,35 @@ def test_no_files_import_each_other_in_a_circle() -> None:
         names = {f"{node.module}.{alias.name}" for node in nodes for alias in node.names}
         graph[name] = (names | {str(node.module) for node in nodes}) & set(files)
     graphlib.TopologicalSorter(graph).prepare()  # CycleError names the files
+
+
+@pytest.mark.parametrize("folder", contents.FOLDERS)
+def test_every_file_says_what_it_contains(folder: str) -> None:
+    files = list(contents.files_of(ROOT / folder))
+    assert files
+    assert [path.name for path in files if not contents.described(path)] == []
+
+
+def test_contents_are_first_sentences_and_sections(tmp_path: Path) -> None:
+    python, header, part, binding, script = (
+        tmp_path / name for name in ("a.py", "b.h", "c.cpp", "d.cpp", "e.sh")
+    )
+    python.write_text(
+        '"""Gauges (K. Ma), in\ntwo lines. More."""\n\n# One step.\nX = 1\n\n\n'
+        "# Scales of\n# worlds. And more.\n#\n# Last.\n\n\nclass A: ...  # B.\n"
+    )
+    header.write_text("#pragma once\n\n#include <a>\n\n/// Sums of\n/// blocks:\n///\n///   x\n")
+    part.write_text("/// Part of B (b.h): products.\n\n/// Another.\nint A();\n")
+    binding.write_text('/* m */\n/// Inner.\nvoid F() { m.def("solve", 1).def("save", 2); }\n')
+    script.write_text("#!/bin/sh\n# usage: e.sh A\n#\n# Builds A.\n")
+    for face in ("__init__.py", "b.cpp"):  # names and source of what others describe
+        (tmp_path / face).write_text("")
+    assert {path.name: contents.described(path) for path in contents.files_of(tmp_path)} == {
+        "a.py": "Gauges (K. Ma), in two lines.",
+        "b.h": "Sums of blocks:",
+        "c.cpp": "Part of B (b.h): products.",
+        "d.cpp": "solve, save",
+        "e.sh": "Builds A.",
+    }
+    assert contents.sections(python) == ["Scales of worlds."]
+    assert contents.sections(header) == []

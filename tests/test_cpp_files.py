@@ -25,15 +25,6 @@ def test_a_source_has_a_header_or_names_its_class(path: Path) -> None:
     assert (path.parent / (named[1] or named[2])).exists()
 
 
-def test_a_header_says_what_it_contains() -> None:
-    """CONTRIBUTING lists a folder by the first of these lines of each header."""
-    comments = re.compile(r"^/// (.*)", re.MULTILINE)
-    headers = [path for path in FILES if path.suffix == ".h"]
-    first = {path.name: comments.search(path.read_text()) for path in headers}
-    silent = re.compile(r"Included |\\")
-    assert [name for name, line in first.items() if not line or silent.match(line[1])] == []
-
-
 def test_no_file_is_too_long() -> None:
     lengths = {path.name: path.read_text().count("\n") for path in FILES}
     assert {name: count for name, count in lengths.items() if count > LONGEST} == {}

@@ -1,3 +1,5 @@
+/// The module bundle._core, of all that the other files of this folder bind.
+
 #include <pybind11/pybind11.h>
 
 #include "core/error.h"
