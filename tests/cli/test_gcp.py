@@ -90,6 +90,12 @@ def test_a_model_is_adjusted_to_its_control_points(run, made, backend):
     assert max(map(len, out.splitlines())) <= 100
 
 
+def test_a_list_is_the_reference_of_a_comparison(run, made):
+    folder, _ = made
+    code, out, _ = run("evaluate", folder / "model", "--reference", folder / "gcp_list.txt")
+    assert code == 0 and out.startswith("A differs from 6 surveyed points")
+
+
 def test_beside_positions_of_images(run, made):
     folder, scene = made
     centers = np.add(scene.truth.projection_centers, (500000, 5000000, 100))
@@ -187,7 +193,7 @@ def test_what_is_odd_is_noted(run, made):
         (["--gcp", "GCPS", "--gcp-sigma", "a"], ["--gcp-sigma", "metres"]),
         (["--gcp", "GCPS", "--gcp-pixel-sigma", "0"], ["--gcp-pixel-sigma"]),
         (["--gcp", "GCPS", "--gps-sigma", "2"], ["--gps-sigma", "only with --gps"]),
-        (["--gcp", "GCPS", "--images", "."], ["--images", "only with --gps"]),
+        (["--gcp", "GCPS", "--images", "."], ["--images", "only with --gps", "or --html"]),
         (["--gcp", "GCPS", "--check-points", "t99"], ["--check-points", "t99"]),
         (["--gcp", "GCPS", "--check-points", "t0,t1,t2,t3"], ["--gcp", "at least 3", "found 2"]),
         (["--gcp", "GCPS", "--prior-loss-scale", "2"], ["--prior-loss-scale", "trivial"]),

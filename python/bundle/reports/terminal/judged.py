@@ -202,7 +202,7 @@ def _facts_of_poses(found: Evaluation) -> list[tuple[str, str]]:
 
 def _of_points(found: CheckPointEvaluation) -> list[Section]:
     rows = [
-        (point.name, point.role, point.num_images, *(number(float(value)) for value in error))
+        (point.name, point.role, str(point.num_images), *(number(float(value)) for value in error))
         for point, error in zip(found.points, found.errors, strict=True)
     ]
     order = np.argsort(-np.nansum(found.errors**2, axis=1), kind="stable")
