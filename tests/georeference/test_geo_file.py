@@ -298,6 +298,61 @@ def test_accuracies_and_unused_columns_of_a_table(tmp_path, titles, values, accu
     assert all(unused in note and "v-acc" not in note for note in found.notes)
 
 
+FOOT, SURVEY_FOOT = 0.3048, 1200 / 3937  # of the definitions of 1959 and 1893
+
+
+@pytest.mark.parametrize(
+    ("titles", "metres"),
+    [
+        ("Altitude (ft),Accuracy [cm]", [FOOT, 0.01, 0.01]),
+        ("alt_ft,h-acc (mm)", [FOOT, 0.001, np.nan]),
+        ("Height [US survey feet],v-acc", [SURVEY_FOOT, np.nan, 1]),
+        ("elevation ftUS,sigma", [SURVEY_FOOT, 1, 1]),
+        ("altitude_m,accuracy (m)", [1, 1, 1]),
+        ("height (foot MSL),h-acc_m", [FOOT, 1, np.nan]),
+    ],
+)
+def test_units_of_titles(tmp_path, titles, metres):
+    path = tmp_path / "positions.csv"
+    path.write_text(f"image,latitude (deg),lon_deg,{titles}\na.jpg,48,9,650,2\n")
+    found = read_geo_file(path)
+    assert found.geodetic[0].tolist() == pytest.approx([48, 9, 650 * metres[0]], rel=1e-15)
+    np.testing.assert_allclose(found.accuracy[0], 2 * np.array(metres[1:]), rtol=1e-15)
+    changed = [title for title, one in zip(titles.split(","), metres, strict=False) if one != 1]
+    changed = [title for title in changed if "v-acc" not in title]
+    assert [*found.notes] == [
+        f"Columns of {path} that are converted from the units of titles: {', '.join(changed)}."
+    ] * bool(changed)
+
+
+def test_units_of_titles_and_of_a_map(tmp_path):
+    path = tmp_path / "positions.csv"
+
+    def read(system, titles, *values):
+        path.write_text(f"{system}\nimage,{titles}\na.jpg,{','.join(map(str, values))}\n")
+        return read_geo_file(path)
+
+    feet = "Easting (ft),Northing (ft),z (ft)"
+    there = read("EPSG:32615", "easting,northing,z", 500_000, 5_400_000, 30).geodetic
+    same = read("EPSG:32615", feet, 500_000 / FOOT, 5_400_000 / FOOT, 30 / FOOT).geodetic
+    np.testing.assert_allclose(same, there, rtol=1e-14)
+    local = read("LOCAL", feet, 1, 2, 3).geodetic
+    np.testing.assert_allclose(local, FOOT * np.array([[1, 2, 3]]), rtol=1e-15)
+    # A map in feet counts its own, whichever the title means; metres become feet.
+    there = read("EPSG:2263", "east,north,z", 980_000, 190_000, 30).geodetic
+    np.testing.assert_array_equal(
+        read("EPSG:2263", "X (ft),Y (ft),z", 980_000, 190_000, 30).geodetic, there
+    )
+    in_metres = [980_000 * SURVEY_FOOT, 190_000 * SURVEY_FOOT, 30]
+    found = read("EPSG:2263", "X (m),Y (m),z", *in_metres)
+    np.testing.assert_allclose(found.geodetic, there, rtol=1e-14)
+    assert any("the units of titles: X (m), Y (m)." in note for note in found.notes)
+    # The third axis of a system has a unit of its own.
+    there = read("EPSG:32615+5703", "x,y,z", 500_000, 5_400_000, 30)
+    same = read("EPSG:32615+5703", "x,y,z (ft)", 500_000, 5_400_000, 30 / FOOT)
+    np.testing.assert_allclose(same.geodetic, there.geodetic, rtol=1e-14)
+
+
 def test_the_ellipsoidal_height_of_two(tmp_path):
     path = tmp_path / "positions.csv"
     path.write_text("image,lat,lon,altitude,Ellipsoidal height [m]\na.jpg,48,9,420,467\n")

@@ -148,18 +148,15 @@ def align(
             for row, error, share in zip(survey.rows, cameras, weight, strict=True)
         ),
         (),
-        (*notes, *survey.notes(), *_sigma_notes(fit.sigma0)),
+        (*notes, *survey.notes(), *[_SIGMAS.format(fit.sigma0)] * (fit.sigma0 > LARGEST_SIGMA0)),
         fit.sigma0,
     )
 
 
-def _sigma_notes(sigma0: float) -> tuple[str, ...]:
-    if not sigma0 > LARGEST_SIGMA0:
-        return ()
-    return (
-        f"Residuals are {sigma0:.3g} times as large as expected from their sigmas: the "
-        "sigmas are too small, or points have gross errors.",
-    )
+_SIGMAS = (
+    "Residuals are {:.3g} times as large as expected from their sigmas: the sigmas are too small, "
+    "or points have gross errors."
+)
 
 
 def _aligned_to(problem: Problem, other: Problem) -> Alignment:

@@ -234,7 +234,7 @@ def point_errors(
                 [
                     _sigmas_of(point),
                     plain_metres(float(np.linalg.norm(_known_of(point.leave_one_out)))),
-                    _detectable(point),
+                    "-" if point.is_unchecked else plain_metres(point.detectable),
                 ]
                 if adjusted
                 else map(metres, point.leave_one_out)
@@ -273,8 +273,7 @@ def suspicions(points: Iterable[ControlPointError]) -> list[str]:
     said = [
         f"{', '.join(unchecked)} cannot be checked: the other measurements hardly predict "
         f"{'it' if len(unchecked) == 1 else 'them'}."
-    ]
-    said = said if unchecked else []
+    ] * bool(unchecked)
     if is_contradiction(points):
         used = [point.suspect for point in points if point.role == "control"]
         return [
@@ -293,11 +292,6 @@ def suspicions(points: Iterable[ControlPointError]) -> list[str]:
 def plain_metres(value: float) -> str:
     """Return metres with three decimals; "-" if unknown."""
     return "-" if np.isnan(value) else f"{value:.3f}"
-
-
-def _detectable(point: ControlPointError) -> str:
-    """Return the minimal detectable error; "-" if the redundancy is too small for a test."""
-    return plain_metres(point.detectable) if point.redundancy >= LEAST_REDUNDANCY else "-"
 
 
 def _sigmas_of(point: ControlPointError) -> str:

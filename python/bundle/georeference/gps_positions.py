@@ -73,10 +73,6 @@ class GpsPositions(Displayed):
         geodetic = ReferenceSystem(self.reference_system).exchanged(self.geodetic)
         return None if geodetic is None else replace(self, geodetic=geodetic)
 
-    def with_heights(self, factor: float) -> GpsPositions:
-        """Return the positions with scaled heights."""
-        return replace(self, geodetic=self.geodetic * [1, 1, factor])
-
     def with_sigmas(self, default: Sigma, scale: Sigma) -> GpsPositions:
         """Return the positions with the given or default standard deviations times a factor."""
         own = np.where(np.isnan(self.accuracy), default, self.accuracy)
@@ -110,12 +106,10 @@ def with_fix(positions: GpsPositions) -> GpsPositions:
 
 def no_fix_notes(names: Sequence[str], source: str) -> tuple[str, ...]:
     """Return a sentence on images whose position is 0 0; an empty tuple without such images."""
-    if not names:
-        return ()
-    return (
+    note = (
         f"{plural(len(names), 'position')} of {source} at 0 0, as receivers without a fix write: "
-        f"{few(map(shown, names))}.",
     )
+    return (f"{note}{few(map(shown, names))}.",) * bool(names)
 
 
 def matched(index: ImageIndex, positions: GpsPositions) -> dict[int, int]:
@@ -170,9 +164,7 @@ def unmatched_notes(
 
 def counted_images(names: list[str], what: str) -> tuple[str, ...]:
     """Return a note that counts images and names three of them; empty without any."""
-    if not names:
-        return ()
-    return (f"{plural(len(names), 'image')} {what}: {few(map(shown, names))}.",)
+    return (f"{plural(len(names), 'image')} {what}: {few(map(shown, names))}.",) * bool(names)
 
 
 def case_notes(index: ImageIndex, names: Iterable[str]) -> list[str]:
@@ -199,16 +191,13 @@ def case_notes(index: ImageIndex, names: Iterable[str]) -> list[str]:
 #
 # Numbers are identified by position, as in OpenDroneMap: accuracies follow the three angles, and an
 # incomplete group at the end of a line does not belong to the format. x is east or longitude, y
-# north or latitude; 0 and 0 mean a receiver without a fix. With the first line ``LOCAL``,
-# coordinates are metres in a frame of their own, its third axis up, and 0 and 0 a position like any
-# other. A name with blanks is in quotes, or between tabs if tabs separate all fields. Angles are
-# checked and not used: they have no effect on a position, and the images determine the attitude
-# better.
+# north or latitude; 0 and 0 mean a receiver without a fix, but not in a frame of its own (LOCAL).
+# Angles are checked and not used: the images determine the attitude better.
 #
 # A table, as Metashape, Pix4D, exiftool and spreadsheets write it, has titles of columns between
 # commas, semicolons or tabs in its first line, which may be a comment. A line above it may name the
 # reference system, as in geo.txt or in Metashape's comment; otherwise longitude and latitude are
-# those of WGS84. Rows without both are images without a position.
+# those of WGS84. Rows without both are images without a position. Units of titles take precedence.
 #
 # Source: https://docs.opendronemap.org/geo/ and ``opendm/geo.py`` of OpenDroneMap.
 
@@ -224,6 +213,12 @@ _TITLES = {
     "vrms sigmav sigmaz sdu accuracyxyz accuracy sigma",
 }
 """Words of a line of geo.txt, with the letters of their titles in tables, preferred ones first."""
+_UNIT = re.compile(
+    r"(?<![^\W_])(?:(?P<us>us\W*(?:survey\W*)?(?:ft|feet|foot)|ft\W*us)|(?P<ft>ft|feet|foot)|(?P<cm>cm)"
+    r"|(?P<mm>mm)|m|met(?:er|re)s?|deg(?:rees?)?)(?![^\W_])",
+    re.IGNORECASE,
+)
+_METRES = {"us": 1200 / 3937, "ft": 0.3048, "cm": 0.01, "mm": 0.001, None: 1.0}
 _METASHAPE = re.compile(r'CoordinateSystem: .*AUTHORITY\["EPSG","(\d+)"\]\]$')
 
 
@@ -255,6 +250,14 @@ def read_geo_file(path: str | os.PathLike[str]) -> GpsPositions:
     if not rows:
         raise InputError(f"{name}: expected images after the first line, found 0")
     table = np.array(rows)
+    units = [*([1.0] * 3 if system is None else system.units), 1.0, 1.0]
+    used = [titles[column] for column in (1, 2, 3, 7, 8)]
+    factors = np.array([*map(_factor, used, units)])
+    table *= factors
+    changed = np.flatnonzero((factors != 1) & np.isfinite(table).any(axis=0))
+    if len(changed):
+        columns = few(dict.fromkeys(shown(used[column]) for column in changed))
+        notes.append(f"Columns of {name} that are converted from the units of titles: {columns}.")
     lines_of = np.array(list(seen.values()))
     fixed = np.ones(len(table), bool) if system is None else ~system.is_no_fix(table[:, :3])
     without = [image for image, has_fix in zip(seen, fixed, strict=True) if not has_fix]
@@ -266,8 +269,8 @@ def read_geo_file(path: str | os.PathLike[str]) -> GpsPositions:
         notes += [*system.notes, *system.area_notes(geodetic), *no_fix_notes(without, name)]
     if odd:
         notes.append(
-            f"{plural(odd, 'line')} of {name} have numbers after the height that are "
-            "neither three angles nor three angles and two accuracies; they are ignored."
+            f"{plural(odd, 'line')} of {name} have numbers after the height that are neither three "
+            "angles nor three angles and two accuracies; they are ignored."
         )
     return GpsPositions(
         names=images,
@@ -277,6 +280,13 @@ def read_geo_file(path: str | os.PathLike[str]) -> GpsPositions:
         source=name,
         notes=tuple(notes),
     )
+
+
+def _factor(title: str, unit: float) -> float:
+    """Return the factor from the unit that a title names to the unit of its axis, both [m]."""
+    metres = _METRES[found.lastgroup] if (found := _UNIT.search(title)) else unit
+    is_same = unit < 0.1 or abs(metres / unit - 1) < 1e-5  # degrees; the two feet
+    return 1.0 if is_same else metres / unit
 
 
 def _row(place: str, words: list[str], titles: list[str]) -> NDArray[np.float64]:
@@ -291,9 +301,7 @@ def _row(place: str, words: list[str], titles: list[str]) -> NDArray[np.float64]
     for column, word in enumerate(words[1:end], 1):
         row[column] = parse_number(place, titles[column], word, unknown=column > 2)
         if column > 6 and row[column] <= 0:
-            raise InputError(
-                f"{place}: {titles[column]}: expected metres above 0, or nan, found {word}"
-            )
+            raise InputError(f"{place}: {titles[column]}: expected a number above 0, found {word}")
     return row[[1, 2, 3, 7, 8]]
 
 
@@ -306,7 +314,9 @@ def _table(
         place = f"{shown(path)}: line {number}"
         mark = next((mark for mark in ";\t," if mark in header), "\t")
         titles = split_fields(header.lstrip("# ").rstrip(mark), mark)
-        letters = [re.sub(r"[\[(].*?[\])]|[\W_]", "", title.lower()) for title in titles]
+        letters = [
+            re.sub(r"[\[(].*?[\])]|[\W_]", "", _UNIT.sub("", title).lower()) for title in titles
+        ]
         columns = [
             next((letters.index(title) for title in known.split() if title in letters), -1)
             for known in _TITLES.values()
@@ -347,8 +357,8 @@ def _table(
     used = {*columns, *hemispheres}
     unused = [title for column, title in enumerate(titles) if title and column not in used]
     note = f"Columns of {shown(path)} without a use: {few(map(shown, unused))}."
-    names = [titles[column] for column in columns]
-    return system_of(place, systems[-1]), rows, names, [note] * bool(unused)
+    used_titles = [titles[column] for column in columns]
+    return system_of(place, systems[-1]), rows, used_titles, [note] * bool(unused)
 
 
 # GPS positions of COLMAP's database: the table pose_priors.
@@ -409,12 +419,12 @@ def read_database_gps(path: Path) -> GpsPositions:
     if not names:
         raise InputError(f"{name}: expected positions in pose_priors, found 0")
     return GpsPositions(
-        names=tuple(names),
-        geodetic=np.array(geodetic),
-        accuracy=np.array(accuracy),
+        tuple(names),
+        np.array(geodetic),
+        np.array(accuracy),
         reference_system="WGS84" if common == _WGS84 else None,
         source=name,
-        notes=(f"{plural(without, 'pose prior')} without a position.",) if without else (),
+        notes=(f"{plural(without, 'pose prior')} without a position.",) * (without > 0),
     )
 
 
@@ -468,8 +478,7 @@ def read_opensfm_gps(path: Path) -> GpsPositions:
         reference_system="WGS84",
         source=shown(file),
         notes=(f"{plural(without, 'shot')} without a GPS fix (gps_dop above {_NO_FIX:g} m).",)
-        if without
-        else (),
+        * (without > 0),
     )
 
 

@@ -170,4 +170,6 @@ def _scaled(given: Readings, factor: float) -> Readings:
         replace(point, position=(*point.position[:2], factor * point.position[2]))
         for point in points
     )
-    return tuple(of_points), None if positions is None else positions.with_heights(factor)
+    if positions is not None:
+        positions = replace(positions, geodetic=positions.geodetic * [1, 1, factor])
+    return tuple(of_points), positions

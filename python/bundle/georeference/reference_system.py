@@ -116,8 +116,8 @@ class ReferenceSystem:
     @property
     def notes(self) -> tuple[str, ...]:
         """Sentences on losses and assumptions of the transformation to WGS84."""
-        lost = () if self._transformer[1] else (_UNKNOWN_SHIFT.format(self.name),)
-        feet = self.counts_feet and not self.has_height
+        lost = (_UNKNOWN_SHIFT.format(self.name),) * (not self._transformer[1])
+        feet = 0.3 < self.units[0] < 0.31 and not self.has_height
         return (*lost, _METRES.format(self.name)) if feet else lost
 
     def to_geodetic(
@@ -155,12 +155,8 @@ class ReferenceSystem:
     def area_notes(self, geodetic: NDArray[np.float64]) -> tuple[str, ...]:
         """Return a sentence on places outside the system's area of use, if there are any."""
         outside = int((self._beyond(geodetic) > MARGIN).sum())
-        if not outside:
-            return ()
-        return (
-            f"{plural(outside, 'position')} of {len(geodetic)} outside of the area of use "
-            f"of {self.name} ({self._area}).",
-        )
+        note = f"{plural(outside, 'position')} of {len(geodetic)} outside of the area of use of "
+        return (f"{note}{self.name} ({self._area}).",) * bool(outside)
 
     def is_no_fix(self, coordinates: ArrayLike) -> NDArray[np.bool_]:
         """Return the mask of (n, 3) coordinates at 0 0, as receivers without a fix write."""
@@ -187,9 +183,11 @@ class ReferenceSystem:
         return self._readable(np.asarray(coordinates, dtype=np.float64).reshape(-1, 3)) is not None
 
     @property
-    def counts_feet(self) -> bool:
-        """Return True for a map with coordinates in feet."""
-        return bool(0.3 < self._crs.axis_info[0].unit_conversion_factor < 0.31)
+    def units(self) -> list[float]:
+        """Return the units of x, y and height in metres (of degrees in radians)."""
+        return [axis.unit_conversion_factor for axis in self._crs.axis_info] + [1.0][
+            self.has_height :
+        ]
 
     def _transformed(self, given: NDArray[np.float64]) -> NDArray[np.float64]:
         x, y, z = given.T
