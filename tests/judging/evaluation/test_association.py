@@ -74,6 +74,22 @@ def test_names_that_are_stamps():
         associate(named("x", "y", "z"), timed(STAMPS))
 
 
+def test_numbers_of_frames_are_no_seconds():
+    names = [f"orbit_{number:04d}.jpg" for number in range(1, 7)]
+    for stamps in (np.arange(6), np.arange(1, 7) + 0.5, np.arange(61) / 10, [1, 3, 9]):
+        tum = timed(np.round(1e9 * np.asarray(stamps)))
+        for pair in ((named(*names), tum), (tum, named(*names))):
+            with pytest.raises(bundle.InputError, match=r"the frame 'orbit_0001\.jpg'; a list"):
+                associate(*pair)
+    # Stamps that count the same frames, all of them or some.
+    for frames in ([1, 2, 3, 4, 5, 6], [2, 3, 5], np.arange(30)):
+        found = associate(named(*names), timed(10**9 * np.asarray(frames)))
+        assert [frames[row] for row in found.rows_b] == [row + 1 for row in found.rows_a]
+    # A decimal point or a clock is a time.
+    seconds = timed(10**8 * np.arange(6))
+    assert len(associate(named(*(f"f{k / 10}.png" for k in range(6))), seconds)) == 6
+
+
 def test_whole_numbers_are_nanoseconds_from_ten_to_the_fourteenth():
     stamps = 10**14 + 10**6 * np.arange(3)
     found = associate(named(*map(str, stamps)), timed(stamps))

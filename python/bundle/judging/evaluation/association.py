@@ -5,8 +5,10 @@ folders and suffix, these shorter names are compared. A name that several images
 has no partner.
 
 Time stamps: the nearest stamp of B is the partner, if it is also the nearest in the other direction
-and differs by at most the tolerance. Names that are numbers, such as 1403636579763555584.png
-(nanoseconds) or 1305031102.175304.png (seconds), are time stamps if the other input has no names.
+and differs by at most the tolerance. Names with numbers such as 1403636579763555584.png
+(nanoseconds) or 1305031102.175304.png (seconds) are time stamps if the other input has no names.
+Small whole numbers, as in frame_0012.jpg, count frames: the stamps of the other input must, too,
+with all numbers of one input among those of the other.
 
 Order, without names and stamps: line k of a KITTI file is frame k, and names that end in numbers,
 such as 000012.png, are frames. Otherwise, both inputs must have the same number of poses; images
@@ -19,7 +21,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from decimal import Decimal
 
 import numpy as np
@@ -37,6 +39,10 @@ FEWEST = 3  # number of shared poses that an alignment needs
 NANOSECONDS = 10**14
 """Whole numbers in names from which they are nanoseconds; as seconds, three million years."""
 
+EARLIEST_CLOCK = 10**8
+"""Whole numbers in names from which they are seconds; as a clock, since 1973."""
+
+_NO_STAMPS = "expected names that are time stamps, because the other input has time stamps only"
 LATEST_STAMP = Decimal(2**63)
 
 Indices = NDArray[np.int64]
@@ -125,7 +131,7 @@ def _unique(names: tuple[str, ...], key: Callable[[str], str]) -> dict[str, int]
 
 
 def _by_time(a: PoseTable, b: PoseTable, tolerance: float) -> Association:
-    stamps = [_stamps(argument, table) for argument, table in (("a", a), ("b", b))]
+    stamps = _stamps(a, b)
     orders = [np.argsort(one, kind="stable") for one in stamps]
     first, second = (one[order] for one, order in zip(stamps, orders, strict=True))
     forward, back = _nearest(first, second), _nearest(second, first)
@@ -148,22 +154,31 @@ def _nearest(wanted: Indices, among: Indices) -> Indices:
     return found
 
 
-def _stamps(argument: str, table: PoseTable) -> Indices:
-    """Return time stamps in nanoseconds; if the table has none, read them from the names."""
-    if table.timestamps_ns is not None:
-        return table.timestamps_ns
-    stamps = []
-    for name in table.names:
+def _stamps(a: PoseTable, b: PoseTable) -> list[Indices]:
+    """Return time stamps in nanoseconds; if a table has none, read them from the names."""
+    first, second = a.timestamps_ns, b.timestamps_ns
+    if first is None:
+        assert second is not None
+        first = _stamps_of_names("a", a.names, second)
+    return [first, _stamps_of_names("b", b.names, first) if second is None else second]
+
+
+def _stamps_of_names(argument: str, names: Sequence[str], others: Indices) -> Indices:
+    stamps, frames = [], []
+    for name in names:
         words = re.findall(r"\d+(?:\.\d+)?", last_part(name))
         stamp = Decimal(words[0]) if len(words) == 1 else LATEST_STAMP
-        if stamp < NANOSECONDS:
-            stamp *= 10**9
+        frames += [name] * (stamp < EARLIEST_CLOCK and "." not in words[0])
+        stamp *= 10**9 if stamp < NANOSECONDS else 1
         if stamp >= LATEST_STAMP:
-            raise InputError(
-                f"{argument}: expected names that are time stamps, in seconds or nanoseconds, "
-                f"because the other input has time stamps only, found {brief(name)}"
-            )
+            raise InputError(f"{argument}: {_NO_STAMPS}, found {brief(name)}")
         stamps.append(int(stamp))
+    here, there = set(stamps), set(others.tolist())
+    if frames and ((others % 10**9).any() or not (here <= there or there <= here)):
+        raise InputError(
+            f"{argument}: {_NO_STAMPS}, {1e-9 * min(there):.10g} to {1e-9 * max(there):.10g} s, "
+            f"found the frame {brief(frames[0])}; a list, name qw qx qy qz tx ty tz, has names"
+        )
     return np.array(stamps, np.int64)
 
 
@@ -232,8 +247,7 @@ def _too_few(
     wanted = f"expected at least {FEWEST} shared poses of A and B {_short(found.by)}"
     count = f"found {len(found)} of {len(a)} and {len(b)}"
     if found.by == "time":
-        stamps = _stamps("a", a), _stamps("b", b)
-        hint = "" if len(found) else other_unit(*stamps)
+        hint = "" if len(found) else other_unit(*_stamps(a, b))
         return f"b: {wanted} (within {tolerance:g} s), {count}{hint}"
     hint = ""
     if all(named) and not len(found):

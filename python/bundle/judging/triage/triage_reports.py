@@ -79,9 +79,11 @@ def triage(
     differences = _differences(*reports, options)
     found: dict[str, TriageCause] = {}
     methods: dict[str, tuple[str, ...]] = {}
+    excess = [two.time_excess or 1.0 for two in differences]  # of all methods of a comparison
+    is_machine = statistics.median(excess) != 1.0 or len(excess) == 1
     for two in differences:
         for cause in causes_of(two):
-            if cause.cause == "machine" and not _is_machine(differences):
+            if cause.cause == "machine" and not is_machine:
                 continue
             found.setdefault(cause.cause, cause)
             if two.new.method:
@@ -118,12 +120,6 @@ def _differences(
         )
         for key in both
     ]
-
-
-def _is_machine(differences: Sequence[Difference]) -> bool:
-    """Return True if the median method of a comparison took another time, too."""
-    excess = [two.time_excess or 1.0 for two in differences]
-    return statistics.median(excess) != 1.0 or len(excess) == 1
 
 
 def _notes(two: Difference, found: dict[str, TriageCause]) -> tuple[str, ...]:
@@ -226,7 +222,9 @@ def _causes(two: Difference) -> Iterator[TriageCause]:
     elif two.old.is_converged and not two.new.is_converged:
         yield _convergence(two)
     if two.time_excess is not None and not options and not is_data:
-        yield _threads(two) if _explains_threads(two) else _machine(two, two.time_excess)
+        threads, time = two.ratio("num_threads") or 1, two.ratio("seconds")
+        explains = threads != 1 and time is not None and (threads < 1) == (time > 1)
+        yield _threads(two) if explains else _machine(two, two.time_excess)
 
 
 def _jacobian(two: Difference, proven: list[str]) -> TriageCause:
@@ -302,11 +300,6 @@ def _convergence(two: Difference) -> TriageCause:
             two, "initial_cost", "final_cost", "steps", "rejected", "least_radius", "is_converged"
         ),
     )
-
-
-def _explains_threads(two: Difference) -> bool:
-    threads, time = two.ratio("num_threads"), two.ratio("seconds")
-    return threads is not None and threads != 1 and time is not None and (threads < 1) == (time > 1)
 
 
 def _threads(two: Difference) -> TriageCause:

@@ -91,7 +91,12 @@ def judged(
     # observations without repetitions decide, if they are most
     repeated = are_repeated(problem, fitting.folds)
     counts = (~repeated if repeated.mean() < MOST_REPEATED else np.ones_like(repeated))[rows]
-    shared = _largest_shared(fits, problem)
+    sharing = [fit for fit in fits if not fit.error and len(_lenses(fit)) < problem.num_images]
+    shared = min(  # the largest lens that images share
+        sharing,
+        key=lambda fit: (fit.candidate.loss == "trivial", len(_lenses(fit)), -_num_intrinsics(fit)),
+        default=None,
+    )
     test = None if shared is None else row_test(shared.refined, shared.residuals)
     order, rolling = "", {}
     if shared is not None and test is not None and (test.fires or test.is_suspected):
@@ -114,7 +119,10 @@ def judged(
             normalized[list(rolling)] = others
             for k, fit in rolling.items():
                 compared[k], known[k] = fit, _certainty(fit)
-    vetoes = [_veto(fit, test) for fit in fits]
+    fires = test is not None and test.fires
+    vetoes = [
+        MOTION if fires and not fit.error and not is_shared(fit.candidate) else "" for fit in fits
+    ]
     for k, lacks in zip(rolling, lacking.tolist(), strict=False):
         vetoes[k] = LACKING if lacks else ""
     num_intrinsics = [0 if fit.error else _num_intrinsics(fit) for fit in fits]
@@ -187,22 +195,6 @@ def _reference(fits: Sequence[CandidateFit]) -> CandidateFit:
     """
     with_fit = [fit for fit in fits if not fit.error]
     return min(with_fit, key=lambda fit: (len(_lenses(fit)), -_num_intrinsics(fit)))
-
-
-def _largest_shared(fits: Sequence[CandidateFit], problem: Problem) -> CandidateFit | None:
-    """Return the fit of the largest lens that images share; None if no images share a lens."""
-    shared = [fit for fit in fits if not fit.error and len(_lenses(fit)) < problem.num_images]
-    return min(
-        shared,
-        key=lambda fit: (fit.candidate.loss == "trivial", len(_lenses(fit)), -_num_intrinsics(fit)),
-        default=None,
-    )
-
-
-def _veto(fit: CandidateFit, test: RowTest | None) -> str:
-    if fit.error or test is None or not test.fires:
-        return ""
-    return "" if is_shared(fit.candidate) else MOTION
 
 
 def _findings(
