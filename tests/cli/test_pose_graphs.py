@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 import bundle
+from tests.campaigns.triage_faults import wrong_closures
+from tests.campaigns.triage_inputs import chain_of_poses
 from tests.graphs.pose_graphs import graphs
 from tests.graphs.pose_graphs.chordal_oracle import ring
 
@@ -40,6 +42,23 @@ def test_refine_writes_the_graph_and_reports(run, source, tmp_path):
     again = bundle.load(target)
     np.testing.assert_array_equal(again.poses, expected.problem.poses)
     np.testing.assert_array_equal(again.information, bundle.load(source).information)
+
+
+def test_the_advice_on_wrong_closures_finds_them(run, tmp_path):
+    clean = bundle.solve(chain_of_poses(1, 60, 60)).problem
+    bad = wrong_closures(clean, np.random.default_rng(0))
+    source = tmp_path / "wrong.g2o"
+    bundle.save(bad, source)
+    assert "not at a minimum" in run("diagnose", source).out
+    plain = run("refine", source, "-o", tmp_path / "plain.g2o").out
+    advice = f"bundle refine {source} -o OUTPUT --loss auto"
+    assert advice in " ".join(plain.replace("\\\n", " ").split())
+    words = [str(tmp_path / "good.g2o") if w == "OUTPUT" else w for w in advice.split()[1:]]
+    said = " ".join(run(*words).out.split())
+    wanted = f"the loss rejects {bad.num_edges - clean.num_edges}; chi2 of the others is "
+    assert wanted in said
+    chi2 = float(said.partition(wanted)[2].split(".")[0])
+    assert chi2 == pytest.approx(bundle.solve(clean).summary.chi2_final, rel=0.01)
 
 
 def test_flags_of_pose_graphs(run, source, tmp_path):

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.analysis.diagnosis.diagnose_graph import NO_MINIMUM
 from bundle.analysis.diagnosis.diagnosis_result import Diagnosis
 from bundle.analysis.uncertainty.covariance_result import Covariance
 from bundle.base.words import number, plural
@@ -404,10 +405,10 @@ def _headline(diagnosis: Diagnosis) -> list[str]:
     verdict = diagnosis.verdict.rstrip(".")
     held = diagnosis.held_words if np.isfinite(diagnosis.condition_number) else ""
     condition = f"Condition number {number(diagnosis.condition_number)} (scaled{held})"
-    return [
-        f"{verdict[0].upper()}{verdict[1:]}.",
-        f"{condition}; {_pieces(diagnosis)}{'; no problem found' if diagnosis.ok else ''}.",
-    ]
+    found = "; no problem found" if diagnosis.ok else ""
+    if any(one.kind == NO_MINIMUM for one in diagnosis.findings):
+        found = "; not at a minimum, where alone wrong edges show: refine first"
+    return [f"{verdict[0].upper()}{verdict[1:]}.", f"{condition}; {_pieces(diagnosis)}{found}."]
 
 
 def _eigenvalues(diagnosis: Diagnosis) -> str:

@@ -81,7 +81,8 @@ def _rejected(solved: PoseGraphResult) -> list[str]:
     edges = plural(solved.initial_problem.num_edges, "edge", grouped=True)
     said = [f"the loss rejects {rejected:,}"] * bool(rejected)
     said += [f"the test of consistency leaves out {left_out:,}"] * bool(left_out)
-    included = "; chi2 includes them" if rejected and not left_out else ""
+    kept = number(float(np.delete(solved.chi2_after, solved.rejected).sum()))
+    included = f"; chi2 of the others is {kept}" if rejected and not left_out else ""
     return [f"Of {edges}, {' and '.join(said)}{included}."]
 
 
@@ -130,7 +131,7 @@ def about_information(path: str, kinds: Sequence[Chi2Kind]) -> list[Finding]:
         Finding(
             kind="information",
             sentence=sentence,
-            command=shlex.join(["bundle", "diagnose", path]) if is_large else "",
+            command=f"bundle refine {shlex.quote(path)} -o OUTPUT --loss auto" if is_large else "",
             evidence={"kinds": kinds},
         )
     ]
