@@ -31,6 +31,9 @@ from bundle.cli.main import COMMANDS, command_parser
         (["filter", "MODEL"], ["mean refine?"]),
         (["georegister", "MODEL"], ["mean align?"]),
         (["help", "optimize"], ["mean refine?"]),
+        (["refine", "MODEL", "-o", "x", "--gcp-accuracy", "0.1"], ["mean --gcp-sigma?"]),
+        (["refine", "MODEL", "-o", "x", "--share-intrinsics"], ["mean --share-cameras?"]),
+        (["refine", "MODEL", "-o", "x", "--filter"], ["mean --rounds?"]),
         (["info", "--zzz", "MODEL"], []),
         (["convert", "MODEL", "b", "c"], ["'c'"[1:-1]]),
         (["report", "MODEL", "refined", "-o", "x.html"], []),  # no flag resembles a word

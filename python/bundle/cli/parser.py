@@ -312,7 +312,10 @@ def _as_words(action: argparse.Action, flag: str, value: Any, place: str) -> lis
 ELSEWHERE = {
     "--loss": "--robust --robust-kernel --kernel --loss-function",
     "--gps-sigma": "--accuracy --gps-accuracy",
+    "--gcp-sigma": "--gcp-accuracy --marker-accuracy",
     "--fix-cameras": "--fix-intrinsics",
+    "--share-cameras": "--share-intrinsics --shared-intrinsics --single-camera --share",
+    "--rounds": "--filter --filter-outliers --outliers",
 }
 """Flags of other tools (g2o, GTSAM, Metashape, COLMAP), by the flag that means the same here."""
 
