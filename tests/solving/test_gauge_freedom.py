@@ -1,5 +1,7 @@
 """Degrees of freedom: counted from the structure, held against the nullity of dense Jacobians."""
 
+import pickle
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -58,7 +60,9 @@ def image_derivatives(problem):
     return result.reshape(problem.num_images, 6, 6 * blocks)
 
 
-def nullity(problem, *, fixed=(), points=(), arms=False, focal=False, priors=(), attitudes=()):
+def nullity(
+    problem, *, fixed=(), points=(), arms=False, focal=False, priors=(), attitudes=(), distances=()
+):
     """The number of singular values of the scaled Jacobian that are zero; the next one is not.
 
     Args:
@@ -68,6 +72,7 @@ def nullity(problem, *, fixed=(), points=(), arms=False, focal=False, priors=(),
         focal: whether the cameras' focal lengths are free.
         priors: indices of images whose position is measured.
         attitudes: (index of an image, (k, 6) rows by its left perturbation) of other priors.
+        distances: (indices of points, function of their coordinates) of other priors; with points.
     """
     _, d_pose, d_params, d_point, _ = _core.linearize(
         problem, "algebraic", np.zeros((problem.num_images, 3))
@@ -105,6 +110,14 @@ def nullity(problem, *, fixed=(), points=(), arms=False, focal=False, priors=(),
         rows = np.zeros((len(by_local), jacobian.shape[1]))
         rows[:, : len(columns)] = (by_local @ through[i])[:, columns] * 500
         jacobian = np.vstack([jacobian, rows])
+    for of, function in distances:
+        shifts = STEP * np.eye(3 * len(of)).reshape(-1, len(of), 3)
+        there = problem.points[list(of)]
+        columns = [(function(there + d) - function(there - d)) / (2 * STEP) for d in shifts]
+        rows = np.zeros((len(columns[0]), jacobian.shape[1]))
+        first = jacobian.shape[1] - by_point.shape[1]
+        rows[:, first + (3 * np.array(of)[:, None] + np.arange(3)).ravel()] = np.transpose(columns)
+        jacobian = np.vstack([jacobian, 500 * rows])
     norms = np.linalg.norm(jacobian, axis=0)
     used = norms > 1e-6 * norms.max()  # unknowns that no observation touches are no unknowns
     values = np.linalg.svd(jacobian[:, used] / norms[used], compute_uv=False)
@@ -246,6 +259,98 @@ def test_counts_are_nullities(case):
     counted = bundle.gauge_freedom(problem, options(problem, what), priors=priors)
     assert counted.degrees == found
     assert counted.degrees == degrees
+
+
+def from_plane(normal):
+    """Distances of points from a plane through the origin."""
+    return lambda points: points @ np.array(normal, float) / np.linalg.norm(normal)
+
+
+def from_best_plane(points):
+    """Distances from the plane with the least sum of squares, by its normal equations."""
+    moved = points - points.mean(axis=0)
+    return moved @ np.linalg.eigh(moved.T @ moved)[1][:, 0] * np.sign(moved[0, 0] - moved[1, 0])
+
+
+def from_mean_height(points):
+    return points[:, 2] - points[:, 2].mean()
+
+
+BY_ROTATION = np.hstack([np.eye(3), np.zeros((3, 3))])
+# Rules of a scene whose points have z = 0, and what they hold: (rules, of nullity, degrees).
+RULES = {
+    "focal length": (["cameras *: f prior 2 %"], {}, 7),
+    "positions": (["images 1,3,4: position prior sigma 0.1"], {"priors": (0, 2, 3)}, 0),
+    "one position and a rotation": (
+        ["image 2: position prior sigma 9", "image 3: rotation prior sigma 0.1"],
+        {"priors": (1,), "attitudes": [(2, BY_ROTATION)]},
+        1,
+    ),
+    "constant rotation": (["image 2: rotation fixed"], {"attitudes": [(1, BY_ROTATION)]}, 4),
+    "constant position": (["image 2: position fixed"], {"priors": (1,)}, 4),
+    "constant pose": (["image 2: rotation,position fixed"], {"fixed": (1,)}, 1),
+    "points": (
+        ["points 2,5: position prior sigma 0.1"],
+        {"distances": [((k,), np.ravel) for k in (1, 4)]},
+        1,
+    ),
+    "constant points": (["points 4,6,7: position fixed"], {"points": (3, 5, 6)}, 0),
+    "plane": (
+        ["points 1-9: on plane 0 0 2 0 sigma 0.1"],
+        {"distances": [(range(9), from_plane([0, 0, 1]))]},
+        4,
+    ),
+    "two planes and a point": (
+        [
+            "points 1-9: on plane 0 0 2 0 sigma 0.1",
+            "points 1,2: on plane 1 0 0 0 sigma 0.1",
+            "point 1: position prior sigma 1",
+        ],
+        {
+            "distances": [
+                (range(9), from_plane([0, 0, 1])),
+                ((0, 1), from_plane([1, 0, 0])),
+                ((0,), np.ravel),
+            ]
+        },
+        1,
+    ),
+    "unknown plane": (
+        ["points 1-9: on plane sigma 0.1"],
+        {"distances": [(range(9), from_best_plane)]},
+        7,
+    ),
+    "level plane": (
+        ["points 1-9: on level plane sigma 0.1"],
+        {"distances": [(range(9), from_mean_height)]},
+        5,
+    ),
+    "level plane and positions": (
+        ["points 1-9: on level plane sigma 0.1", "images 1,2: position prior sigma 0.1"],
+        {"distances": [(range(9), from_mean_height)], "priors": (0, 1)},
+        0,
+    ),
+}
+
+
+@pytest.mark.parametrize("case", RULES)
+def test_rules_count(case):
+    problem = flat(mono())
+    there = problem.points.copy()
+    there[:2, 0] = 0  # on the second plane
+    problem = problem.replace(points=there)
+    rules, what, degrees = RULES[case]
+    assert nullity(problem, **what) == degrees
+    # Distances from the planes would be lengths, by which a world cannot shrink.
+    moved = there + np.random.default_rng(0).normal(size=there.shape) * 1e-2
+    moved[:2] = there[:2]
+    off = problem.replace(points=moved)
+    for one in (problem, off):
+        assert bundle.gauge_freedom(one, constraints=rules).degrees == degrees
+    settings = {"gauge": "two_cameras", "max_num_iterations": 1}
+    solved = bundle.solve(off, constraints=rules, **settings)
+    assert solved.gauge_freedom.degrees == degrees
+    assert pickle.loads(pickle.dumps(solved)).gauge_freedom.degrees == degrees
 
 
 def test_priors_of_frames_sensors_and_points_count():

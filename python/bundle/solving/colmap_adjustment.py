@@ -234,7 +234,7 @@ def adjusted_part(
     seen = np.bincount(part.observation_point, minlength=part.num_points)
     constant_points = (read.tracks > seen) | _are_in(part.point_ids, config.constant_points)
     constant_images = ~named | _are_in(read.frames, config.constant_frames)
-    of_others = ~_marked(part.image_camera[named], part.num_cameras)
+    of_others = ~np.isin(np.arange(part.num_cameras), part.image_camera[named])
     constant_cameras = of_others | _are_in(part.camera_ids, config.constant_cameras)
     sensors = zip(part.sensor_rig_ids.tolist(), part.sensor_camera_ids.tolist(), strict=True)
     use_one_thread = 2 * part.num_observations < asked.min_residuals_for_threads
@@ -273,12 +273,6 @@ def _without_frames_of(problem: Problem, images: _Mask) -> Problem:
 def _are_in(ids: NDArray[np.int64], some: frozenset[int]) -> _Mask:
     """Return a mask of the ids in a set; for a few ids faster than NumPy's isin (20 us)."""
     return np.fromiter(map(some.__contains__, ids.tolist()), bool, len(ids))
-
-
-def _marked(rows: NDArray[np.integer], count: int) -> _Mask:
-    marks = np.zeros(count, bool)
-    marks[rows] = True
-    return marks
 
 
 # COLMAP's gauge of two cameras.

@@ -20,7 +20,8 @@ space of these rows:
     P [D, -M_s]           for every frame,
     a + b x X + s X = 0   for every constant point X,
     L^T J                 for every factor; J: motion in the coordinates of its variables,
-                          L L^T: its information.
+                          L L^T: its information. Points on planes and lines move from their feet,
+                          because distances that are not zero would count as known lengths.
 
 The gauge freedom is the dimension of this null space. It is 7 for images without factors, 6 if a
 fixed baseline gives the scale, and 0 with priors that determine the world. It is larger if the
@@ -48,7 +49,7 @@ from bundle.interface.options import SolveOptions
 from bundle.io.files import Source, as_problem
 from bundle.model.problem import Problem
 from bundle.model.rigid_motions import cross_matrices, rotation_matrices
-from bundle.solving.constraints.ends import HELD_POSITION
+from bundle.solving.constraints.ends import HELD_POSITION, HELD_ROTATION, KnownPrior
 from bundle.solving.request import place_at_priors
 
 if TYPE_CHECKING:
@@ -57,7 +58,9 @@ if TYPE_CHECKING:
     from bundle.georeference.measurements import Prior
     from bundle.graphs.factors.factors import Factor
     from bundle.interface.option_keywords import SolveKeywords
-    from bundle.solving.constraints.ends import Applied, KnownPrior
+    from bundle.solving.constraints.ends import Applied, Flatness
+    from bundle.solving.constraints.rule_list import Constraints
+    from bundle.solving.constraints.rules import Rule
 
 RANK_TOLERANCE = 1e-9
 """Threshold for zero singular values of columns that had norm 1 before the projection."""
@@ -86,12 +89,9 @@ class GaugeFreedom(Displayed):
         if self.degrees == 0:
             return "nothing is free: position, rotation and scale of the world are given"
         named = {6: " (position and rotation; the scale is given)", 7: " (a similarity)"}
-        one = self.num_pieces == 1 and not self.num_loose
-        words = (
-            plural(self.degrees, "degree")
-            + " of freedom"
-            + (named.get(self.degrees, "") if one else "")
-        )
+        words = plural(self.degrees, "degree") + " of freedom"
+        if self.num_pieces == 1 and not self.num_loose:
+            words += named.get(self.degrees, "")
         pieces = f" of {self.num_pieces} pieces" if self.num_pieces > 1 else ""
         loose = f", {self.num_loose} of them of sensors on their rigs" if self.num_loose else ""
         return words + pieces + loose
@@ -107,6 +107,7 @@ def gauge_freedom(
     *,
     factors: Iterable[Factor] = (),
     priors: Iterable[Prior] = (),
+    constraints: Constraints | Iterable[str | Rule] = (),
     **changes: Unpack[SolveKeywords],
 ) -> GaugeFreedom:
     """Count the degrees of freedom of a solve that no observation, factor or fixed id determines.
@@ -120,52 +121,73 @@ def gauge_freedom(
         options: options that say which parameters are refined and fixed; ``gauge`` has no effect.
         factors: factors in addition to the observations, as in :func:`bundle.solve`.
         priors: measured positions and attitudes of images, and control points.
+        constraints: rules, as in :func:`bundle.solve`.
         **changes: options by name, which replace those in ``options``.
 
     Raises:
-        InputError: an option or a factor is wrong.
+        InputError: an option, a factor or a rule is wrong.
         OSError: the path cannot be read.
 
     Example:
         >>> bundle.gauge_freedom("stereo_rig").degrees
         6
     """
-    problem = as_problem(problem)
     options = SolveOptions.of(options, changes, "gauge_freedom")
-    placed = place_at_priors(problem, tuple(factors), tuple(priors), None)
-    problem, given = placed.problem, list(placed.factors)
-    count = _Count(problem, options)
-    count.add_frames()
-    count.add_held_points()
-    if given:
-        count.add_factors(given)
-    return count.result()
+    from bundle.solving.constraints.resolve import apply  # slow to import
+
+    placed = place_at_priors(as_problem(problem), tuple(factors), tuple(priors), None)
+    start, applied = apply(constraints, placed.problem, options)
+    held = () if applied is None else applied.fixed_point_ids
+    options = options.replace(fixed_point_ids=(*options.fixed_point_ids, *held))
+    return gauge_freedom_of(start, options, placed.factors, applied)
+
+
+def gauge_freedom_of(
+    problem: Problem, options: SolveOptions, factors: Iterable[Factor], applied: Applied | None
+) -> GaugeFreedom:
+    """Count the degrees of freedom of a solve, with all its factors."""
+    return _counted(problem, options, factors, applied).result()
 
 
 def can_shrink(
     problem: Problem, options: SolveOptions, factors: Iterable[Factor], applied: Applied
 ) -> bool:
-    """Return True if points lie on planes and lines, and nothing determines the scale.
+    """Return True if points lie on planes and lines, and no factor determines the scale.
 
     The distances of a smaller world are smaller, so that other factors have to determine its scale.
-
-    ``factors``: all factors of the solve, with those of the resolved rules.
     """
-    feet = {id(factor): one for one, factor in zip(applied.priors, applied.factors, strict=True)}
-    feet = {key: one for key, one in feet.items() if one.normals or one.flatness}
-    from bundle.graphs.factors.factors import PositionFactor
+    return _counted(problem, options, factors, applied).can_scale()
 
-    others = [factor for factor in factors if id(factor) not in feet]
-    for image, parts in applied.held_poses.items():
-        if parts & HELD_POSITION:
-            center = problem.projection_centers[problem.image_ids == image][0]
-            others.append(PositionFactor(("image", image), center, np.eye(3)))
+
+def _counted(
+    problem: Problem, options: SolveOptions, factors: Iterable[Factor], applied: Applied | None
+) -> _Count:
+    from bundle.solving.constraints.resolve import factor_of  # slow to import
+
+    of_rules = set() if applied is None else set(map(id, applied.factors))
+    others = [factor for factor in factors if id(factor) not in of_rules]
     count = _Count(problem, options)
     count.add_frames()
     count.add_held_points()
+    if applied is not None:
+        for prior, factor in zip(applied.priors, applied.factors, strict=True):
+            if prior.normals:
+                count.add_foot(prior)
+            elif prior.flatness is not None:
+                count.add_plane(prior.flatness)
+            else:
+                others.append(factor)
+        held = (
+            (HELD_ROTATION, "rotation", problem.cam_from_world),
+            (HELD_POSITION, "position", problem.projection_centers),
+        )
+        for key, parts in applied.held_poses.items():
+            for bit, name, values in held:
+                if parts & bit:
+                    value = tuple(values[problem.image_ids == key][0].tolist())
+                    others.append(factor_of(KnownPrior(0, ("image", key), name, value, (1.0,) * 3)))
     count.add_factors(others)
-    count.add_feet(one for one in feet.values() if one.normals)
-    return count.can_scale()
+    return count
 
 
 class _Count:
@@ -284,18 +306,31 @@ class _Count:
             self._norms += ((rows / largest) ** 2).sum(axis=0)
             self._add(rows / largest)
 
-    def add_feet(self, feet: Iterable[KnownPrior]) -> None:
-        """Add equations that keep points on their planes and lines; `feet` are the projections."""
-        index = {key: row for row, key in enumerate(self._problem.point_ids.tolist())}
-        for foot in feet:
-            normals = np.array(foot.normals)
-            piece = self._piece_of_point[index[foot.subject[1]]]
-            rows = np.zeros((len(normals), self._width))
-            if piece >= 0:
-                moved = self._point_motion((np.array(foot.value) - self._middle) / self._size)
-                rows[:, 7 * piece : 7 * piece + 7] = normals @ moved
-            self._norms += (rows**2).sum(axis=0)
-            self._add(rows)
+    def add_foot(self, foot: KnownPrior) -> None:
+        """Add the equations that keep a point on its plane or line."""
+        (row,) = np.flatnonzero(self._problem.point_ids == foot.subject[1])
+        place, normals = np.array(foot.value), np.array(foot.normals)
+        self._add_points([int(row)], place[None], normals[:, None])
+
+    def add_plane(self, plane: Flatness) -> None:
+        """Add the equations that keep points on a plane of their own."""
+        rows = np.flatnonzero(np.isin(self._problem.point_ids, plane.points))
+        points = self._problem.points[rows]
+        along, axes = plane.along(points)
+        flat = points - along[:, 2:] * axes[2]
+        jacobian = np.stack(plane(flat)[1], axis=1) * plane.sigma
+        self._add_points(rows.tolist(), flat, jacobian)
+
+    def _add_points(self, points: list[int], places: _Matrix, jacobian: _Matrix) -> None:
+        """Add rows by the coordinates of points, (m, points, 3), which are at these places."""
+        rows = np.zeros((len(jacobian), self._width))
+        for point, place, by_point in zip(points, places, jacobian.swapaxes(0, 1), strict=True):
+            piece = self._piece_of_point[point]
+            if piece >= 0 and self._point_is_free[point]:
+                moved = self._point_motion((place - self._middle) / self._size)
+                rows[:, 7 * piece : 7 * piece + 7] += by_point @ moved
+        self._add(rows)
+        self._norms += (rows**2).sum(axis=0)
 
     def can_scale(self) -> bool:
         """Return True if the null space has a motion that scales a piece."""
@@ -338,8 +373,7 @@ class _Count:
         turn = np.eye(3)
         if sensor >= 0:
             turn = rotation_matrices(self._problem.sensor_from_rig[sensor : sensor + 1, :4])[0]
-        both = np.kron(np.eye(2), turn)
-        return np.asarray(both, np.float64)
+        return np.asarray(np.kron(np.eye(2), turn), np.float64)
 
     def _motion(self, kind: str, index: int, size: int) -> _Matrix:
         """Return the (size, width) motion of a variable, in its tangent coordinates, per column."""
@@ -381,8 +415,7 @@ class _Count:
         rotation = rotation_matrices(pose[None, :4])[0]
         turn, shift = rows[:3], self._size * rows[3:]
         shift = shift + cross_matrices(rotation @ middle) @ turn
-        moved = np.vstack([rotation.T @ turn, rotation.T @ shift])
-        return np.asarray(moved, np.float64)
+        return np.vstack([rotation.T @ turn, rotation.T @ shift])
 
     def _point_motion(self, point: _Matrix) -> _Matrix:
         return np.hstack([np.eye(3), -cross_matrices(point), point[:, None]])

@@ -149,12 +149,13 @@ class MeasuredResult(RoundRecords, SolveRecord):  # the first table: iterations
 
     @cached_property
     def gauge_freedom(self) -> GaugeFreedom:
-        """Degrees of freedom that observations, factors and priors leave free at the input."""
+        """Degrees of freedom that all but damping leaves free at the input."""
         from bundle.solving.gauge_freedom import gauge_freedom  # imports the readers of files
 
         return gauge_freedom(
-            self.initial_problem, self.options, factors=self.factors, priors=self.priors
-        )
+            self.initial_problem, self.options, factors=self.factors, priors=self.priors,
+            constraints=[end.rule for end in self.constraints],
+        )  # fmt: skip
 
     @property
     def work(self) -> str:

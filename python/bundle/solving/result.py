@@ -76,14 +76,12 @@ class Result(MeasuredResult):
         before, after = float(self.factor_costs_before.sum()), float(self.factor_costs_after.sum())
         return (("factors", f"{count}, cost {change(before, after)}"),)
 
-    def _place_facts(self) -> tuple[tuple[str, str], ...]:
-        if self.similarity is None:
-            return ()
-        return (("moved", f"to its priors, {self.similarity.scale:.6g} times as large"),)
-
-    def _bound_facts(self) -> tuple[tuple[str, str], ...]:
+    def _place_facts(self) -> list[tuple[str, str]]:
+        facts, moved = [], self.similarity
+        if moved is not None:
+            facts.append(("moved", f"to its priors, {moved.scale:.6g} times as large"))
         bounds = [f"{name} of camera {key[1]} ({side})" for key, name, side in self.active_bounds]
-        return (("at bounds", few(bounds)),) if bounds else ()
+        return [*facts, ("at bounds", few(bounds))] if bounds else facts
 
     def _rule_facts(self) -> tuple[tuple[str, str], ...]:
         if not self.constraints:
@@ -113,7 +111,6 @@ class Result(MeasuredResult):
             *self._round_facts(),
             *self._factor_facts(),
             *self._place_facts(),
-            *self._bound_facts(),
             *self._rule_facts(),
             *(("warning", warning) for warning in summary.warnings),
         ]

@@ -218,14 +218,10 @@ class _Adjusted:
                 weight = 0.0 if targets is check_points else _weight(point, length)
                 found[point.name] = PointCheck.of(residual, sigma, certainty.points[at], weight)
         level = LEVEL_OF_POINTS / max(len(found), 1)
-        return {
-            name: replace(one, is_suspect=one.is_checked and self._tail(one, certainty) < level)
-            for name, one in found.items()
-        }
-
-    @staticmethod
-    def _tail(point: PointCheck, certainty: _Certainty) -> float:
-        return scaled_tail(point.statistic, point.freedom, certainty.scale2, certainty.dof)
+        for name, one in found.items():
+            tail = scaled_tail(one.statistic, one.freedom, certainty.scale2, certainty.dof)
+            found[name] = replace(one, is_suspect=one.is_checked and tail < level)
+        return found
 
     def _leave_out(self, name: str) -> bool:
         """Remove the prior of a control point; return False for a check point."""

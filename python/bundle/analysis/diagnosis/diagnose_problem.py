@@ -40,7 +40,7 @@ from bundle.interface.pose_graph_options import PoseGraphOptions
 from bundle.io.files import Source, as_problem
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.model.problem import Problem
-from bundle.solving.gauge_freedom import gauge_freedom
+from bundle.solving.gauge_freedom import gauge_freedom_of
 from bundle.solving.prepare import prepare
 from bundle.solving.request import SolveRequest
 from bundle.solving.result import Result
@@ -187,7 +187,12 @@ def diagnose(
     )
     expected = int(found["expected_nullity"])
     if layout.known is not None:
-        expected = _expected_beside_factors(start, options, layout.known.factors, tracks, found)
+        # For several components, gauge_freedom would count all.
+        is_apart = tracks.pieces.max(initial=-1) > 0
+        expected = int(found["num_gauge"])
+        if not is_apart:
+            known, rules = layout.known.factors, prepared.applied
+            expected = gauge_freedom_of(start, prepared.options, known, rules).degrees
     unknowns = Unknowns(start, found)
     collapsed = collapsed_clusters(start, tracks)
     counts = EquationCounts(unknowns, tracks)
@@ -267,19 +272,6 @@ def _held_points(problem: Problem, options: SolveOptions) -> NDArray[np.int64]:
     if "points" not in options.refine:
         return problem.point_ids
     return np.array(options.fixed_point_ids, np.int64)
-
-
-def _expected_beside_factors(
-    problem: Problem,
-    options: SolveOptions,
-    factors: tuple[Factor, ...],
-    tracks: TrackTable,
-    found: dict[str, Any],
-) -> int:
-    """Return the similarities of the world that neither observations nor factors determine."""
-    if tracks.pieces.max(initial=-1) > 0:  # for several components, gauge_freedom counts all
-        return int(found["num_gauge"])
-    return gauge_freedom(problem, options, factors=factors).degrees
 
 
 def _components(problem: Problem, tracks: TrackTable) -> tuple[Component, ...]:

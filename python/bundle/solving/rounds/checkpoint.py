@@ -85,7 +85,8 @@ def write(path: Path, state: State, fingerprint: Mapping[str, Any]) -> None:
         "so_far": None if done is None else _record(done),
     }
     kept: dict[str, Any] = {**estimates(state.problem)}
-    kept |= {} if done is None else _prefixed(done.iterations)
+    iterations = {} if done is None else done.iterations
+    kept |= {f"iterations.{name}": values for name, values in iterations.items()}
     with atomic.replace_file(path) as temporary, temporary.open("wb") as file:
         np.savez(
             file,
@@ -186,10 +187,6 @@ def result_of_record(
     )
 
 
-def _prefixed(iterations: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    return {f"iterations.{name}": values for name, values in iterations.items()}
-
-
 def _without_prefix(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
     return {
         name.partition(".")[2]: values
@@ -281,7 +278,8 @@ def solve_in_segments(
         length = min(interval, options.max_num_iterations - done)
         changes: dict[str, Any] = {"max_num_iterations": length}
         if so_far is not None:
-            changes["initial_trust_region_radius"] = _last_radius(so_far)
+            last = float(so_far.iterations["trust_region_radius"][-1])
+            changes["initial_trust_region_radius"] = min(last, LARGEST_RADIUS)
         segment = solve(
             problem,
             options.replace(**changes),
@@ -300,11 +298,6 @@ def solve_in_segments(
             given = {name: getattr(options, name) for name in OF_A_SEGMENT}
             return dataclasses.replace(so_far, options=so_far.options.replace(**given))
         save(so_far)
-
-
-def _last_radius(result: Result) -> float:
-    """Return the radius with which the solver would have continued."""
-    return min(float(result.iterations["trust_region_radius"][-1]), LARGEST_RADIUS)
 
 
 def join(first: Result, second: Result) -> Result:

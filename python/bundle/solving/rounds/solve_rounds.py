@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from bundle.model.problem import Problem
     from bundle.solving.constraints.rule_list import Constraints
     from bundle.solving.constraints.rules import Rule
-    from bundle.solving.hold_out import HeldOutFit
     from bundle.solving.rounds.checkpoint import Checkpoint
 
 SMALLEST_CHANGE = 5e-4
@@ -173,8 +172,15 @@ def run(request: SolveRequest, plan: RunPlan, progress: Progress | None = None) 
     the last filter, unless this filter removed nothing. The run then ends at a minimum.
     """
     prepared = prepare(request)
-    held_out = _held_out_fit(prepared, plan)
-    checkpoint = _checkpoint(prepared, plan)
+    held_out = checkpoint = None  # most runs need neither, whose imports would delay them
+    if plan.held_out.hold_out:
+        from bundle.solving.hold_out import HeldOutFit
+
+        held_out = HeldOutFit(prepared, plan.held_out)
+    if plan.file is not None:
+        from bundle.solving.rounds.checkpoint import Checkpoint
+
+        checkpoint = Checkpoint.of(plan.file, prepared, plan)
     state = State.first(prepared.start)
     if checkpoint is not None and plan.resume is not None and plan.resume.exists():
         state = checkpoint.read(plan.resume, prepared)
@@ -186,25 +192,6 @@ def run(request: SolveRequest, plan: RunPlan, progress: Progress | None = None) 
     last, state = run_rounds(prepared, state, plan.rounds, checkpoint, progress)
     result = finished(prepared, last, state)
     return result if held_out is None else held_out.measured(result, last, state, fit)
-
-
-# Most runs need no held-out fit and no checkpoint, whose imports would delay them.
-
-
-def _held_out_fit(prepared: Prepared, plan: RunPlan) -> HeldOutFit | None:
-    if not plan.held_out.hold_out:
-        return None
-    from bundle.solving.hold_out import HeldOutFit
-
-    return HeldOutFit(prepared, plan.held_out)
-
-
-def _checkpoint(prepared: Prepared, plan: RunPlan) -> Checkpoint | None:
-    if plan.file is None:
-        return None
-    from bundle.solving.rounds.checkpoint import Checkpoint
-
-    return Checkpoint.of(plan.file, prepared, plan)
 
 
 Between = Callable[[Prepared, Result, State, bool], "tuple[Prepared, State]"]
