@@ -298,9 +298,7 @@ class CovarianceComputation {
   Eigen::MatrixXd CovarianceOf(const std::vector<int>& unknowns, const LongMatrix& inverse) const;
   void FindWorst(const ReliabilityOptions& wanted, ReliabilityOutput* found) const;
   std::vector<int> PointsBeside(const ReliabilityOutput& found) const;
-  std::vector<Matrix3> CovariancesOf(const std::vector<int>& points) const;
-  void FindEffects(const std::vector<int>& points, const std::vector<Matrix3>& covariances,
-                   ReliabilityOutput* found);
+  void FindEffects(BlockValues inverse, ReliabilityOutput* found);
   void SubtractEliminated(const PointBlocks& blocks, const Vector3& b, Eigen::MatrixXd* columns,
                           int k) const;
   // influence.cpp

@@ -126,18 +126,29 @@ void CovarianceComputation::FindInfluence(const InfluenceOptions& gradient, Dele
   if (wanted == Deletions::kPoints) found->without.assign(num_points, kNotComputed);
   std::vector<double> steps(n);               // a sum that no thread changes
   std::vector<double> moved(3 * num_points);  // a_p
-  const auto take = [&](const ObservationRows& rows, const Vector3& by_point) {
-    const auto i = static_cast<size_t>(rows.observation);
-    Eigen::Vector2d along = Eigen::Map<const TwoRows>(rows.point, 2, 3) * by_point;
+  const auto along_of = [&](const ObservationRows& rows) {
+    const int point = view().observation_point[rows.observation];
+    Eigen::Vector2d along = Eigen::Map<const TwoRows>(rows.point, 2, 3) *
+                            Eigen::Map<const Vector3>(&moved[3 * size_t(point)]);
     for (int b = 0; b < rows.num_blocks; ++b) {
       along += RowsByBlock(rows, b) *
                a.col(0).segment(layout().blocks()[rows.block[b]].offset, rows.size[b]);
     }
-    std::copy_n(along.data(), 2, &found->along[2 * i]);
-    found->weights[i] = rows.weight;
-    steps[i] = -along.dot(Eigen::Map<const Eigen::Vector2d>(rows.residual));
+    return along;
   };
-  const auto take_point = [&](int p, const PointBlocks& blocks, const PointAssembler& rows) {
+  const auto take = [&](const Leverage& of) {
+    const auto i = static_cast<size_t>(of.observation);
+    const Eigen::Vector2d along =
+        of.rows != nullptr ? along_of(*of.rows) : Eigen::Vector2d(of.along[0], of.along[1]);
+    const Eigen::Map<const Eigen::Vector2d> residual(of.residual);
+    std::copy_n(along.data(), 2, &found->along[2 * i]);
+    found->weights[i] = of.weight;
+    steps[i] = -along.dot(residual);
+    if (wanted != Deletions::kObservations || !(of.weight > 0)) return;
+    found->without[i] = WithoutObservation(of.h, along, residual, sigma);
+  };
+  const auto take_point = [&](int p, const PointBlocks& blocks, const PointAssembler& rows,
+                              const PointLeverages& leverages) {
     Vector3 by_point = Eigen::Map<const Matrix3>(blocks.inverse) * of_point(p);
     for (size_t b = 0; b < blocks.blocks.size(); ++b) {
       const double* of_unknown = &a(layout().blocks()[blocks.blocks[b]].offset, 0);
@@ -146,47 +157,24 @@ void CovarianceComputation::FindInfluence(const InfluenceOptions& gradient, Dele
       }
     }
     std::copy_n(by_point.data(), 3, &moved[3 * size_t(p)]);
-    for (int i = 0; i < rows.num_rows(); ++i) take(rows.row(i), by_point);
+    const int size = 2 * rows.num_rows();
+    if (wanted != Deletions::kPoints || size == 0 || !of_point(p).isZero(0)) return;
+    Eigen::VectorXd along(size), residual(size);
+    for (int i = 0; i < rows.num_rows(); ++i) {
+      along.segment<2>(2 * i) = along_of(rows.row(i));
+      std::copy_n(rows.row(i).residual, 2, residual.data() + 2 * i);
+    }
+    found->without[p] = WithoutPoint(leverages.OfCameras(), along, residual);
   };
-  system_.ForObservationsOfFixedPoints(
-      [&](const ObservationRows& rows) { take(rows, Vector3::Zero()); });
-  const auto along_of = [&](const ObservationRows& rows) {
-    return Eigen::Map<const Eigen::Vector2d>(&found->along[2 * size_t(rows.observation)]);
-  };
-  switch (wanted) {
-    case Deletions::kNone:
-      system_.ForPoints([&](int p, const PointBlocks& blocks, const PointAssembler& rows, int) {
-        take_point(p, blocks, rows);
-      });
-      break;
-    case Deletions::kObservations:
-      ForLeverages(
-          system_, inverse,
-          [&](const Eigen::Matrix2d& h, const ObservationRows& rows) {
-            if (!(rows.weight > 0)) return;
-            const Eigen::Map<const Eigen::Vector2d> residual(rows.residual);
-            found->without[rows.observation] =
-                WithoutObservation(h, along_of(rows), residual, sigma);
-          },
-          [&](int p, const PointBlocks& blocks, const PointAssembler& rows, const PointLeverages&) {
-            take_point(p, blocks, rows);
-          });
-      break;
-    case Deletions::kPoints:
-      ForLeverages(system_, inverse, {},
-                   [&](int p, const PointBlocks& blocks, const PointAssembler& rows,
-                       const PointLeverages& leverages) {
-                     take_point(p, blocks, rows);
-                     if (rows.num_rows() == 0 || !of_point(p).isZero(0)) return;
-                     Eigen::VectorXd along(2 * rows.num_rows()), residual(2 * rows.num_rows());
-                     for (int i = 0; i < rows.num_rows(); ++i) {
-                       along.segment<2>(2 * i) = along_of(rows.row(i));
-                       std::copy_n(rows.row(i).residual, 2, residual.data() + 2 * i);
-                     }
-                     found->without[p] = WithoutPoint(leverages.OfCameras(), along, residual);
-                   });
-      break;
-  }
+  LeverageOptions of_leverages;
+  of_leverages.without_h = wanted == Deletions::kNone;
+  of_leverages.adjoint = a.data();
+  of_leverages.points = std::move(points);
+  system_.ForFactors([&](const ReducedSystem::FactorRows& rows) {
+    of_leverages.points.insert(of_leverages.points.end(), rows.points.begin(), rows.points.end());
+  });
+  if (is_small_ || wanted == Deletions::kPoints) of_leverages.points = system_.free_points();
+  ForLeverages(system_, inverse, take, take_point, of_leverages);
   for (const double step : steps) found->step += step;
   const size_t m = view().factors == nullptr ? 0 : view().factors->factors.size();
   found->factor_share.assign(m, kNotComputed);

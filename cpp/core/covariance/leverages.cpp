@@ -35,8 +35,9 @@ struct Found {
 
 /// Takes the eigenvalues of h, and all that follows from them. One Jacobi rotation diagonalises a
 /// symmetric matrix of two rows.
-void Take(const Matrix2d& h, const ObservationRows& rows, Found* found) {
-  const auto i = static_cast<size_t>(rows.observation);
+void Take(const Leverage& of, Found* found) {
+  const auto i = static_cast<size_t>(of.observation);
+  const Matrix2d& h = of.h;
   const double off = 0.5 * (h(0, 1) + h(1, 0));
   Eigen::JacobiRotation<double> turn;
   turn.makeJacobi(h(0, 0), off, h(1, 1));
@@ -44,24 +45,24 @@ void Take(const Matrix2d& h, const ObservationRows& rows, Found* found) {
   axes << turn.c(), turn.s(), -turn.s(), turn.c();
   const double moved = off == 0 ? 0 : turn.s() / turn.c() * off;
   const Vector2d eigenvalues(h(0, 0) - moved, h(1, 1) + moved);
-  const Eigen::Map<const Vector2d> r(rows.residual);
+  const Eigen::Map<const Vector2d> r(of.residual);
   const Vector2d along = axes.transpose() * r;
   Vector2d scaled = Vector2d::Zero(), k = Vector2d::Zero();
   for (int axis = 0; axis < 2; ++axis) {
-    const double of = std::max(eigenvalues[axis], 0.0), rest = 1 - of;
+    const double own = std::max(eigenvalues[axis], 0.0), rest = 1 - own;
     if (rest <= kFullLeverage) continue;
     scaled[axis] = along[axis] / std::sqrt(rest);
-    k[axis] = of / rest;
-    found->known[i] += of;
+    k[axis] = own / rest;
+    found->known[i] += own;
   }
   Eigen::Map<Vector2d>(&found->scores[2 * i]) = axes * scaled;
-  found->squares[i] = rows.weight * r.squaredNorm();
-  if (rows.weight > 0) found->rest[i] = 2 - h.trace();
-  if (rows.bend != 0) found->has_bends.store(true, std::memory_order_relaxed);
+  found->squares[i] = of.weight * r.squaredNorm();
+  if (of.weight > 0) found->rest[i] = 2 - h.trace();
+  if (of.bend != 0) found->has_bends.store(true, std::memory_order_relaxed);
   // The eigenvalues of K + bend q q^T with q = K^(1/2) r.
   const Vector2d q = k.cwiseSqrt().cwiseProduct(along);
-  const double a = k[0] + rows.bend * q[0] * q[0], b = rows.bend * q[0] * q[1];
-  const double c = k[1] + rows.bend * q[1] * q[1];
+  const double a = k[0] + of.bend * q[0] * q[0], b = of.bend * q[0] * q[1];
+  const double c = k[1] + of.bend * q[1] * q[1];
   const double mean = 0.5 * (a + c), half = std::hypot(0.5 * (a - c), b);
   found->m[2 * i] = mean - half;
   found->m[2 * i + 1] = mean + half;
@@ -310,34 +311,67 @@ class Leverages final : public PointLeverages {
 
 template <typename Scalar>
 void VisitLeverages(const ReducedSystem& system, const LongMatrix& inverse,
-                    const LeverageVisitor& of_observation, const PointLeverageVisitor& of_point) {
+                    const std::vector<int>& points, const LeverageVisitor& of_observation,
+                    const PointLeverageVisitor& of_point, bool without_h) {
+  const auto take = [&](const ObservationRows& rows, const auto& leverage) {
+    Leverage of = {rows.observation, {}, rows.weight, rows.bend, Matrix2d::Zero(), {}, &rows};
+    std::copy_n(rows.residual, 2, of.residual);
+    if (!without_h) of.h = leverage();
+    of_observation(of);
+  };
   std::vector<Leverages<Scalar>> of_thread(system.num_threads(), {system, inverse});
-  system.ForPoints([&](int p, const PointBlocks& blocks, const PointAssembler& rows, int thread) {
-    Leverages<Scalar>& leverages = of_thread[thread];
-    leverages.TakePoint(blocks, rows);
-    if (of_point) of_point(p, blocks, rows, leverages);
-    for (int i = 0; of_observation && i < rows.num_rows(); ++i) {
-      of_observation(leverages.OfPoint(rows.row(i)), rows.row(i));
-    }
-  });
-  if (!of_observation) return;
+  system.ForPoints(system.num_threads(), points,
+                   [&](int p, const PointBlocks& blocks, const PointAssembler& rows, int thread) {
+                     Leverages<Scalar>& leverages = of_thread[thread];
+                     if (!without_h) leverages.TakePoint(blocks, rows);
+                     if (of_point) of_point(p, blocks, rows, leverages);
+                     for (int i = 0; i < rows.num_rows(); ++i) {
+                       take(rows.row(i), [&] { return leverages.OfPoint(rows.row(i)); });
+                     }
+                   });
   system.ForObservationsOfFixedPoints([&](const ObservationRows& rows) {
-    of_observation(of_thread[0].OfCameras(rows, rows).template cast<double>(), rows);
+    take(rows,
+         [&]() -> Matrix2d { return of_thread[0].OfCameras(rows, rows).template cast<double>(); });
   });
 }
 
 }  // namespace
 
 void ForLeverages(const ReducedSystem& system, const LongMatrix& inverse,
-                  const LeverageVisitor& of_observation, const PointLeverageVisitor& of_point) {
-  const auto visit = inverse.size() > 0 ? &VisitLeverages<long double> : &VisitLeverages<double>;
-  visit(system, inverse, of_observation, of_point);
+                  const LeverageVisitor& of_observation, const PointLeverageVisitor& of_point,
+                  const LeverageOptions& wanted) {
+  if (inverse.size() > 0) {
+    VisitLeverages<long double>(system, inverse, system.free_points(), of_observation, of_point,
+                                wanted.without_h);
+    return;
+  }
+  std::vector<int> points = system.unclear_points();
+  points.insert(points.end(), wanted.points.begin(), wanted.points.end());
+  std::sort(points.begin(), points.end());
+  points.erase(std::unique(points.begin(), points.end()), points.end());
+  std::vector<uint8_t> has_rows(system.problem().num_points);
+  for (const int p : points) has_rows[p] = 1;
+  if (points.size() < system.free_points().size()) {
+    system.FindLeverages(
+        wanted.without_h, wanted.adjoint, [&](int64_t i, const ObservationLeverage& found) {
+          if (has_rows[system.problem().observation_point[i]] != 0) return;
+          double rho[3];
+          system.evaluator().LossOf(found.residual, rho);
+          const double root = std::sqrt(rho[1]);
+          Leverage of = {i, {root * found.residual[0], root * found.residual[1]}, rho[1], 0, {},
+                         {}};
+          of.bend = rho[2] == 0 || rho[1] == 0 ? 0 : 2 * rho[2] / (rho[1] * rho[1]);
+          of.h << found.h[0], found.h[1], found.h[1], found.h[2];
+          std::copy_n(found.along, 2, of.along);
+          of_observation(of);
+        });
+  }
+  VisitLeverages<double>(system, inverse, points, of_observation, of_point, wanted.without_h);
 }
 
 CorrectedResiduals CorrectForLeverage(const ReducedSystem& system, const LongMatrix& inverse) {
   Found found(static_cast<size_t>(system.problem().num_observations));
-  ForLeverages(system, inverse,
-               [&](const Matrix2d& h, const ObservationRows& rows) { Take(h, rows, &found); });
+  ForLeverages(system, inverse, [&](const Leverage& of) { Take(of, &found); });
   CorrectedResiduals corrected;
   const double rest = Sum(found.rest);
   if (rest > kFullLeverage) corrected.variance = Sum(found.squares) / rest;

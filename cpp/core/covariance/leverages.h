@@ -51,8 +51,16 @@ namespace bundle {
 inline constexpr double kFullLeverage = 0.01;
 inline constexpr double kLeastCurvature = 1e-3;
 
-/// Takes h of an observation that counts.
-using LeverageVisitor = std::function<void(const Eigen::Matrix2d& h, const ObservationRows& rows)>;
+/// An observation that counts, with its residual r~, rho' and beta (observation_rows.h).
+struct Leverage {
+  int64_t observation;
+  double residual[2];
+  double weight, bend;
+  Eigen::Matrix2d h;
+  double along[2];                        ///< J~ a if it has no rows
+  const ObservationRows* rows = nullptr;  ///< nullptr: they were computed several at a time
+};
+using LeverageVisitor = std::function<void(const Leverage&)>;
 
 /// Covariances of a free point, and of the predictions of its observations.
 class PointLeverages {
@@ -65,12 +73,20 @@ class PointLeverages {
 using PointLeverageVisitor = std::function<void(int point, const PointBlocks&,
                                                 const PointAssembler&, const PointLeverages&)>;
 
-/// Visits all free points, unless `of_point` is empty, each before its observations, unless
-/// `of_observation` is empty, and then the observations of constant points; on all threads.
+/// Options of ForLeverages.
+struct LeverageOptions {
+  bool without_h = false;
+  /// Free points that `of_point` visits, each before its observations, all of which have rows.
+  std::vector<int> points = {};
+  const double* adjoint = nullptr;  ///< a by unknown; zero for points
+};
+
+/// Visits the observations of free points and then those of constant points, on all threads.
 /// `inverse` empty: the values of the system are C (ReducedSystem::Invert). C may be any inverse of
 /// a gauge: J N = 0.
 void ForLeverages(const ReducedSystem& system, const LongMatrix& inverse,
-                  const LeverageVisitor& of_observation, const PointLeverageVisitor& of_point = {});
+                  const LeverageVisitor& of_observation, const PointLeverageVisitor& of_point = {},
+                  const LeverageOptions& wanted = {});
 
 struct CorrectedResiduals {
   std::vector<double> scores;  ///< r^, two numbers per observation; zero if it does not count

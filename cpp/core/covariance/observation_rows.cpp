@@ -151,6 +151,10 @@ void ObservationEvaluator::MoveTo(const double* state, const double* points,
   Hold(held);
 }
 
+void ObservationEvaluator::LossOf(const double residual[2], double rho[3]) const {
+  ValueOfLoss(loss_, loss_scale_, SquaredNorm(residual, 2), rho);
+}
+
 bool ObservationEvaluator::Evaluate(int64_t observation, ObservationRows* rows,
                                     double* by_params) const {
   const int image = problem_.observation_image[observation];

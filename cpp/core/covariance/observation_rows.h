@@ -64,6 +64,9 @@ class ObservationEvaluator {
   /// by all parameters of the camera's model, 2 x their number.
   bool Evaluate(int64_t observation, ObservationRows* rows, double* by_params = nullptr) const;
 
+  /// rho, rho' and rho'' of a residual over its sigma.
+  void LossOf(const double residual[2], double rho[3]) const;
+
   const CameraStates& states() const { return states_; }
   const std::vector<LocalMap>& maps(int image) const { return maps_[image]; }
   /// Multiplies J~^T J~ by kappa from now on, and takes J~^T score from these scores, two numbers

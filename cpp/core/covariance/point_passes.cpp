@@ -265,52 +265,116 @@ void PointPasses::FillPair(const BlockStructure& structure, const BlockValues& v
   }
 }
 
-void PointPasses::FindCovariances(const BlockStructure& structure, const BlockValues& values,
-                                  const FreeGauge* gauge, double* to) const {
+struct PointPasses::Room {
+  std::vector<double> of_memory, of_blocks;
+  double* memory = nullptr;
+  double* blocks = nullptr;
+  std::vector<int64_t> begin;
+};
+
+template <typename Visit>
+void PointPasses::ForChunks(const BlockStructure& structure, const BlockValues* values,
+                            bool both_ways, const Visit& visit) const {
   const SchurSetup& setup = schur_.setup();
   const EliminationInput& input = schur_.input();
   const auto num_chunks = static_cast<int>(setup.plan.chunks.size());
-  WorldMoves moves;
-  if (gauge != nullptr) {
-    std::copy_n(gauge->moves().center(), 3, moves.center);
-    moves.size = gauge->moves().size();
-    moves.combinations = gauge->combinations();
-  }
   std::atomic<int> next{0};
   RunOnThreads(num_threads_, [&](int64_t) {
-    std::vector<double> memory_room, blocks_room, found;
-    double* const memory = Aligned(
-        setup.kernels.memory_doubles(input) + setup.kernels.scatter_doubles(input), &memory_room);
-    std::vector<int64_t> begin;
+    Room room;
+    room.memory =
+        Aligned(setup.kernels.memory_doubles(input) + setup.kernels.scatter_doubles(input),
+                &room.of_memory);
     try {
       for (int c = next.fetch_add(1); c < num_chunks; c = next.fetch_add(1)) {
         ThrowIfInterrupted();
         const Chunk& chunk = setup.plan.chunks[c];
         const int last_point = std::min(chunk.last_point, setup.plan.num_free_points);
         if (chunk.last_row > 0 || chunk.first_point >= last_point) continue;
-        const size_t num_parts = chunk.parts.size();
-        const auto parts_of = [&](size_t b) {
-          if (b < num_parts) return std::pair(chunk.parts[b], chunk.parts[b]);
-          const Chunk::Pair& pair = chunk.pairs[b - num_parts];
-          return std::pair(chunk.parts[pair.first], chunk.parts[pair.second]);
-        };
-        double* const blocks = Aligned(PlaceBlocks(input, chunk, &begin), &blocks_room);
-        for (size_t b = 0; b < static_cast<size_t>(chunk.num_blocks()); ++b) {
-          const auto [first, second] = parts_of(b);
-          std::fill(blocks + begin[b], blocks + begin[b + 1], 0.0);
-          FillPair(structure, values, first, second, blocks + begin[b]);
+        const std::vector<int>& parts = chunk.parts;
+        int64_t end = PlaceBlocks(input, chunk, &room.begin);
+        room.begin.pop_back();
+        for (const Chunk::Pair& pair : chunk.pairs) {
+          if (!both_ways) break;
+          room.begin.push_back(end);
+          end += int64_t{input.part_rows[parts[pair.second]]} * Width(parts[pair.first]);
         }
-        const int64_t count = last_point - chunk.first_point;
-        found.resize(9 * count);
-        setup.kernels.point_covariances(input, schur_.records(), chunk, moves, blocks, begin.data(),
-                                        memory, found.data());
-        for (int64_t k = 0; k < count; ++k) {
-          std::copy_n(&found[9 * k], 9, to + 9 * int64_t{setup.plan.point[chunk.first_point + k]});
+        room.begin.push_back(end);
+        if (values != nullptr) {
+          room.blocks = Aligned(end, &room.of_blocks);
+          std::fill_n(room.blocks, end, 0.0);
+          const auto fill = [&](int first, int second, size_t block) {
+            FillPair(structure, *values, first, second, room.blocks + room.begin[block]);
+          };
+          for (size_t i = 0; i < parts.size(); ++i) fill(parts[i], parts[i], i);
+          size_t block = parts.size();
+          for (const Chunk::Pair& pair : chunk.pairs) {
+            if (both_ways) fill(parts[pair.second], parts[pair.first], block + chunk.pairs.size());
+            fill(parts[pair.first], parts[pair.second], block++);
+          }
         }
+        visit(chunk, last_point, &room);
       }
     } catch (...) {
       next.store(num_chunks);
       throw;
+    }
+  });
+}
+
+void PointPasses::FindCovariances(const BlockStructure& structure, const BlockValues& values,
+                                  const FreeGauge* gauge, double* to) const {
+  const SchurSetup& setup = schur_.setup();
+  WorldMoves moves;
+  if (gauge != nullptr) {
+    std::copy_n(gauge->moves().center(), 3, moves.center);
+    moves.size = gauge->moves().size();
+    moves.combinations = gauge->combinations();
+  }
+  ForChunks(structure, &values, false, [&](const Chunk& chunk, int last_point, Room* room) {
+    const int64_t count = last_point - chunk.first_point;
+    std::vector<double> found(9 * count);
+    setup.kernels.point_covariances(schur_.input(), schur_.records(), chunk, moves, room->blocks,
+                                    room->begin.data(), room->memory, found.data());
+    for (int64_t k = 0; k < count; ++k) {
+      std::copy_n(&found[9 * k], 9, to + 9 * int64_t{setup.plan.point[chunk.first_point + k]});
+    }
+  });
+}
+
+void PointPasses::FindLeverages(const BlockStructure& structure, const BlockValues* values,
+                                const double* adjoint, const LeverageVisitor& visit) const {
+  const SchurSetup& setup = schur_.setup();
+  const EliminationPlan& plan = setup.plan;
+  const int stride = schur_.input().part_columns;
+  std::vector<double> by_part(adjoint == nullptr ? 0 : blocks_.size() * stride);
+  for (size_t part = 0; part < blocks_.size() && adjoint != nullptr; ++part) {
+    for (const ColumnBlock& block : blocks_[part]) {
+      const double* const from = adjoint + setup.layout.blocks()[block.block].offset;
+      double* const to = &by_part[part * stride];
+      for (int k = 0; k < block.size; ++k) {
+        if (block.map.empty()) to[block.column[k]] += from[k];
+        for (size_t c = 0; c < block.map.size() / block.size; ++c) {
+          to[c] += block.map[c * block.size + k] * from[k];
+        }
+      }
+    }
+  }
+  const std::vector<HeldResidual>& held = schur_.held();
+  const auto is_before = [](const HeldResidual& one, int64_t i) { return one.observation < i; };
+  ForChunks(structure, values, true, [&](const Chunk& chunk, int last_point, Room* room) {
+    const int64_t first = plan.first[chunk.first_point], last = plan.first[last_point];
+    std::vector<ObservationLeverage> found(last - first);
+    const LeverageInput given = {values == nullptr ? nullptr : room->blocks, room->begin.data(),
+                                 adjoint == nullptr ? nullptr : by_part.data()};
+    setup.kernels.point_leverages(schur_.input(), schur_.records(), chunk, given, room->memory,
+                                  found.data());
+    auto next = std::lower_bound(held.begin(), held.end(), first, is_before);
+    for (int64_t i = first; i < last; ++i) {
+      if (next != held.end() && next->observation == i) {
+        ++next;
+      } else {
+        visit(plan.observation[i], found[i - first]);
+      }
     }
   });
 }

@@ -1,10 +1,11 @@
 #pragma once
 
 /// The passes over free points for covariances, by the kernels of the elimination
-/// (schur/kernels/survey_points.h, point_covariances.h). They process several observations at a
-/// time; PointAssembler processes one at a time.
+/// (schur/kernels/survey_points.h, point_covariances.h, point_leverages.h). They process several
+/// observations at a time; PointAssembler processes one at a time.
 
 #include <cstdint>
+#include <functional>
 #include <vector>
 
 #include "core/covariance/free_gauge.h"
@@ -37,6 +38,14 @@ class PointPasses {
   void FindCovariances(const BlockStructure& structure, const BlockValues& values,
                        const FreeGauge* gauge, double* to) const;
 
+  /// Takes the leverage of an observation of the problem; called on all threads.
+  using LeverageVisitor =
+      std::function<void(int64_t observation, const ObservationLeverage& found)>;
+  /// Visits the observations that count, of free points, but not of points with very many. `values`
+  /// nullptr: without h; `adjoint`: by unknown, nullptr: zeros.
+  void FindLeverages(const BlockStructure& structure, const BlockValues* values,
+                     const double* adjoint, const LeverageVisitor& visit) const;
+
  private:
   /// A block of the layout in the columns of a part.
   struct ColumnBlock {
@@ -60,6 +69,14 @@ class PointPasses {
   /// Adds the covariance of two parts' columns, NumColumns(a) rows of Width(b).
   void FillPair(const BlockStructure& structure, const BlockValues& values, int a, int b,
                 double* to) const;
+  /// Memory of a thread, reused from chunk to chunk.
+  struct Room;
+  /// Fills the blocks of each chunk with free points, and calls visit(chunk, last free point,
+  /// room), on all threads. `values` nullptr: no blocks. `both_ways`: also transposed
+  /// (LeverageInput).
+  template <typename Visit>
+  void ForChunks(const BlockStructure& structure, const BlockValues* values, bool both_ways,
+                 const Visit& visit) const;
 
   const SchurProblem& schur_;
   const int num_threads_;

@@ -119,7 +119,8 @@ void ReducedSystem::OrderPoints() {
 
 void ReducedSystem::LinearizeSchur(const SolveOptions& options) {
   schur_.reset();
-  schur_ = std::make_unique<SchurProblem>(view_, layout_, options, structure_, solver_.get());
+  schur_ = std::make_unique<SchurProblem>(view_, layout_, options, structure_, solver_.get(),
+                                          /*is_reused=*/true);
   is_finite_ = schur_->Linearize(0).is_finite;
 }
 
@@ -297,6 +298,14 @@ void ReducedSystem::ForPoints(int num_threads, const std::vector<int>& points,
 void ReducedSystem::FindPointCovariances(const FreeGauge* gauge, double* to) const {
   if (schur_ == nullptr) return;
   PointPasses(*schur_, num_threads_).FindCovariances(structure_, values(), gauge, to);
+}
+
+void ReducedSystem::FindLeverages(
+    bool is_without, const double* adjoint,
+    const std::function<void(int64_t, const ObservationLeverage&)>& visit) const {
+  if (schur_ == nullptr) return;
+  PointPasses(*schur_, num_threads_)
+      .FindLeverages(structure_, is_without ? nullptr : &values(), adjoint, visit);
 }
 
 bool ReducedSystem::HasBlock(int row, int column) const {

@@ -150,11 +150,16 @@ class ReducedSystem {
   }
   /// Same as ForPoints, for these points only.
   void ForPoints(int num_threads, const std::vector<int>& points, const PointVisitor& visit) const;
+  /// In the order of their first blocks.
+  const std::vector<int>& free_points() const { return point_order_; }
   /// Free points that the kernels leave out: those whose V is not clearly regular, or with very
   /// many observations. All points if the system has no unknowns.
   const std::vector<int>& unclear_points() const { return unclear_points_; }
   /// PointPasses::FindCovariances, with blocks in the structure of S.
   void FindPointCovariances(const FreeGauge* gauge, double* to) const;
+  /// PointPasses::FindLeverages, by the values of the system unless `is_without`.
+  void FindLeverages(bool is_without, const double* adjoint,
+                     const std::function<void(int64_t, const ObservationLeverage&)>& visit) const;
   /// Rows of a factor's Jacobian w.r.t. the free variables: three columns per point, then unknowns.
   struct FactorRows {
     int factor = 0;  ///< its index
@@ -200,7 +205,7 @@ class ReducedSystem {
   std::unique_ptr<LinearSolver> solver_;
   std::unique_ptr<ObservationEvaluator> evaluator_;
   PointAssembler::Tracks tracks_;
-  std::vector<int> point_order_;  ///< free points, in the order of their first blocks
+  std::vector<int> point_order_;  ///< free points
   std::vector<int> unclear_points_;
   PointSums point_sums_;
   std::unique_ptr<GaugeSums> gauge_sums_;

@@ -57,6 +57,37 @@ Eigen::MatrixXd PseudoInverse(const Eigen::MatrixXd& covariance) {
   return Multiply(scaled * inverse.asDiagonal(), scaled.transpose());
 }
 
+/// to -= Y^T x for `size` rows of Y and of x, which are `width` registers wide, as is each of three
+/// rows of `to`.
+BUNDLE_FOR_TWO_PROCESSORS
+void SubtractTransposed(const double* y, int size, const double* x, int width, double* to) {
+  const Four* const rows = reinterpret_cast<const Four*>(x);
+  Four* const sums = reinterpret_cast<Four*>(to);
+  for (int w = 0; w < width; ++w) {
+    Four sum[3] = {sums[w], sums[width + w], sums[2 * width + w]};
+    for (int r = 0; r < size; ++r) {
+      for (int c = 0; c < 3; ++c) sum[c] -= y[3 * r + c] * rows[width * r + w];
+    }
+    for (int c = 0; c < 3; ++c) sums[width * c + w] = sum[c];
+  }
+}
+
+/// x^T A x of the columns x of three rows, `width` registers wide, for a symmetric A.
+BUNDLE_FOR_TWO_PROCESSORS
+void FindSquares(const double* a, const double* rows, int width, double* squares) {
+  const Four* const x = reinterpret_cast<const Four*>(rows);
+  Four* const to = reinterpret_cast<Four*>(squares);
+  for (int w = 0; w < width; ++w) {
+    Four sum = {};
+    for (int i = 0; i < 3; ++i) {
+      Four row = {};
+      for (int k = 0; k < 3; ++k) row += a[3 * i + k] * x[width * k + w];
+      sum += row * x[width * i + w];
+    }
+    to[w] = sum;
+  }
+}
+
 }  // namespace
 
 void CovarianceComputation::FindReliability(const ReliabilityOptions& wanted,
@@ -64,7 +95,7 @@ void CovarianceComputation::FindReliability(const ReliabilityOptions& wanted,
   if (is_small_) system_.EliminateByRows();
   HoldGauge();
   CountResiduals();
-  const BlockValues held = wanted.num_worst > 0 ? system_.values() : BlockValues();
+  BlockValues held = wanted.num_worst > 0 ? system_.values() : BlockValues();
   Factorize();
   FindDirections();
   const LongMatrix inverse = LongInverse();
@@ -77,15 +108,14 @@ void CovarianceComputation::FindReliability(const ReliabilityOptions& wanted,
       constraints_->TransformBlocks(system_.structure(), &system_.values());
     }
     FindImages();
-    const std::vector<int> points = PointsBeside(*found);
-    const std::vector<Matrix3> covariances = CovariancesOf(points);
-    system_.SetSystem(held);
+    BlockValues blocks_of_inverse = std::move(system_.values());
+    system_.SetSystem(std::move(held));
     Check(system_.Factorize());
     if (is_small_) {
       const Eigen::MatrixXd rounded = lower_.cast<double>();
       system_.TakeFactor(rounded.data());
     }
-    FindEffects(points, covariances, found);
+    FindEffects(std::move(blocks_of_inverse), found);
   }
   for (const NullPoint& null : system_.null_points()) output_.null_points.push_back(null.point);
   output_.warnings = system_.warnings();
@@ -103,20 +133,23 @@ void CovarianceComputation::FindLeverages(const LongMatrix& inverse,
   system_.ForFactors([&](const ReducedSystem::FactorRows& rows) {
     if (!rows.points.empty()) of_points.emplace(rows.points[0], Matrix3::Zero());
   });
+  LeverageOptions options;
+  for (const auto& [point, covariance] : of_points) options.points.push_back(point);
   ForLeverages(
       system_, inverse,
-      [&](const Eigen::Matrix2d& h, const ObservationRows& rows) {
-        const auto i = static_cast<size_t>(rows.observation);
-        std::copy_n(rows.residual, 2, &found->residuals[2 * i]);
-        found->weights[i] = rows.weight;
-        found->leverages[3 * i] = h(0, 0);
-        found->leverages[3 * i + 1] = 0.5 * (h(0, 1) + h(1, 0));
-        found->leverages[3 * i + 2] = h(1, 1);
+      [&](const Leverage& of) {
+        const auto i = static_cast<size_t>(of.observation);
+        std::copy_n(of.residual, 2, &found->residuals[2 * i]);
+        found->weights[i] = of.weight;
+        found->leverages[3 * i] = of.h(0, 0);
+        found->leverages[3 * i + 1] = 0.5 * (of.h(0, 1) + of.h(1, 0));
+        found->leverages[3 * i + 2] = of.h(1, 1);
       },
       [&](int point, const PointBlocks&, const PointAssembler&, const PointLeverages& leverages) {
         const auto at = of_points.find(point);
         if (at != of_points.end()) at->second = leverages.Covariance();
-      });
+      },
+      options);
   const size_t m = view().factors == nullptr ? 0 : view().factors->factors.size();
   found->factor_measurements.assign(m, 0);
   found->factor_redundancy.assign(m, kUnknown);
@@ -197,9 +230,7 @@ void CovarianceComputation::FindWorst(const ReliabilityOptions& wanted,
 ///   x_c = C (b_c - Y_q b_q) with q its own point,      x_p = V_p^-1 b_p - Y_p^T x_c.
 ///
 /// Inner constraints subtract N s, with s = N^T x = K^T x_c + N_q^T V_q^-1 b_q (free_gauge.h).
-void CovarianceComputation::FindEffects(const std::vector<int>& points,
-                                        const std::vector<Matrix3>& covariances,
-                                        ReliabilityOutput* found) {
+void CovarianceComputation::FindEffects(BlockValues inverse, ReliabilityOutput* found) {
   const int count = static_cast<int>(found->worst.size()), n = system_.num_unknowns();
   if (count == 0) return;
   const int degrees = constraints_ == nullptr ? 0 : gauge_->degrees();
@@ -233,7 +264,6 @@ void CovarianceComputation::FindEffects(const std::vector<int>& points,
   }
   Check(system_.Solve(rhs.data(), count, x.data()));
   if (degrees > 0) s += MultiplyTransposed(gauge_->reduced(), x);
-  const Matrix by_unknown = x;  // the columns of an unknown side by side
   Matrix moved = x;
   if (degrees > 0) moved -= Multiply(gauge_->cameras(), s);
   for (int i = 0; i < view().num_images; ++i) {
@@ -250,39 +280,48 @@ void CovarianceComputation::FindEffects(const std::vector<int>& points,
       effect.image_sigmas = sigmas;
     }
   }
-  std::vector<int> place(view().num_points, -1);
-  for (size_t i = 0; i < points.size(); ++i) place[points[i]] = static_cast<int>(i);
-  Matrix sigmas = Matrix::Zero(static_cast<Eigen::Index>(points.size()), count);
+  // The columns of an unknown side by side, four in a register.
+  const int width = (count + 3) / 4;
+  std::vector<double> by_unknown(4 * size_t(width) * n);
+  for (int row = 0; row < n; ++row) {
+    for (int k = 0; k < count; ++k) by_unknown[4 * size_t(width) * row + k] = x(row, k);
+  }
+  std::swap(system_.values(), inverse);
+  const std::vector<int> points = PointsBeside(*found);
+  std::vector<PaddedRows> padded(system_.num_threads());
+  std::vector<std::vector<double>> room(system_.num_threads());
+  std::vector<std::vector<ExternalEffect>> effects(system_.num_threads(), found->worst);
   system_.ForPoints(system_.num_threads(), points,
-                    [&](int p, const PointBlocks& blocks, const PointAssembler&, int) {
+                    [&](int p, const PointBlocks& blocks, const PointAssembler&, int thread) {
                       if (blocks.num_null > 0) return;
-                      Eigen::Matrix<double, 3, Eigen::Dynamic, Eigen::RowMajor> of(3, count);
-                      of.setZero();
+                      const Matrix3 information = OfPoint(p, blocks, &padded[thread]).inverse();
+                      room[thread].assign(4 * 4 * size_t(width), 0.0);
+                      double* const squares = &room[thread][3 * 4 * size_t(width)];
+                      using Columns = Eigen::Matrix<double, 3, Eigen::Dynamic, Eigen::RowMajor>;
+                      Eigen::Map<Columns> of(room[thread].data(), 3, 4 * width);
                       for (int k = 0; k < count; ++k) {
                         if (view().observation_point[found->worst[k].observation] == p)
                           of.col(k) = own.col(k);
                       }
                       for (size_t b = 0; b < blocks.blocks.size(); ++b) {
-                        const double* y = &blocks.y[3 * size_t(blocks.begin[b])];
                         const CameraBlock& block = layout().blocks()[blocks.blocks[b]];
-                        for (int r = 0; r < block.size; ++r, y += 3) {
-                          for (int c = 0; c < 3; ++c)
-                            of.row(c) -= y[c] * by_unknown.row(block.offset + r);
-                        }
+                        SubtractTransposed(&blocks.y[3 * size_t(blocks.begin[b])], block.size,
+                                           &by_unknown[4 * size_t(width) * block.offset], width,
+                                           of.data());
                       }
-                      if (degrees > 0) of -= gauge_->OfPoint(p).lazyProduct(s);
-                      const Matrix3 inverse = covariances[place[p]].inverse();
+                      if (degrees > 0) of.leftCols(count) -= gauge_->OfPoint(p).lazyProduct(s);
+                      FindSquares(information.data(), of.data(), width, squares);
                       for (int k = 0; k < count; ++k) {
-                        sigmas(place[p], k) = std::sqrt(of.col(k).dot(inverse * of.col(k)));
+                        const double moved_by = std::sqrt(squares[k]);
+                        ExternalEffect& effect = effects[thread][k];
+                        if (!(moved_by > effect.point_sigmas)) continue;
+                        effect.point = p;
+                        effect.point_sigmas = moved_by;
                       }
                     });
-  for (size_t i = 0; i < points.size(); ++i) {
+  for (const std::vector<ExternalEffect>& of_thread : effects) {  // of ascending points
     for (int k = 0; k < count; ++k) {
-      ExternalEffect& effect = found->worst[k];
-      const double moved_by = sigmas(static_cast<Eigen::Index>(i), k);
-      if (!(moved_by > effect.point_sigmas)) continue;
-      effect.point = points[i];
-      effect.point_sigmas = moved_by;
+      if (of_thread[k].point_sigmas > found->worst[k].point_sigmas) found->worst[k] = of_thread[k];
     }
   }
 }
@@ -301,20 +340,6 @@ std::vector<int> CovarianceComputation::PointsBeside(const ReliabilityOutput& fo
     if (is_wanted[p] != 0 && layout().point_is_free(p)) points.push_back(p);
   }
   return points;
-}
-
-/// Their covariances, from the inverse under the inner constraints.
-std::vector<CovarianceComputation::Matrix3> CovarianceComputation::CovariancesOf(
-    const std::vector<int>& points) const {
-  std::vector<int> place(view().num_points, -1);
-  for (size_t i = 0; i < points.size(); ++i) place[points[i]] = static_cast<int>(i);
-  std::vector<Matrix3> covariances(points.size(), Matrix3::Identity());
-  std::vector<PaddedRows> padded(system_.num_threads());
-  system_.ForPoints(system_.num_threads(), points,
-                    [&](int p, const PointBlocks& blocks, const PointAssembler&, int thread) {
-                      covariances[place[p]] = OfPoint(p, blocks, &padded[thread]);
-                    });
-  return covariances;
 }
 
 /// Subtracts Y b of a point from column k.

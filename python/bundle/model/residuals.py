@@ -201,21 +201,20 @@ class Residuals:
         return np.hypot(self.xy[:, 0], self.xy[:, 1])
 
 
-def directions_of(h: _Floats) -> tuple[tuple[_Floats, _Floats], _Floats]:
-    """Return the eigenvectors of I - h and its eigenvalues (n, 2), ascending.
+def directions_of(h: _Floats) -> tuple[_Floats, _Floats]:
+    """Return the first eigenvectors of I - h and its eigenvalues (n, 2), ascending.
 
     ``h``: (n, 3) entries h_00, h_01 and h_11 of symmetric matrices.
     """
     half = 0.5 * (h[:, 0] - h[:, 2])
-    mean, root = 0.5 * (h[:, 0] + h[:, 2]), np.hypot(half, h[:, 1])
+    mean, root = 0.5 * (h[:, 0] + h[:, 2]), np.sqrt(half**2 + h[:, 1] ** 2)
     # Of the two forms of the eigenvector, the one without cancellation.
-    wide = np.stack([half + root, h[:, 1]], axis=1)
-    high = np.stack([h[:, 1], root - half], axis=1)
-    u = np.where((half >= 0)[:, None], wide, high)
-    length = np.linalg.norm(u, axis=1, keepdims=True)
-    u = np.where(length > 0, u / np.where(length > 0, length, 1), [1.0, 0.0])
-    across = np.stack([-u[:, 1], u[:, 0]], axis=1)
-    return (u, across), np.stack([1 - mean - root, 1 - mean + root], axis=1)
+    long = np.abs(half) + root
+    slope = h[:, 1] / np.where(long == 0, 1, long)
+    first = 1 / np.sqrt(1 + slope**2)
+    u = np.stack([first, slope * first], axis=1)
+    u[half < 0] = u[half < 0, ::-1]
+    return u, np.stack([1 - mean - root, 1 - mean + root], axis=1)
 
 
 def standardized_errors(problem: Problem, errors: _Floats, given: tuple[Any, Any, Any]) -> _Floats:
@@ -227,8 +226,9 @@ def standardized_errors(problem: Problem, errors: _Floats, given: tuple[Any, Any
     """
     out = _core.reliability(problem, *given, NOT_CHECKABLE, 0, False)
     known = out["weights"] > 0
-    axes, redundancies = directions_of(out["leverages"][known])
-    along = (np.stack(axes, axis=1) * out["residuals"][known][:, None]).sum(axis=2)
+    u, redundancies = directions_of(out["leverages"][known])
+    x, y = out["residuals"][known].T
+    along = np.stack([u[:, 0] * x + u[:, 1] * y, u[:, 0] * y - u[:, 1] * x], axis=1)
     own = along**2 / np.where(redundancies < NOT_CHECKABLE, np.nan, redundancies)
     squares = np.where(np.isnan(own).all(axis=1), np.nan, np.nansum(own, axis=1))
     sigma = 1.0 if problem.observation_sigma is None else problem.observation_sigma[known]

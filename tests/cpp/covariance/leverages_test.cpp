@@ -33,7 +33,8 @@ TEST(Leverages, OfConstantPointsReadDefinedNumbersOnly) {
   const LongMatrix identity = LongMatrix::Identity(system.num_unknowns(), system.num_unknowns());
   int64_t num_visited = 0;
   SpoilStack();
-  ForLeverages(system, identity, [&](const Eigen::Matrix2d& h, const ObservationRows& rows) {
+  ForLeverages(system, identity, [&](const Leverage& of) {
+    const ObservationRows& rows = *of.rows;
     EXPECT_EQ(rows.num_blocks, 2);
     ++num_visited;
     Eigen::Matrix2d expected = Eigen::Matrix2d::Zero();
@@ -41,7 +42,7 @@ TEST(Leverages, OfConstantPointsReadDefinedNumbersOnly) {
       const Rows a(rows.jacobian[k], 2, rows.size[k]);
       expected += a * a.transpose();
     }
-    EXPECT_LE((h - expected).norm(), 1e-14 * expected.norm());
+    EXPECT_LE((of.h - expected).norm(), 1e-14 * expected.norm());
   });
   EXPECT_EQ(num_visited, problem.num_observations);
 }

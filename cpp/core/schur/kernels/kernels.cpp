@@ -9,6 +9,7 @@
 ///   multiply_schur.h    products with S that is not formed
 ///   back_substitute.h   substitutes back and evaluates what follows
 ///   survey_points.h     sums over points, for covariances,   point_covariances.h   of points
+///   point_leverages.h   leverages of observations
 ///   point_block.h       the 3x3 blocks of points
 ///   strip.h             the walk through a chunk, and residuals several at a time
 ///   project_lanes.h     camera models and losses,   wide_row.h, parallel/pack.h   registers
@@ -23,6 +24,7 @@
 #include "core/schur/kernels/map_block.h"
 #include "core/schur/kernels/multiply_schur.h"
 #include "core/schur/kernels/point_covariances.h"
+#include "core/schur/kernels/point_leverages.h"
 #include "core/schur/kernels/survey_points.h"
 
 namespace bundle::BUNDLE_ISA {
@@ -33,18 +35,13 @@ inline int64_t MemoryDoubles(const EliminationInput& input) {
   return of_tile > of_strip ? of_tile : of_strip;
 }
 
-extern constexpr Kernels kKernels = {BUNDLE_ISA_NAME,
-                                     &MemoryDoubles,
-                                     &ScatterMemory::NumDoubles,
-                                     &Eliminate,
-                                     &EvaluateNewtonStep,
-                                     &MultiplySchur,
-                                     &AddBlock,
-                                     &MapBlock,
-                                     &Products,
-                                     &Cost,
-                                     &Slope,
-                                     &SurveyPoints,
-                                     &PointCovariances};
+inline int64_t ScatterDoubles(const EliminationInput& input) {
+  return TileRecords::FactorDoubles(input) + ScatterMemory::NumDoubles(input);
+}
+
+extern constexpr Kernels kKernels = {
+    BUNDLE_ISA_NAME, &MemoryDoubles, &ScatterDoubles,   &Eliminate,     &EvaluateNewtonStep,
+    &MultiplySchur,  &AddBlock,      &MapBlock,         &Products,      &Cost,
+    &Slope,          &SurveyPoints,  &PointCovariances, &PointLeverages};
 
 }  // namespace bundle::BUNDLE_ISA

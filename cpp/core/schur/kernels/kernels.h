@@ -187,6 +187,22 @@ struct PointSurvey {
   void (*add_unclear)(void* list, int point) = nullptr;
 };
 
+/// Input of point_leverages.
+struct LeverageInput {
+  /// Blocks of the camera parameters' covariance as for point_covariances, followed by the
+  /// transpose of each block of a pair; nullptr: no leverages.
+  const double* blocks = nullptr;
+  const int64_t* block_begin = nullptr;
+  /// EliminationInput::part_columns numbers per part; nullptr: zeros.
+  const double* adjoint = nullptr;
+};
+
+struct ObservationLeverage {
+  double h[3];         ///< upper triangle
+  double residual[2];  ///< over sigma, without the weight of the loss
+  double along[2];     ///< J~ a; without a part of the points' own
+};
+
 /// Where a block of a chunk is added: row i of the block to column i of a block of S.
 struct BlockTarget {
   double* sum;  ///< columns `sum_stride` apart
@@ -200,7 +216,7 @@ struct Kernels {
   const char* name;
 
   int64_t (*memory_doubles)(const EliminationInput& input);
-  /// Number of further doubles that point_covariances needs.
+  /// Number of further doubles that point_covariances and point_leverages need.
   int64_t (*scatter_doubles)(const EliminationInput& input);
 
   /// Linearises and eliminates. `squared_scale` (3 per point) is written if `first`, else read.
@@ -255,6 +271,11 @@ struct Kernels {
   void (*point_covariances)(const EliminationInput& input, const StateRecords& x,
                             const Chunk& chunk, const WorldMoves& moves, const double* blocks,
                             const int64_t* block_begin, double* memory, double* covariances);
+
+  /// Leverages of the observations of a chunk's free points (point_leverages.h). Leaves out points
+  /// that are spread over several chunks.
+  void (*point_leverages)(const EliminationInput& input, const StateRecords& x, const Chunk& chunk,
+                          const LeverageInput& given, double* memory, ObservationLeverage* found);
 };
 
 /// Kernels for the best instruction set of this machine.

@@ -150,6 +150,33 @@ inline void WriteCovariance(const WorldMoves& moves, const double* point, const 
   TakeMovesOut(moves, point, inverse, out);
 }
 
+/// Linearises a tile's free points and computes the factors of their entries in `z`. Calls
+/// visit(p, block of the point) for each point.
+template <typename Visit>
+inline void FormTile(const EliminationInput& input, const StateRecords& x, const Chunk& chunk,
+                     int first_point, int last_point, const TileRecords& records, double* z,
+                     const ScatterMemory& tile_memory, const Visit& visit) {
+  const EliminationPlan& plan = *input.plan;
+  const int64_t* const begin = plan.first.data();
+  double ignored = 0;
+  VisitPoints(input, x, first_point, last_point, 0, true, nullptr, records, &ignored,
+              [&](int p, const PointBlock& block) {
+                const int refined = CountRefined(input, begin[p], begin[p + 1]);
+                FormFactors<0, 0, false>(input, chunk, records, begin[p], refined, block, z);
+                const int number = p - first_point;
+                const uint16_t* const entry = plan.entry.data() + begin[p] * plan.num_kinds;
+                const uint16_t* const image = plan.image_in_chunk.data() + begin[p];
+                for (int i = 0; i < refined; ++i) {
+                  for (int kind = 0; kind < plan.num_kinds; ++kind) {
+                    if (chunk.images.data()[image[i]].part[kind] == Chunk::Image::kNone) continue;
+                    tile_memory.point_of_entry[EntryNumber(entry[i * plan.num_kinds + kind])] =
+                        static_cast<uint16_t>(number);
+                  }
+                }
+                visit(p, block);
+              });
+}
+
 inline void PointCovariances(const EliminationInput& input, const StateRecords& x,
                              const Chunk& chunk, const WorldMoves& moves, const double* blocks,
                              const int64_t* block_begin, double* memory, double* covariances) {
@@ -158,31 +185,21 @@ inline void PointCovariances(const EliminationInput& input, const StateRecords& 
   const int64_t* const begin = plan.first.data();
   const ScatterMemory tile_memory(plan, memory + TileDoubles(input));
   const int64_t stride = int64_t{3} * input.part_columns;
-  double ignored = 0;
   TileCursor at = {chunk};
   for (const Tile* tile = chunk.tiles.data(); at.first_point < chunk.last_point; ++tile) {
     const int first_point = at.first_point;
     const int last_point =
         tile->last_point < plan.num_free_points ? tile->last_point : plan.num_free_points;
     const TileRecords records(input, memory, first_point);
-    const auto white = [&](int p, const PointBlock& block) {
-      const int refined = CountRefined(input, begin[p], begin[p + 1]);
-      FormFactors<0, 0, false>(input, chunk, records, begin[p], refined, block, memory);
-      const int number = p - first_point;
-      for (int k = 0; k < 9; ++k) tile_memory.sums[9 * number + k] = Quad{};
-      for (int k = 0; k < 3; ++k) tile_memory.columns[3 * number + k] = block.column[k];
-      const uint16_t* const entry = plan.entry.data() + begin[p] * plan.num_kinds;
-      const uint16_t* const image = plan.image_in_chunk.data() + begin[p];
-      for (int i = 0; i < refined; ++i) {
-        for (int kind = 0; kind < plan.num_kinds; ++kind) {
-          if (chunk.images.data()[image[i]].part[kind] == Chunk::Image::kNone) continue;
-          tile_memory.point_of_entry[EntryNumber(entry[i * plan.num_kinds + kind])] =
-              static_cast<uint16_t>(number);
-        }
-      }
-    };
     if (first_point < last_point) {
-      VisitPoints(input, x, first_point, last_point, 0, true, nullptr, records, &ignored, white);
+      FormTile(input, x, chunk, first_point, last_point, records, memory, tile_memory,
+               [&](int p, const PointBlock& block) {
+                 const int number = p - first_point;
+                 for (int k = 0; k < 9; ++k) tile_memory.sums[9 * number + k] = Quad{};
+                 for (int k = 0; k < 3; ++k) {
+                   tile_memory.columns[3 * number + k] = block.column[k];
+                 }
+               });
     }
     const EntryPair* pairs = at.pairs;
     for (const Tile::Block* of = at.block; of < at.EndOfBlocks(*tile); ++of) {

@@ -217,10 +217,11 @@ class _Rows:
         self.weight = out["weights"]
         self.used = self.weight > 0
         h = np.where(self.used[:, None], out["leverages"], np.nan)
-        self.redundancy = 1 - h[:, [0, 2]]
-        (self.direction, _), redundancies = directions_of(h)
+        self.redundancy = 1 - h[:, ::2]
+        self.direction, redundancies = directions_of(h)
         self.least = redundancies[:, 0]
         self.direction[~self.used] = np.nan
+        self._sum = (self.redundancy[:, 0] + self.redundancy[:, 1])[self.used]
         self.uncontrolled = self.used & (self.least < NOT_CHECKABLE)
         checked = np.where(self.redundancy >= NOT_CHECKABLE, self.redundancy, np.nan)
         self.standardized = out["residuals"] / (np.sqrt(checked) * factor)
@@ -238,8 +239,7 @@ class _Rows:
 
     def total(self, owner: NDArray[Any], size: int) -> _Floats:
         """Return the sum of the redundancies of each owner."""
-        of_rows = self.redundancy[self.used].sum(axis=1)
-        return np.bincount(owner[self.used], of_rows, size).astype(float)
+        return np.bincount(owner[self.used], self._sum, size).astype(float)
 
 
 def _images(start: Problem, rows: _Rows) -> tuple[ImageReliability, ...]:
