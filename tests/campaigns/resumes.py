@@ -132,7 +132,7 @@ def is_whole(path: Path, outcome: Outcome) -> bool:
     if not path.exists():
         return False
     try:
-        checkpoint.check_target(path)
+        checkpoint.Checkpoint(path, {}, 1)
     except bundle.InputError as error:
         outcome.wrong.append(str(error))
     return True

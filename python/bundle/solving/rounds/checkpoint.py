@@ -45,13 +45,15 @@ class Checkpoint:
     """The checkpoint of one run.
 
     Args:
-        path: path of the file.
+        path: path of the file, which must not be another kind of file.
         fingerprint: fingerprint of the run.
         interval: iterations from one checkpoint to the next.
     """
 
     def __init__(self, path: Path, fingerprint: Mapping[str, Any], interval: int) -> None:
-        check_target(path)
+        atomic.check_file(path)
+        if path.exists() and path.stat().st_size > 0:
+            _open(path)
         self._path, self._fingerprint, self.interval = path, fingerprint, interval
 
     @staticmethod
@@ -60,91 +62,64 @@ class Checkpoint:
         return Checkpoint(path, fingerprint_of_run(prepared, plan), plan.checkpoint_interval)
 
     def write(self, state: State) -> None:
-        """Replace the file; see :func:`write`."""
-        write(self._path, state, self._fingerprint)
+        """Replace the file."""
+        done = state.so_far if state.end is None else state.end
+        meta = {
+            "schema": SCHEMA,
+            "fingerprint": dict(self._fingerprint),
+            **state.record(),
+            "so_far": None if done is None else _record(done),
+        }
+        kept: dict[str, Any] = {**estimates(state.problem)}
+        iterations = {} if done is None else done.iterations
+        kept |= {f"iterations.{name}": values for name, values in iterations.items()}
+        with atomic.replace_file(self._path) as temporary, temporary.open("wb") as file:
+            np.savez(
+                file,
+                meta=np.frombuffer(json.dumps(meta).encode(), np.uint8),
+                **kept,
+                observation_mask=np.packbits(state.observation_mask),
+                point_mask=np.packbits(state.point_mask),
+            )
 
     def read(self, path: Path, prepared: Prepared) -> State:
-        """Return the state that a file holds; see :func:`read`."""
-        return read(path, prepared.start, prepared.layout.options, self._fingerprint)
+        """Return the state that a file holds; see :meth:`read_by`."""
+        start = prepared.start
+        sizes = {"observation_mask": start.num_observations, "point_mask": start.num_points}
 
+        def state(meta: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> State:
+            masks = [
+                np.unpackbits(arrays[name], count=size).astype(bool) for name, size in sizes.items()
+            ]
+            left = start.select(observations=masks[0], points=masks[1]).problem
+            kept = {name: arrays[name] for name in estimates(left)}
+            problem = with_estimates(left, kept, checked=True)
+            done = meta["so_far"]
+            if done is not None:
+                done = result_of_record(done, arrays, problem, prepared.layout.options)
+            return State.of_record(meta, problem, masks, done)
 
-def check_target(path: Path) -> None:
-    """Check that a checkpoint can be written to a path without overwriting another kind of file."""
-    atomic.check_file(path)
-    if path.exists() and path.stat().st_size > 0:
-        _open(path)
+        return self.read_by(state, path)
 
+    def read_by(
+        self, make: Callable[[dict[str, Any], dict[str, NDArray[Any]]], Made], path: Path
+    ) -> Made:
+        """Return ``make`` of the record and the arrays of a file.
 
-def write(path: Path, state: State, fingerprint: Mapping[str, Any]) -> None:
-    """Replace a checkpoint."""
-    done = state.so_far if state.end is None else state.end
-    meta = {
-        "schema": SCHEMA,
-        "fingerprint": dict(fingerprint),
-        **state.record(),
-        "so_far": None if done is None else _record(done),
-    }
-    kept: dict[str, Any] = {**estimates(state.problem)}
-    iterations = {} if done is None else done.iterations
-    kept |= {f"iterations.{name}": values for name, values in iterations.items()}
-    with atomic.replace_file(path) as temporary, temporary.open("wb") as file:
-        np.savez(
-            file,
-            meta=np.frombuffer(json.dumps(meta).encode(), np.uint8),
-            **kept,
-            observation_mask=np.packbits(state.observation_mask),
-            point_mask=np.packbits(state.point_mask),
-        )
-
-
-def read(
-    path: Path, start: Problem, options: SolveOptions, fingerprint: Mapping[str, Any]
-) -> State:
-    """Return the state that a checkpoint holds.
-
-    Raises:
-        InputError: the file is not a checkpoint, or belongs to another input or other options.
-        OSError: the file cannot be read.
-    """
-
-    def state(meta: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> State:
-        return _state(meta, arrays, start, options)
-
-    return read_by(state, path, fingerprint)
-
-
-def read_by(
-    make: Callable[[dict[str, Any], dict[str, NDArray[Any]]], Made],
-    path: Path,
-    fingerprint: Mapping[str, Any],
-) -> Made:
-    """Read a checkpoint and return ``make`` of its record and arrays."""
-    meta, arrays = _open(path)
-    # Options that are newer than the file have their defaults.
-    saved = {**fingerprint_of_options(SolveOptions()), **meta["fingerprint"]}
-    _compare(path, saved, fingerprint)
-    try:
-        return make(meta, arrays)
-    except (KeyError, ValueError, TypeError, IndexError) as error:
-        raise InputError(
-            f"{shown(path)}: expected a checkpoint, found a damaged one ({first_line(error)})"
-        ) from None
-
-
-def _state(
-    meta: dict[str, Any], arrays: dict[str, NDArray[Any]], start: Problem, options: SolveOptions
-) -> State:
-    sizes = start.num_observations, start.num_points
-    masks = [
-        np.unpackbits(arrays[name], count=size).astype(bool)
-        for name, size in zip(("observation_mask", "point_mask"), sizes, strict=True)
-    ]
-    left = start.select(observations=masks[0], points=masks[1]).problem
-    problem = with_estimates(left, {name: arrays[name] for name in estimates(left)}, checked=True)
-    done = meta["so_far"]
-    if done is not None:
-        done = result_of_record(done, arrays, problem, options)
-    return State.of_record(meta, problem, masks, done)
+        Raises:
+            InputError: the file is not a checkpoint, or belongs to another input or other options.
+            OSError: the file cannot be read.
+        """
+        meta, arrays = _open(path)
+        # Options that are newer than the file have their defaults.
+        saved = {**fingerprint_of_options(SolveOptions()), **meta["fingerprint"]}
+        _compare(path, saved, self._fingerprint)
+        try:
+            return make(meta, arrays)
+        except (KeyError, ValueError, TypeError, IndexError) as error:
+            raise InputError(
+                f"{shown(path)}: expected a checkpoint, found a damaged one ({first_line(error)})"
+            ) from None
 
 
 def _record(result: Result) -> dict[str, Any]:

@@ -6,6 +6,7 @@ import dataclasses
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -33,13 +34,7 @@ from bundle.solving.ranks.crew import Crew, Meeting
 from bundle.solving.ranks.divided_solve import heeding, process_record
 from bundle.solving.request import SolveRequest
 from bundle.solving.result import Result
-from bundle.solving.rounds.checkpoint import (
-    check_target,
-    read_by,
-    result_of_record,
-    solve_in_segments,
-    write,
-)
+from bundle.solving.rounds.checkpoint import Checkpoint, result_of_record, solve_in_segments
 from bundle.solving.rounds.input_digest import digest_of_parts, plain_fingerprint
 from bundle.solving.rounds.plan import RunPlan, State
 from bundle.solving.slices.scratch_size import RESIDENT_BYTES, refuse_small_disk
@@ -152,16 +147,14 @@ class SlicedRefinement:
 
         if plan is None or plan.file is None:
             return self._finished(solve(self._model, settled, progress))
-        resume = plan.resume
-        sums = self._process.run_on_all("digest")
-        keeper = SlicedCheckpoint(plan, self._slice.cameras, sums, self._survey, options)
+        digest = digest_of_parts(self._slice.cameras, self._process.run_on_all("digest"))
+        fingerprint = plain_fingerprint(digest, options, plan)
+        checkpoint = Checkpoint(plan.file, fingerprint, plan.checkpoint_interval)
         start, so_far, has_ended = self._model, None, False
-        if resume is not None and resume.exists():
-            kept = keeper.read(resume, settled)
-            state = kept.state
+        if plan.resume is not None and plan.resume.exists():
+            state, so_far, has_ended = checkpoint.read_by(partial(self._kept, settled), plan.resume)
             start = with_estimates(start, state)
             self._process.run_on_all("restart", state, points=state.pop("points"))
-            so_far, has_ended = kept.so_far, kept.has_ended
             if so_far is not None:
                 so_far = dataclasses.replace(so_far, problem=start)
         if so_far is None or not has_ended:
@@ -172,11 +165,40 @@ class SlicedRefinement:
                 plan.checkpoint_interval,
                 so_far=so_far,
                 progress=progress,
-                save=keeper.write,
+                save=lambda result: checkpoint.write(self._state(result)),
             )
             if so_far.summary.is_solution_usable and not so_far.summary.interrupted:
-                keeper.write(so_far, has_ended=True)
+                checkpoint.write(self._state(so_far, end=so_far))
         return self._finished(so_far)
+
+    def _state(self, result: Result, end: Result | None = None) -> State:
+        """Return the state after a result, from which the next solve starts."""
+        return State(
+            problem=result.problem,
+            observation_mask=np.broadcast_to(True, self._survey.num_observations),
+            point_mask=np.broadcast_to(True, len(self._survey.owner)),
+            so_far=result,
+            end=end,
+        )
+
+    def _kept(
+        self, options: SolveOptions, meta: dict[str, Any], arrays: dict[str, NDArray[Any]]
+    ) -> tuple[dict[str, Any], Result | None, bool]:
+        """Return what a checkpoint holds: the estimates of the entire model, the result so far.
+
+        The result's problem has no points. The flag is True if nothing is left to do.
+        """
+        cameras = self._slice.cameras
+        expected = {name: of.shape for name, of in estimates(cameras).items()}
+        expected["points"] = (len(self._survey.owner), 3)
+        state = {name: freeze(np.array(arrays[name], np.float64)) for name in expected}
+        for name, shape in expected.items():
+            if state[name].shape != shape or not np.isfinite(state[name]).all():
+                raise ValueError(f"{name}: expected shape {shape}, found {state[name].shape}")
+        so_far = meta["so_far"]
+        if so_far is not None:
+            so_far = result_of_record(so_far, arrays, cameras, options)
+        return state, so_far, bool(meta["has_ended"])
 
     def save(self, path: Path) -> tuple[str, ...]:
         """Write the refined model; return one sentence for each kind of data that is lost."""
@@ -246,68 +268,6 @@ class DividedModel(Problem):
     def num_observations(self) -> int:
         """Number of observations in all slices."""
         return self._census.num_observations
-
-
-@dataclass
-class Kept:
-    """Content of a checkpoint."""
-
-    state: dict[str, Any]  # arrays of the entire model, by the names in ``estimates.VARIABLES``
-    so_far: Result | None  # result of the adjustment so far; its problem has no points
-    has_ended: bool  # True if nothing is left to do
-
-
-class SlicedCheckpoint:
-    """The checkpoint of a run.
-
-    Args:
-        plan: plan of the run, with a file.
-        cameras: images and cameras of the model as it was read.
-        sums: sums over the model's rows (``input_digest.sums_of_rows``).
-        found: survey of the model.
-        options: options of the run, as the caller gave them.
-    """
-
-    def __init__(
-        self,
-        plan: RunPlan,
-        cameras: Problem,
-        sums: NDArray[np.uint64],
-        found: Survey,
-        options: SolveOptions,
-    ) -> None:
-        assert plan.file is not None
-        check_target(plan.file)
-        self._path, self._cameras, self._found = plan.file, cameras, found
-        self._fingerprint = plain_fingerprint(digest_of_parts(cameras, sums), options, plan)
-
-    def write(self, result: Result, *, has_ended: bool = False) -> None:
-        """Replace the checkpoint by the state after a result, from which the next solve starts."""
-        state = State(
-            problem=result.problem,
-            observation_mask=np.broadcast_to(True, self._found.num_observations),
-            point_mask=np.broadcast_to(True, len(self._found.owner)),
-            so_far=result,
-            end=result if has_ended else None,
-        )
-        write(self._path, state, self._fingerprint)
-
-    def read(self, path: Path, options: SolveOptions) -> Kept:
-        """Return the content of a checkpoint of this run; ``options`` are the options as used."""
-
-        def kept(meta: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Kept:
-            expected = {name: of.shape for name, of in estimates(self._cameras).items()}
-            expected["points"] = (len(self._found.owner), 3)
-            state = {name: freeze(np.array(arrays[name], np.float64)) for name in expected}
-            for name, shape in expected.items():
-                if state[name].shape != shape or not np.isfinite(state[name]).all():
-                    raise ValueError(f"{name}: expected shape {shape}, found {state[name].shape}")
-            so_far = meta["so_far"]
-            if so_far is not None:
-                so_far = result_of_record(so_far, arrays, self._cameras, options)
-            return Kept(state, so_far, bool(meta["has_ended"]))
-
-        return read_by(kept, path, self._fingerprint)
 
 
 # Refinement of a model whose observations and points are on disk.
