@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Protocol, Self
+from typing import TYPE_CHECKING, Any, Self
 
 from bundle.base.tables import Block, is_terminal, print_styled, render, screen_width, terminal
 from bundle.cli.error_lines import print_out
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from rich.live import Live
     from rich.text import Text
 
-    from bundle.cli.parser import Config
     from bundle.model.problem import Problem
 
 
@@ -83,23 +82,7 @@ def check_new(path: str, flag: str) -> None:
     raise InputError(f"{shown(path)}: expected a new path, found {found} ({flag} replaces it)")
 
 
-class Request(Protocol):
-    """Values of the report flags of every command: ``--json``, ``--verbose``, ``--config``, ..."""
-
-    @property
-    def json(self) -> str | None:
-        """Path of the JSON report; "-" for standard output; None for no report."""
-
-    @property
-    def verbose(self) -> bool:
-        """True to print details."""
-
-    @property
-    def config(self) -> Config | None:
-        """File of --config."""
-
-
-def publish(report: Report, asked: argparse.Namespace | Request) -> None:
+def publish(report: Report, asked: argparse.Namespace) -> None:
     """Write the page of a report, if asked; print the report, or its JSON ("-"); write its JSON.
 
     Reports without a title have no page of their own.

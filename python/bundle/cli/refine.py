@@ -90,10 +90,10 @@ def run(arguments: argparse.Namespace) -> int:
     report = refinement(
         *told, lost, beside, opened.edits, closed, findings, waiting, measured, inertial, sigmas,
     )  # fmt: skip
-    publish(with_disk_use(report, asked), asked)
+    publish(with_disk_use(report, asked), arguments)
     if solved.summary.is_solution_usable and not solved.summary.interrupted:
         return EXIT_DONE
-    if asked.json == "-":  # standard output has only the JSON report
+    if arguments.json == "-":  # standard output has only the JSON report
         complain(solved.outcome)
     return EXIT_NO_SOLUTION
 
@@ -235,11 +235,11 @@ def _has_wrong_jacobians(asked: Refinement, opened: Opened, progress: Progress) 
         if not report.ok:
             complain(f"note: {gradient_report.outcome(report)} `bundle check` shows where.")
         return False
-    if asked.json == "-":
+    if asked.arguments.json == "-":
         complain(gradient_report.outcome(report))
     settings = {"check_gradients": True, **options.asdict()}
     took = perf_counter() - begun
-    publish(checked(asked.source, opened.problem, report, settings, took), asked)
+    publish(checked(asked.source, opened.problem, report, settings, took), asked.arguments)
     return True
 
 

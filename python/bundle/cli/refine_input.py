@@ -60,14 +60,14 @@ def open_input(asked: Refinement, progress: Progress) -> Opened:
     if asked.disk.out_of_core is not None:
         sliced = input_on_disk(asked)
     elif asked.is_plain:
-        sliced = sliced_input(source, asked.target, asked.format, asked.options)
+        sliced = sliced_input(source, asked.target, asked.arguments.format, asked.options)
     loaded = load(source, progress.text, asked.reading) if sliced is None else sliced.cameras
     load_time = perf_counter() - begun
     require_observations(loaded, shown(source))
     edits = cameras_edited(asked.lenses, loaded, keep_scale=_may_move_images(asked))
     problem = with_rigs(loaded if edits is None else edits.problem, asked.rig_config)
     problem, options = with_shutters(problem, asked.shutters, asked.options)
-    options = with_named_images(options, asked.fixed_images, problem)
+    options = with_named_images(options, asked.arguments.fixed_image_ids, problem)
     output = _checked_output(asked, problem, options)
     given = asked.georeference
     kinds = kinds_given(given)
@@ -99,7 +99,8 @@ def open_input(asked: Refinement, progress: Progress) -> Opened:
 
 def _may_move_images(asked: Refinement) -> bool:
     """Return True if no image is constant in the solve."""
-    is_held = asked.options.fixed_image_ids or asked.fixed_images or asked.local.only_images
+    named = asked.arguments.fixed_image_ids
+    is_held = asked.options.fixed_image_ids or named or asked.local.only_images
     rules = any(rule.target.kind == "image" for rule in asked.constraints)
     return "poses" in asked.options.refine and not is_held and not rules
 
@@ -113,11 +114,11 @@ def _kept_world(asked: Refinement, place: dict[str, Any] | None) -> str:
 
 def _checked_output(asked: Refinement, problem: Problem, options: SolveOptions) -> dict[str, str]:
     """Return path and format of OUTPUT after checking that it can be written and replaced."""
-    source, target = asked.source, asked.target
-    output = {"path": target, "format": output_format(problem.format, target, asked.format, source)}
+    source, target, given = asked.source, asked.target, asked.arguments
+    output = {"path": target, "format": output_format(problem.format, target, given.format, source)}
     fixed = options.fixed_camera_ids
     check_target(problem, **output, refined=options.refine, fixed_camera_ids=fixed)
-    check_replaced(target, [source], asked.overwrite, same_images(problem))
+    check_replaced(target, [source], given.overwrite, same_images(problem))
     return output
 
 
@@ -163,7 +164,7 @@ def input_on_disk(asked: Refinement) -> OutOfCoreRefinement:
             f"{_FLAG}: expected a BAL file or a binary COLMAP model, found {shown(path)}; "
             "`bundle convert` writes one"
         )
-    if not has_copied_format(asked.target, asked.format, asked.source, source_format):
+    if not has_copied_format(asked.target, asked.arguments.format, asked.source, source_format):
         raise InputError(
             f"{_FLAG}: expected OUTPUT in the format of INPUT, which is copied from file to file, "
             f"found {shown(asked.target)}"

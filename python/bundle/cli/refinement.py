@@ -38,36 +38,27 @@ from bundle.io.formats.read_options import ReadOptions
 from bundle.solving.rounds.plan import RunPlan
 
 if TYPE_CHECKING:
-    from bundle.cli.parser import Config
     from bundle.solving.constraints.rule_list import Constraints
 
-OF_PLAIN = {"source", "target", "format", "overwrite", "json", "given", "verbose", "checkpoints"}
-OF_PLAIN |= {
-    "options",
-    "fixed_images",
-    "constraints",
-    "disk",
-    "config",
-}  # constraints: parsed rules
+OF_PLAIN = {
+    *("arguments", "source", "target", "given"),
+    *("checkpoints", "options", "constraints", "disk"),
+}
 """Fields that a refinement in slices serves, too; any other makes it more than plain."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Refinement:
-    """All values of the command line."""
+    """The command line, with the values that were checked or made of it."""
 
+    arguments: argparse.Namespace  # parsed command line
     source: str  # path of INPUT
     reading: ReadOptions  # facts that the file of INPUT lacks
     target: str  # path of OUTPUT
-    format: str | None  # format of OUTPUT; None: determined by its name
-    overwrite: bool  # True if OUTPUT may replace a model of other images
     rig_config: str | None  # path of a rig configuration, or None
     page: str | None  # path of the report page, or None
-    json: str | None  # path of the JSON report, or None
-    verbose: bool  # True to print the details of the report
     check_gradients: bool  # True to check the Jacobians first
     options: SolveOptions  # options of the solve, without images given by name
-    fixed_images: tuple[int, ...] | str | None  # ids of constant images, or text with their names
     local: LocalOptions  # images to refine while all others are constant
     rounds: RoundOptions  # rounds of adjusting and filtering
     held_out: HoldOutOptions  # share of the observations that a second fit holds out
@@ -81,7 +72,6 @@ class Refinement:
     checkpoints: CheckpointOptions  # checkpoint files, for a run that may be killed
     disk: OutOfCoreOptions  # folder for observations and points on disk
     given: tuple[str, ...]  # flags that the next command of a finding repeats
-    config: Config | None  # file of --config, or None
 
     @staticmethod
     def of(arguments: argparse.Namespace) -> Refinement:
@@ -104,18 +94,14 @@ class Refinement:
         rules = options_given(arguments, RuleOptions)
         constraints = rules_of(rules)
         return Refinement(
+            arguments=arguments,
             source=arguments.input,
             reading=read_options(arguments),
             target=arguments.output,
-            format=arguments.format,
-            overwrite=arguments.overwrite,
             rig_config=arguments.rig_config,
             page=arguments.html,
-            json=arguments.json,
-            verbose=arguments.verbose,
             check_gradients=arguments.check_gradients,
             options=options,
-            fixed_images=arguments.fixed_image_ids,
             local=local,
             rounds=rounds,
             held_out=_share_given(arguments),
@@ -129,7 +115,6 @@ class Refinement:
             checkpoints=_checkpoints_given(arguments),
             disk=options_given(arguments, OutOfCoreOptions),
             given=repeated_flags(arguments),
-            config=arguments.config,
         )
 
     @property
