@@ -70,11 +70,9 @@ def _line(error: BaseException) -> str | None:
 
 
 def _is_folder_gone() -> bool:
-    try:
-        Path.cwd()
-    except FileNotFoundError:
-        return True
-    return False
+    with contextlib.suppress(FileNotFoundError):
+        return not Path.cwd()
+    return True
 
 
 def _os_error(error: OSError) -> str:

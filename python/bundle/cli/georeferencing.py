@@ -38,9 +38,11 @@ def georeference_given(
     """
     if page and arguments.images is not None and not Path(arguments.images).is_dir():
         raise InputError(f"--images: there is no folder {shown(arguments.images)}")
-    alone = (*beside, "images") if page else beside
-    given = options_given(arguments, options_class(), beside=alone)
+    given = options_given(arguments, options_class(), beside=(*beside, "images"))
     kinds = kinds_given(given)
+    if given.images is not None and not page and not any(row.from_photographs for row in kinds):
+        html = " or --html" * ("html" in vars(arguments))
+        raise InputError(f"--images: valid only with --gps, --orientations, --velocities{html}")
     if not kinds:
         return given
     flags = prior_flags(given)

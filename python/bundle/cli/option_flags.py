@@ -139,10 +139,10 @@ def options_given(
     with naming_flags(kind):
         given = kind(**{name: value for name, value in values.items() if value is not None})
     for field in fields:
-        needs = [n for n in field.metadata["needs"] if n in values or n in vars(arguments)]
-        alone = needs and not any(getattr(arguments, name, None) for name in needs)
-        if alone and values[field.name] is not None and field.name not in beside:
-            others = join(flags.get(name, f"--{name}") for name in needs)
+        needs = field.metadata["needs"]
+        alone = needs and field.name not in beside and all(not values[name] for name in needs)
+        if alone and values[field.name] is not None:
+            others = join(flags[name] for name in needs)
             raise InputError(f"{field.metadata['flag']}: valid only with {others}")
     return given
 

@@ -51,7 +51,7 @@ class GeoreferenceOptions(Options):
         "folder of the images, for --gps exif, --orientations xmp and --velocities xmp",
         metavar="DIR",
         value="path",
-        needs=("gps", "orientations", "velocities", "html"),
+        needs=("gps", "orientations", "velocities"),
         use=41,
     )
     gps_sigma: str = option(

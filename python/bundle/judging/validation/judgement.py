@@ -50,7 +50,6 @@ from bundle.judging.validation.validation_result import (
 )
 from bundle.model.cameras import param_kinds
 from bundle.model.folds import are_repeated
-from bundle.model.problem import Problem
 from bundle.model.residuals import summarize_clipped
 from bundle.model.shutter_motion import can_roll
 
