@@ -155,7 +155,8 @@ def test_two_rigs(tmp_path):
 
 # Content, and what the message has after the path.
 BAD_FILES = {
-    "no JSON": ("{", ": expected JSON"),
+    "no JSON": ("[\n{", ":2: expected JSON, found an error in column 2"),
+    "deep": ("[" * 100_000, ": expected JSON, found nesting that is too deep"),
     "not text": ("[1e999]", ": rig 1: expected an object"),
     "no list": ({"cameras": []}, ": expected a list of rigs"),
     "empty": ([], ": expected a list of rigs"),

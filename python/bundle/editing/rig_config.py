@@ -18,7 +18,6 @@ reference image; without a reference image, from the image whose camera has the 
 
 from __future__ import annotations
 
-import json
 import math
 import os
 from collections import defaultdict
@@ -31,7 +30,8 @@ from numpy.typing import NDArray
 
 from bundle.base.arrays import check_distinct, check_type
 from bundle.base.records import dataclass
-from bundle.errors import InputError, brief, first_line, shown
+from bundle.errors import InputError, brief, shown
+from bundle.io.formats.file_values import read_json
 from bundle.model.cameras import camera_models
 from bundle.model.problem import Problem
 from bundle.model.rig_arrays import compose, placed
@@ -61,12 +61,7 @@ class RigConfig:
 
 def read_rig_config(path: str | os.PathLike[str]) -> tuple[RigConfig, ...]:
     """Read COLMAP's rig_config.json; keys that COLMAP does not use are ignored."""
-    try:
-        content = json.loads(Path(path).read_bytes().decode("utf-8-sig"))
-    except ValueError as error:  # includes UnicodeDecodeError
-        raise InputError(f"{shown(path)}: expected JSON, found {first_line(error)}") from None
-    except RecursionError:
-        raise InputError(f"{shown(path)}: expected JSON, found nesting that is too deep") from None
+    content = read_json(Path(path)).value
     if not isinstance(content, list) or not content:
         raise InputError(f"{shown(path)}: expected a list of rigs, found {brief(content)}")
     return tuple(_rig(f"{shown(path)}: rig {i}", rig) for i, rig in enumerate(content, 1))

@@ -237,5 +237,7 @@ def parsed(text: bytes, path: Path) -> Node:
             f"{shown(path)}:{error.lineno}: expected JSON, found an error in column "
             f"{error.colno} ({error.msg})"
         ) from None
-    except (RecursionError, ValueError) as error:
+    except RecursionError:
+        raise InputError(f"{shown(path)}: expected JSON, found nesting that is too deep") from None
+    except ValueError as error:
         raise InputError(f"{shown(path)}: expected JSON, found {brief(str(error))}") from None
