@@ -29,10 +29,6 @@ MOST_IMAGES = 5  # number of listed images with large residuals
 NOUNS = {"gps": "position", "control": "control point", "check": "check point"}
 
 
-PositionError = ImageError
-"""Former name, which pickles have."""
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class Georeference(MeasurementErrors, Displayed):
     """Georeference of a refined model, and the residuals of its positions.

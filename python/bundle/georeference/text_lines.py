@@ -7,7 +7,7 @@ import math
 import os
 import re
 from collections.abc import Collection, Mapping, Sequence
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,9 @@ from bundle.base.paths import numbered_lines
 from bundle.errors import InputError, brief, nearest, shown
 from bundle.georeference.reference_system import ReferenceSystem
 from bundle.model.problem import Problem
+
+if TYPE_CHECKING:
+    from bundle.georeference.vector_priors import ImagePrior
 
 # Images of a problem by name or id, for files and priors.
 
@@ -102,15 +105,7 @@ class ImageFinder:
         )
 
 
-class HasImage(Protocol):
-    """Prior of one image."""
-
-    @property
-    def image(self) -> int | str:
-        """Id or name."""
-
-
-def rows_of_images(problem: Problem, priors: Sequence[HasImage]) -> NDArray[np.int64]:
+def rows_of_images(problem: Problem, priors: Sequence[ImagePrior]) -> NDArray[np.int64]:
     """Return the index of each prior's image."""
     names: dict[str, int] = {}
     twice: set[str] = set()

@@ -7,14 +7,16 @@ with its depth, its residual is zero wherever the camera is, and nothing connect
 
 from __future__ import annotations
 
-from collections.abc import Collection
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from bundle.base.words import Counts, contents, plural
 from bundle.errors import InputError
 from bundle.model.problem_arrays import ProblemArrays
+
+if TYPE_CHECKING:
+    from bundle.interface.options import SolveOptions
 
 _ADVICE = "; triangulate points first, for example with `colmap point_triangulator`"
 
@@ -32,19 +34,7 @@ def require_observations(problem: Counts, name: str) -> None:
         raise InputError(f"{name}: expected observations to refine, found {found}")
 
 
-class PointOptions(Protocol):
-    """Options of a solve that decide which points are refined."""
-
-    @property
-    def refine(self) -> Collection[str]:
-        """Groups of refined parameters."""
-
-    @property
-    def fixed_point_ids(self) -> Collection[int]:
-        """Ids of constant points."""
-
-
-def are_images_unrelated(problem: ProblemArrays, options: PointOptions) -> bool:
+def are_images_unrelated(problem: ProblemArrays, options: SolveOptions) -> bool:
     """Return True if all points are refined and no point is constant or observed twice.
 
     Priors, factors and rules, which also connect images, are not considered.
@@ -54,7 +44,7 @@ def are_images_unrelated(problem: ProblemArrays, options: PointOptions) -> bool:
     return bool(np.bincount(problem.observation_point).max(initial=0) == 1)
 
 
-def require_tracks(problem: ProblemArrays, name: str, options: PointOptions) -> None:
+def require_tracks(problem: ProblemArrays, name: str, options: SolveOptions) -> None:
     """Refuse a problem whose refined points connect no images."""
     if are_images_unrelated(problem, options):
         raise InputError(
