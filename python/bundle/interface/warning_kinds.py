@@ -1,4 +1,4 @@
-"""Kinds of a solve's warnings, as named in ``Summary.warning_kinds`` and in JSON.
+"""Kinds of a solve's warnings and their meanings, as in ``Summary.warning_kinds`` and in JSON.
 
 Sentences are for people and may change; these names do not change.
 """
