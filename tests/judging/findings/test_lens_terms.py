@@ -11,7 +11,9 @@ from bundle.judging.findings.lens_terms import LARGER, START, LensField, larger_
 from bundle.judging.findings.next_command import NextCommand
 from tests.campaigns.findings import judge, make
 
-MEASURED = SimpleNamespace(command=NextCommand("IN", "OUT", ()), scale=3.0)
+MEASURED = SimpleNamespace(
+    command=NextCommand("IN", "OUT", ()), scale=3.0, options=SimpleNamespace(refine=("extra",))
+)
 
 
 def field(radial, tangential, *, size=1.0, significant=True):

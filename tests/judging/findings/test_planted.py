@@ -1,5 +1,6 @@
 """Each planted fault is found, alone and beside others; sound scenes have no findings."""
 
+import dataclasses
 import shlex
 from types import SimpleNamespace
 
@@ -211,3 +212,58 @@ def test_only_a_drift_with_a_command_gets_what_determines_the_lens(
     found = {one.kind: one.command for one in find(make(SEED, ()).start)}
     assert found.pop("scale_drift") == refine(expected)
     assert all(command == refine(loose) for command in found.values())
+
+
+@pytest.mark.parametrize(
+    ("kind", "rule", "why"),
+    [
+        ("undetermined_intrinsics", "camera 1: f prior 10 %", "already has a prior"),
+        ("shared_lens", "cameras 1,2: share f", "there is no camera 2"),
+        ("lens_model", "camera 1: k fixed", "has no parameter 'k'"),
+        ("lens_model", "camera 1: f prior 5 %", ""),
+    ],
+)
+def test_rules_of_the_run_that_contradict_a_command_are_named(kind, rule, why):
+    seed = next(n for n in range(SEED, SEED + 50) if _has_radial_lens(make(n, (kind,))))
+    scene = make(seed, (kind,))
+    result = bundle.solve(scene.start, constraints=rule, num_threads=1, max_num_iterations=200)
+    given = {"constraints": bundle.Constraints(rule), "given": ("--set", rule)}
+    (found,) = find(result.problem, options=result.options, start=scene.start, **given)
+    assert found.kind == kind and bool(found.command) == (not why)
+    assert ("Rules of this run contradict the command" in found.sentence) == bool(why)
+    assert why in found.sentence
+
+
+def _has_radial_lens(scene):
+    return scene.start.camera_models[0] == "SIMPLE_RADIAL" and not scene.priors
+
+
+def test_a_shared_lens_replaces_split_cameras():
+    command = NextCommand("a", "b", ("--split-cameras", "--threads", "2"))
+    assert shlex.split(command.refine("--share-cameras", "all"))[5:] == [
+        *("--threads", "2", "--share-cameras", "all"),
+    ]
+    assert "--split-cameras" in command.refine("--loss", "cauchy")
+    added = command.added(command.refine("--set", "camera 1: f fixed", "--threads", "3"))
+    assert added == [("--set", "camera 1: f fixed"), ("--threads", "3")]
+
+
+def test_no_larger_lens_is_advised_whose_terms_stay_constant():
+    scene = make(SEED, ("lens_model",))
+    result = bundle.solve(scene.start, refine=("poses", "points", "focal"), num_threads=1)
+    (found,) = (one for one in find(result.problem, options=result.options) if "lens" in one.kind)
+    assert found.kind == "lens_model" and not found.command
+    assert find(result.problem)[0].command.endswith("OPENCV")
+
+
+def test_positions_with_a_robust_loss_do_not_mend_a_drift():
+    """Smaller sigmas make all drifted positions outliers: the loss goes first."""
+    scene = make(SEED, ("scale_drift",))
+    priors = [dataclasses.replace(one, loss="cauchy") for one in scene.priors]
+    known = {"priors": priors, "align": True, "num_threads": 1, "max_num_iterations": 200}
+    result = bundle.solve(scene.start, **known)
+    given = ("--prior-loss", "cauchy")
+    found = find(result.problem, options=result.options, priors=priors, given=given)
+    (drift,) = (one for one in found if one.kind == "scale_drift")
+    words = shlex.split(drift.command)[5:]
+    assert words == [RADIUS_FLAG, "1", "--prior-loss", "trivial"]

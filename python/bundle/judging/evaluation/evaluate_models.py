@@ -223,10 +223,7 @@ def _directions(
 
 
 def _movement(
-    a: Problem,
-    b: Problem,
-    pairs: Association,
-    options: EvaluateOptions,
+    a: Problem, b: Problem, pairs: Association, options: EvaluateOptions
 ) -> tuple[SigmaMovement | None, list[str]]:
     if options.sigmas == "off" or not a.num_observations:
         return None, []

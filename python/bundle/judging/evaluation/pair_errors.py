@@ -113,10 +113,8 @@ class _Sums:
 def pair_errors(estimate: Array, reference: Array, num_missing: int = 0) -> PairErrors:
     """Return the accuracy of relative poses over all pairs.
 
-    Args:
-        estimate: (n, 7) poses world_from_camera in any world, in the order of names or times.
-        reference: (n, 7) poses of the reference.
-        num_missing: number of further images of the reference that the estimate lacks.
+    Both have (n, 7) poses world_from_camera in any world, in the order of names or times. The
+    estimate lacks ``num_missing`` further images of the reference.
     """
     if len(reference) > MOST_IMAGES:
         chosen = np.linspace(0, len(reference) - 1, MOST_IMAGES).round().astype(np.int64)

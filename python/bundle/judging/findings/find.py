@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from bundle.analysis.diagnosis.track_table import TrackTable, weak_joint
+from bundle.errors import InputError
 from bundle.interface.finding import Finding
 from bundle.interface.options import SolveOptions
 from bundle.judging.findings.duplicates import duplicate_points
@@ -75,7 +76,8 @@ def find(
         options=SolveOptions() if options is None else options,
         **known,
     )
-    found = {one.kind: one for one in _findings(measured) if one is not None}
+    given_findings = (one for one in _findings(measured) if one is not None)
+    found = {one.kind: _allowed(measured, one) for one in given_findings}
     drift, loose = found.get("scale_drift"), found.get("undetermined_intrinsics")
     if drift is not None and loose is not None and drift.command and loose.command:
         # Positions that move the cameras far would move them along what is not determined.
@@ -85,6 +87,33 @@ def find(
     if "outliers" in found and repairs:  # the last stage has the repairs of all before it
         found["outliers"] = dataclasses.replace(found["outliers"], command=repairs[-1])
     return tuple(found[kind] for kind in IMPORTANCE if kind in found)
+
+
+def _allowed(measured: Measured, finding: Finding) -> Finding:
+    """Return a finding, without its command if a rule of the run contradicts the command."""
+    rules = list(measured.constraints)
+    if not rules or not finding.command.startswith("bundle refine"):
+        return finding
+    from bundle.editing.camera_sharing import share_cameras  # only with rules
+    from bundle.editing.model_change import change_camera_model
+    from bundle.solving.constraints.resolve import apply
+    from bundle.solving.constraints.rule_list import parse_rule
+
+    problem = measured.start or measured.whole
+    try:
+        for flag, value in measured.command.added(finding.command):
+            if flag == "--camera-model":
+                problem = change_camera_model(problem, value).problem
+            elif flag == "--share-cameras":
+                ids = map(int, value.split(",")) if value != "all" else problem.camera_ids.tolist()
+                problem = share_cameras(problem, ids, keep_scale=True)
+            elif flag == "--set":
+                rules.append(parse_rule(value, "the advised rule"))
+        apply(rules, problem, measured.options)
+    except InputError as error:
+        sentence = f"{finding.sentence} Rules of this run contradict the command for it: {error}."
+        return dataclasses.replace(finding, sentence=sentence, command="")
+    return finding
 
 
 def _lens(measured: Measured, fits: ImageFits, fields: Sequence[LensField]) -> Finding | None:

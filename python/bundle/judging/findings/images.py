@@ -106,10 +106,7 @@ class ImageFits:
 
 
 def motion(
-    measured: Measured,
-    found: SystematicResiduals,
-    fits: ImageFits,
-    fields: Sequence[LensField],
+    measured: Measured, found: SystematicResiduals, fits: ImageFits, fields: Sequence[LensField]
 ) -> Finding | None:
     """Return the finding about motion or a rolling shutter, or None."""
     ratios, sizes, is_varied = variation(measured.scale, fits, fields)

@@ -160,27 +160,22 @@ def _extended(measured: Measured, model: str) -> Step | None:
 
 
 class Step:
-    """Newton step of a model at its present values.
-
-    Attributes:
-        decrease: g^T H^- g.
-        variance: s^2, the weighted squares per degree of freedom after the step; 0 without any.
-        num_residuals: number of residuals.
-        num_parameters: number of free parameters, without the gauge.
-        moves: (num_images, 3) movement of the projection centres.
-    """
+    """Newton step of a model at its present values."""
 
     def __init__(self, problem: Problem, options: SolveOptions) -> None:
         self._given = (problem, options)
         found = newton_step(*self._given)
         self._has_gauge = found["gauge_degrees"] > 0
-        self.decrease: float = 2.0 * found["predicted_decrease"]
+        self.decrease: float = 2.0 * found["predicted_decrease"]  # g^T H^- g
         self.num_residuals: int = found["num_residuals"]
+        # number of free parameters, without the gauge
         self.num_parameters: int = found["num_parameters"] - found["gauge_degrees"]
         dof = self.num_residuals - self.num_parameters
         left = found["weighted_squares"] - self.decrease
+        # s^2, the weighted squares per degree of freedom after the step; 0 without any
         self.variance: float = left / dof if dof > 0 and left > 0 else 0.0
         self._center_by_pose = center_jacobians(problem.cam_from_world)
+        # (num_images, 3) movement of the projection centres
         self.moves: Floats = np.einsum("nij,nj->ni", self._center_by_pose, found["steps"])
 
     @property

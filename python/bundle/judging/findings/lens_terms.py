@@ -114,6 +114,8 @@ def lens_model(measured: Measured, fields: Sequence[LensField]) -> Finding | Non
     larger = {name: worst.explained(terms) for name, terms in larger_models(worst.model)}
     enough = [name for name, value in larger.items() if value >= EXPLAINED * total]
     name = enough[0] if enough else next(reversed(larger), "")
+    if "extra" not in measured.options.refine:  # added terms would stay zero
+        name = ""
     kinds = (("radial", RADIAL), ("tangential", TANGENTIAL), ("aspect", ASPECT))
     shares = {kind: min(worst.explained(terms) / total, 1.0) for kind, terms in kinds}
     kind, share = max(shares.items(), key=lambda item: item[1])

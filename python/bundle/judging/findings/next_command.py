@@ -38,6 +38,8 @@ class NextCommand:
         """Return a NextCommand for a run that has these flags, too."""
         advised = list(_occurrences(flags))
         replaced = {_name(one) for one in advised} - REPEATED
+        if "--share-cameras" in replaced:  # no command has both
+            replaced.add("--split-cameras")
         kept = [
             one
             for one in _occurrences(self.given)
@@ -49,6 +51,11 @@ class NextCommand:
     def with_flags_of(self, command: str) -> NextCommand:
         """Return a NextCommand for a run that also has the flags of a command."""
         return self.after(*shlex.split(command)[5:])
+
+    def added(self, command: str) -> list[tuple[str, str]]:
+        """Return each flag, with its value, that a command has beyond those of this run."""
+        given, words = list(_occurrences(self.given)), _occurrences(shlex.split(command)[5:])
+        return [(one[0], " ".join(one[1:])) for one in words if one not in given]
 
     def value(self, flag: str, default: str) -> str:
         """Return the value that this run gives to a flag of one value."""

@@ -236,7 +236,8 @@ def scale_drift(measured: Measured, free: Problem) -> Finding | None:
     left, _ = _drift(measured.whole, measured, rows, priors)
     command, advice = "", "The positions correct it."
     if abs(left) > LEFT:
-        factors = 2 * [_shrinking(free_drift, left)]
+        is_robust = any(prior.loss != "trivial" for prior in priors)  # drifted ones have no weight
+        factors = 2 * [1.0 if is_robust else _shrinking(free_drift, left)]
         radii = [min(one, measured.options.initial_trust_region_radius) for one in DAMPED]
         can_try = is_affordable(measured)
         usable = (one for one in radii if not can_try or _has_model(measured, factors, one))
@@ -246,27 +247,28 @@ def scale_drift(measured: Measured, free: Problem) -> Finding | None:
                 "The images contradict it: with sigmas that make them follow the positions, no "
                 "model is usable. Check the positions, or close loops."
             )
+        elif is_robust:
+            advice = "The robust loss lets the model ignore it: use none, or close loops."
+            command = measured.command.refine(RADIUS_FLAG, f"{radius:g}", "--prior-loss", "trivial")
         else:
             advice = "Give the positions smaller sigmas and begin with short steps, or close loops."
             shorter = measured.command.after(RADIUS_FLAG, f"{radius:g}")
             command = _sigma_command(measured.of_command(shorter), _sigmas(priors), factors)
+    change, rest = (float(np.expm1(one)) for one in (free_drift, left))
     return Finding(
         kind="scale_drift",
         sentence="The scale drifts: from the first to the second half of the images, the scale of "
-        f"the measured positions relative to the model changes by {100 * np.expm1(free_drift):+.1f}"
+        f"the measured positions relative to the model changes by {100 * change:+.1f}"
         f" % (standard error {100 * error:.1f} %). {advice}",
         command=command,
-        evidence={
-            "change": float(np.expm1(free_drift)),
-            "standard_error": error,
-            "left": float(np.expm1(left)),
-        },
+        evidence={"change": change, "standard_error": error, "left": rest},
     )
 
 
 def _has_model(measured: Measured, factors: list[float], radius: float) -> bool:
     positions = _used(measured)[1]
-    scaled = [_scaled(one, np.array(factors)) for one in positions]
+    plain = [dataclasses.replace(one, loss="trivial") for one in positions]
+    scaled = [_scaled(one, np.array(factors)) for one in plain]
     options = measured.options.replace(num_threads=1, initial_trust_region_radius=radius)
     options = options.replace(max_num_iterations=min(options.max_num_iterations, MOST_STEPS))
     start = measured.start or measured.whole

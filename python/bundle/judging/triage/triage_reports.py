@@ -275,11 +275,7 @@ def _data(two: Difference) -> TriageCause:
     return TriageCause(
         cause="data",
         sentence=f"Data: {words}. {effect(two)}",
-        evidence={
-            **counts,
-            **pairs(two, "initial_cost", "final_cost"),
-            "differs": known,
-        },
+        evidence={**counts, **pairs(two, "initial_cost", "final_cost"), "differs": known},
     )
 
 

@@ -204,24 +204,18 @@ def _findings(
     gain = gain_of_shutter(measured(fit), order)
     spread = f"{float(test.deviations[1:].max()):.2g}"
     better = f": one lens predicts {100 * test.gain:.1f} % better with a shutter by {order}"
-    return (
-        Finding(
-            kind="motion",
-            sentence="Motion or a rolling shutter: anisotropy or shear of the residuals differs "
-            f"from image to image by {spread} px at its border (standard deviation; noise "
-            "subtracted)"
-            f"{better if test.gain > 0 else ''}. Keep one lens.{price_of(gain)}",
-            command=f"{command} --rolling-shutter {order}" if gain > GAIN else "",
-            evidence={
-                "shear": test.shear,
-                "anisotropy": test.anisotropy,
-                "size": test.size,
-                "confirmation": test.confirmation,
-                "predicted": test.gain if test.gain > 0 else 0.0,
-                "gain": gain,
-            },
-        ),
+    names = ("shear", "anisotropy", "size", "confirmation")
+    gains = {"predicted": test.gain if test.gain > 0 else 0.0, "gain": gain}
+    found = Finding(
+        kind="motion",
+        sentence="Motion or a rolling shutter: anisotropy or shear of the residuals differs "
+        f"from image to image by {spread} px at its border (standard deviation; noise "
+        "subtracted)"
+        f"{better if test.gain > 0 else ''}. Keep one lens.{price_of(gain)}",
+        command=f"{command} --rolling-shutter {order}" if gain > GAIN else "",
+        evidence={name: getattr(test, name) for name in names} | gains,
     )
+    return (found,)
 
 
 def _lenses(fit: CandidateFit) -> set[int]:
@@ -273,18 +267,14 @@ def _criteria(
         dof = full.summary.num_residuals - certainties[largest].num_parameters
         options = fitting.options.replace(loss=loss)
         variance = dispersion(lengths if sigmas is None else lengths / sigmas, dof, options)
-        values = np.array([_criterion(fits[k], certainties[k], variance) for k in known])
+        ends = [(fits[k].full.summary, certainties[k].num_parameters) for k in known]  # type: ignore
+        values = np.array(
+            [information_criteria(one.final_cost, variance, count, one.num_residuals)
+             for one, count in ends]
+        )  # fmt: skip
         for k, row in zip(known, values - values.min(axis=0), strict=True):
             found[k] = (float(row[0]), float(row[1]))
     return found
-
-
-def _criterion(fit: CandidateFit, known: Certainty, variance: float) -> tuple[float, float]:
-    assert fit.full is not None
-    summary = fit.full.summary
-    return information_criteria(
-        summary.final_cost, variance, known.num_parameters, summary.num_residuals
-    )
 
 
 def _record(

@@ -72,20 +72,13 @@ SMALLEST_ANGLES = (5.0, 1.5)
 
 
 class Certainty(NamedTuple):
-    """Certainty of a fit.
+    """Certainty of a fit; NaN and 0 are values that are not computed."""
 
-    Attributes:
-        position_sigma: median over the images of the sigma of a position; NaN if not computed.
-        num_parameters: number of parameters that the fit determines, by rank; 0 if not computed.
-        camera_sigma: rms standard deviation of the centres, all axes together, without a free
-            similarity; NaN if not computed.
-        note: reason why the values are not computed.
-    """
-
-    position_sigma: float
-    num_parameters: int
+    position_sigma: float  # median over the images of the sigma of a position
+    num_parameters: int  # number of parameters that the fit determines, by rank
+    # rms standard deviation of the centres, all axes together, without a free similarity
     camera_sigma: float = float("nan")
-    note: str = ""
+    note: str = ""  # reason why the values are not computed
 
 
 def certainty(prepared: Prepared, full: Result) -> Certainty:

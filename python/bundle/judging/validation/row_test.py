@@ -355,6 +355,5 @@ def _test(normal: _Floats, square: float, freedom: int, begin: int) -> ShearScor
     if freedom < 1 or variance <= 0 or trace <= SINGULAR:
         return ShearScore(np.nan, 0.0)
     return ShearScore(
-        ratio=float(scores @ scores) / (variance * trace),
-        freedom=trace**2 / float((f**2).sum()),
+        ratio=float(scores @ scores) / (variance * trace), freedom=trace**2 / float((f**2).sum())
     )

@@ -105,14 +105,10 @@ def decide(
 ) -> Decision:
     """Return the recommended candidate.
 
-    Args:
-        errors: (num_candidates, num_held_out) normalised errors, in sigmas; NaN without a
-            projection. A row of NaN alone is a candidate without a fit.
-        image: (num_held_out,) image index of each held-out observation.
-        num_parameters: (num_candidates,) number of free parameters.
-        vetoes: reason why a candidate may not be recommended; "" if it may. None: no vetoes.
-        rule: numbers of the rule; None: the defaults.
-        cameras: positions of the fits; None: only the errors count.
+    ``errors``: (num_candidates, num_held_out) normalised errors, in sigmas; NaN without a
+    projection. A row of NaN alone is a candidate without a fit. ``image``: (num_held_out,) image
+    index of each held-out observation. ``vetoes``: reason why a candidate may not be recommended;
+    "" if it may. Without ``cameras``, only the errors count.
     """
     rule = DecisionRule() if rule is None else rule
     values, of_image = np.asarray(errors, float), np.asarray(image)
