@@ -67,25 +67,8 @@ def option(
         late: leave the check of the value to the function that uses it.
         use: place in the short help of a command, in the order of use; 0: only in ``--help-all``.
     """
-    metadata = {
-        "flag": flag,
-        "help": help,
-        "choices": choices,
-        "minimum": minimum,
-        "above": above,
-        "below": below,
-        "maximum": maximum,
-        "metavar": metavar,
-        "value": value,
-        "unset": unset,
-        "negatable": negatable,
-        "only_with": only_with,
-        "idle": idle,
-        "needs": needs,
-        "late": late,
-        "use": use,
-    }
-    return dataclasses.field(default=default, metadata=metadata)
+    metadata = dict(locals())
+    return dataclasses.field(default=metadata.pop("default"), metadata=metadata)
 
 
 def checked(field: dataclasses.Field[Any], value: Any) -> Any:
