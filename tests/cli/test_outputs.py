@@ -119,6 +119,18 @@ def test_synth_replaces_nothing_unless_told(run, models, monkeypatch, there, whi
         assert bundle.load(target).num_images == 12
 
 
+def test_names_are_not_lost_by_the_name_of_a_file(run, models):
+    """A BAL file has no names: from a COLMAP model it is written only if it is asked for."""
+    for suffix in (".txt", ".txt.gz"):
+        target = models / f"x{suffix}"
+        refused = run("refine", models / "text", "-o", target)
+        assert refused.code == 2 and refused.err.splitlines()[-1].startswith("error: ")
+        assert "BAL has no names; give --format bal" in refused.err and not target.exists()
+        assert run("refine", models / "text", "-o", target, "--format", "bal", "--quiet").code == 0
+    assert run("refine", target, "-o", models / "y.txt", "--quiet").code == 0
+    assert run("convert", models / "text", models / "z.txt", "--quiet").code == 0
+
+
 @pytest.mark.parametrize("command", ["refine", "convert"])
 def test_a_model_keeps_its_format(run, models, command):
     """In place, over a model in the other format, and in a new folder."""
@@ -175,6 +187,8 @@ def test_bal_output_that_the_solve_would_make_impossible(
         tmp_path / "in",
         "-o",
         tmp_path / "out.txt",
+        "--format",
+        "bal",
         "--refine",
         refined,
         "--quiet",

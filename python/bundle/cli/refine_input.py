@@ -72,7 +72,8 @@ def open_input(asked: Refinement, progress: Progress) -> Opened:
     given = asked.georeference
     kinds = kinds_given(given)
     place = georeference_at(source)
-    kept = _kept_world(asked, place)
+    kept = "because INPUT has a georeference.json" if place is not None else ""
+    kept = kept if asked.local.only_images is None else "with --only-images"
     if any(row.places for row in kinds):
         kept = ""
         check_georeference(**output)
@@ -105,17 +106,14 @@ def _may_move_images(asked: Refinement) -> bool:
     return "poses" in asked.options.refine and not is_held and not rules
 
 
-def _kept_world(asked: Refinement, place: dict[str, Any] | None) -> str:
-    """Return the reason for which measurements must not move the model; "" if they may."""
-    if asked.local.only_images is not None:
-        return "with --only-images"
-    return "because INPUT has a georeference.json" if place is not None else ""
-
-
 def _checked_output(asked: Refinement, problem: Problem, options: SolveOptions) -> dict[str, str]:
     """Return path and format of OUTPUT after checking that it can be written and replaced."""
     source, target, given = asked.source, asked.target, asked.arguments
     output = {"path": target, "format": output_format(problem.format, target, given.format, source)}
+    if output["format"] == "bal" != problem.format and given.format is None:
+        raise InputError(
+            f"{shown(target)}: BAL has no names; give --format bal, or a folder (COLMAP)"
+        )
     fixed = options.fixed_camera_ids
     check_target(problem, **output, refined=options.refine, fixed_camera_ids=fixed)
     check_replaced(target, [source], given.overwrite, same_images(problem))
