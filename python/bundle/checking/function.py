@@ -58,14 +58,13 @@ class UserFunction:
         is_vector = isinstance(blocks, np.ndarray) and blocks.ndim < 2  # one block or several?
         is_list = isinstance(blocks, Iterable) and not isinstance(blocks, str | bytes | Mapping)
         if is_vector or not is_list:
-            hint = "; try [blocks]" if is_vector else ""
+            joined = "; try lambda b: (residual(b[0]), [jacobian(b[0])])" * callable(blocks)
+            hint = "; try [blocks]" if is_vector else joined
             raise InputError(f"blocks: expected a list of arrays, found {brief(blocks)}{hint}")
         try:
             inspect.signature(function).bind(blocks)
         except TypeError as error:
-            raise InputError(
-                f"function: expected one argument, the list of blocks: {error}"
-            ) from None
+            raise InputError(f"function: expected one argument, the blocks: {error}") from None
         except ValueError:
             pass  # compiled functions have no signature
 
@@ -131,9 +130,10 @@ class UserFunction:
     def _jacobians(self, given: Any) -> list[Array]:
         is_list = isinstance(given, list | tuple) or (isinstance(given, np.ndarray) and given.ndim)
         if not is_list or len(given) != len(self.sizes):
+            alone = "; try [jacobian]" if len(self.sizes) == 1 and np.ndim(given) == 2 else ""
             raise InputError(
                 f"{self.name}: expected {plural(len(self.sizes), 'Jacobian')}, one per variable, "
-                f"found {len(given) if is_list else brief(given)}"
+                f"found {len(given) if is_list else brief(given)}{alone}"
             )
         matrices = []
         for label, size, jacobian in zip(self.labels, self.sizes, given, strict=True):

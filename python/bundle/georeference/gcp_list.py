@@ -81,7 +81,10 @@ def read_gcp_list(path: str | os.PathLike[str]) -> tuple[GroundControlPoint, ...
         OSError: the file cannot be read.
     """
     path = as_path(path)
-    system, rows = read_lines(path, name_at=5)
+    try:
+        system, rows = read_lines(path, name_at=5)
+    except InputError as error:
+        raise InputError(f"{error}; then a line for each mark in an image: {_FIELDS}") from None
     targets: dict[tuple[str, ...], _Target] = {}
     for line, words in rows:
         _read_line(f"{shown(path)}: line {line}", line, words, targets)
@@ -156,13 +159,10 @@ def _extras(place: str, words: list[str]) -> tuple[str, dict[str, str], bool]:
         elif key in _KEYS:
             settings[key] = value
         else:
-            raise InputError(f"{place}: there is no setting {brief(key)}{_meant(key)}")
+            meant = nearest(key, _KEYS) or f"; expected {' or '.join(_KEYS)}"
+            raise InputError(f"{place}: there is no setting {brief(key)}{meant}")
     labels = [word for word in others if word != CHECK]
     return labels[0] if labels else "", settings, len(labels) < len(others)
-
-
-def _meant(key: str) -> str:
-    return nearest(key, _KEYS) or f"; expected {' or '.join(_KEYS)}"
 
 
 def _name_targets(path: Path, targets: dict[tuple[str, ...], _Target]) -> None:

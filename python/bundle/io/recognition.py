@@ -66,7 +66,9 @@ def load_object(text: str) -> Any:
     try:
         return thing()
     except Exception as error:
-        raise user_error(f"{shown(path)}: {name}()", error, path) from error
+        raise user_error(
+            f"{shown(path)}: {name}(), called without arguments", error, path
+        ) from error
 
 
 def user_error(place: str, error: Exception, path: Path | None = None) -> InputError:

@@ -288,3 +288,13 @@ def test_a_function_that_changes_its_arguments_is_named():
         graph.check_gradients()
     with pytest.raises(bundle.InputError, match=r"^function: .*change its arguments.*block 0"):
         bundle.check_gradients(doubled, [[1.0, 2.0]])
+
+
+@pytest.mark.parametrize(
+    ("size", "order"), [(3, "se2: x y angle"), (4, "se3: qx qy qz qw tx ty tz")]
+)
+def test_a_matrix_for_a_pose_names_its_numbers(size, order):
+    with pytest.raises(
+        bundle.InputError, match=rf"'x': .* found shape \({size}, {size}\) \({order}"
+    ):
+        bundle.FactorGraph().add_variable("x", np.eye(size), f"se{size - 1}")

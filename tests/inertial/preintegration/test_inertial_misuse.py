@@ -48,6 +48,14 @@ def test_samples(samples, words):
     refused(lambda: bundle.propagate(STATE, *samples), *words)
 
 
+def test_nanoseconds_between_samples():
+    motion = bundle.Preintegration(NOISE)
+    refused(lambda: motion.integrate(GYRO, ACCEL, 1e9 * DT), "dt", "found 1e+07; nanoseconds?")
+    assert motion.duration == 0
+    motion.integrate(GYRO, ACCEL, 1000 * DT)  # ten seconds
+    assert motion.duration == pytest.approx(40)
+
+
 def test_midpoint_has_a_sample_at_each_end():
     motion = bundle.Preintegration(NOISE, rule="midpoint")
     refused(lambda: motion.integrate(GYRO, ACCEL, DT), "gyro", "(5, 3)", "(4, 3)")

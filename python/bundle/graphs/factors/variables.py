@@ -151,7 +151,9 @@ def as_row(name: str, value: Any) -> Array:
     """Return numbers as an array (n,); one number has n = 1."""
     row = np.atleast_1d(as_array(name, value))
     if row.ndim != 1:
-        raise InputError(f"{name}: expected a 1-D array of numbers, found shape {row.shape}")
+        hint = {(3, 3): " (se2: x y angle)", (4, 4): " (se3: qx qy qz qw tx ty tz)"}
+        found = f"{row.shape}{hint.get(row.shape, '')}"
+        raise InputError(f"{name}: expected a 1-D array of numbers, found shape {found}")
     return row
 
 

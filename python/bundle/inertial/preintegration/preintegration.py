@@ -92,7 +92,10 @@ class Preintegration(Displayed):
             InputError: shapes do not fit, a number is not finite, or a time is not above 0; nothing
                 is integrated then.
         """
-        self._motion.integrate(as_array("gyro", gyro), as_array("accel", accel), as_array("dt", dt))
+        times = as_array("dt", dt)
+        if times.size and times.max() > 10:
+            raise InputError(f"dt: expected seconds, found {times.max():g}; nanoseconds?")
+        self._motion.integrate(as_array("gyro", gyro), as_array("accel", accel), times)
 
     def append(self, following: Preintegration) -> None:
         """Integrate the samples of the next interval, at the biases of this one.
