@@ -71,7 +71,7 @@ def _of_keyframes(result: OdometryResult) -> list[Figure]:
         *_work(frames, 1e3 * result.options.time_budget),
         *_sizes(frames),
         *_prior(frames),
-        _nullity(frames),
+        *_nullity(frames),
         _excitation(frames),
         _contradiction(frames),
         _bias(frames, "gyro", "gyroscope", "rad/s"),
@@ -167,18 +167,17 @@ def _prior(frames: _Keyframes) -> list[Figure]:
     ]  # fmt: skip
 
 
-def _nullity(frames: _Keyframes) -> Figure:
-    counted = any(record.nullity is not None for record in frames.records)
-    return line_figure(
+def _nullity(frames: _Keyframes) -> list[Figure]:
+    if all(record.nullity is None for record in frames.records):  # counted with --nullity
+        return []
+    return [line_figure(
         name="nullity", title="Unobservable directions", x_label=TIME, y_label="nullity",
         lines=(
             frames.line("nullity", lambda r: r.nullity),
             frames.line("expected", lambda r: r.expected_nullity, is_limit=True),
         ),
-        note="Fewer than expected: the window gained information that no sensor measures."
-        if counted
-        else "Counted with --nullity.",
-    )  # fmt: skip
+        note="Fewer than expected: the window gained information that no sensor measures.",
+    )]  # fmt: skip
 
 
 def _excitation(frames: _Keyframes) -> Figure:

@@ -49,6 +49,7 @@ def target_figure(place: Placement) -> Figure | None:
     known = [target for target in place.targets if _is_known(target)]
     if not known:
         return None
+    known.sort(key=lambda target: -float(np.hypot(*target.residual[:2])))  # names first
     residuals = np.array([target.residual[:2] for target in known])
     sigmas = sorted({(float(target.sigma[0]), float(target.sigma[1])) for target in known})
     reach = max(float(np.abs(residuals).max()), *(max(pair) for pair in sigmas))
