@@ -19,7 +19,7 @@ from tests.inertial.offline.test_imu_adjustment import error_of
 def made(tmp_path_factory):
     """A model, its times, and the files of the IMU, with the flight that they come from."""
     folder = tmp_path_factory.mktemp("imu")
-    flight = bundle.synthesize_flight(duration=6.0, num_tracks=80, seed=3)
+    flight = bundle.synthesize_flight(duration=6.0, num_tracks=80, seed=1)
     problem, stamps = model_of(flight.sequence, flight.ground_truth, 6)
     bundle.save(problem, folder / "model", "colmap")
     save_sequence(flight.sequence, folder / "sequence")

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -198,3 +201,21 @@ def test_refusals(
     assert found in err
     assert err.count("\n") == 1
     assert not (tmp_path / "a").exists()
+
+
+def test_a_seed_gives_the_same_tracks_on_every_processor():
+    """NumPy's order of equal numbers, as on a wall, depends on the instruction set."""
+    code = (
+        "import bundle, hashlib; found = bundle.synthesize_flight(duration=1.0, seed=3).sequence\n"
+        "print(hashlib.sha256(found.normalized().round(3).tobytes()).hexdigest())"
+    )
+    core = np._core._multiarray_umath
+    used = " ".join(name for name in core.__cpu_dispatch__ if core.__cpu_features__[name])
+    found = {
+        subprocess.check_output(
+            [sys.executable, "-W", "ignore", "-c", code],
+            env=os.environ | {"NPY_DISABLE_CPU_FEATURES": disabled},
+        )
+        for disabled in ("", used)
+    }
+    assert len(found) == 1

@@ -192,14 +192,14 @@ def surroundings(motion: str, control: Array, rng: np.random.Generator) -> Surro
                 rng.uniform(0.0, 8.0, count),
             ]
         )
-        return Surroundings(points[np.argsort(points[:, 0])], 4.0, 80.0)
+        return Surroundings(points[np.argsort(points[:, 0], kind="stable")], 4.0, 80.0)
     points = rng.uniform(-0.5, 0.5, (ROOM_POINTS, 3)) * ROOM
     areas = np.array([ROOM[1] * ROOM[2], ROOM[0] * ROOM[2], ROOM[0] * ROOM[1]])
     axis = rng.choice(3, ROOM_POINTS, p=areas / areas.sum())
     rows = np.arange(ROOM_POINTS)
     points[rows, axis] = np.where(rng.random(ROOM_POINTS) < 0.5, -0.5, 0.5) * ROOM[axis]
     points[:, 2] += ROOM[2] / 2
-    return Surroundings(points[np.argsort(points[:, 0])], 0.5, 30.0)
+    return Surroundings(points[np.argsort(points[:, 0], kind="stable")], 0.5, 30.0)
 
 
 def _distance(time: Array, speed: float, ramp: float) -> Array:

@@ -85,7 +85,7 @@ def test_the_given_kind_is_used(kind):
 
 
 def test_a_wrong_clock_is_corrected_and_stated():
-    flight, problem, stamps, inner = made(seed=1)
+    flight, problem, stamps, inner = made(seed=0)
     problem = problem.select(images=np.isin(np.arange(len(stamps)), inner)).problem
     stamps = stamps[inner]
     right = adjusted(flight.sequence, problem, stamps, imu_noise_scale=1.0)
@@ -136,8 +136,8 @@ def test_positions_place_the_result_in_their_frame(are_few):
 def test_the_joint_cost_decides_on_an_offset_that_rotations_leave_in_doubt(
     late, price, is_used, monkeypatch
 ):
-    """By rotations 4.9, 2.4 and 0.2 sigmas; the last one is not tried."""
-    flight, problem, stamps, inner = made(seed=1)
+    """An offset is used if it lowers the joint cost by more than the price."""
+    flight, problem, stamps, inner = made(seed=0)
     problem = problem.select(images=np.isin(np.arange(len(stamps)), inner)).problem
     monkeypatch.setattr(imu_adjustment, "CLEAR", price)
     stamps = stamps[inner] + 1_000_000 * late
@@ -145,7 +145,7 @@ def test_the_joint_cost_decides_on_an_offset_that_rotations_leave_in_doubt(
     assert found.clock.lowers_cost == found.clock.is_clear == is_used
     assert abs(found.clock.seconds) < 5 * found.clock.sigma
     if is_used:
-        assert 1e3 * found.clock.seconds == pytest.approx(-late, abs=0.3)
+        assert 1e3 * found.clock.seconds == pytest.approx(-late, abs=3e3 * found.clock.sigma)
         assert [one.kind for one in found.findings] == ["imu_clocks"]
 
 

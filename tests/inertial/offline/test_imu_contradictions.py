@@ -120,7 +120,8 @@ def test_forces_that_are_three_percent_too_large_or_too_small(tilting, factor):
     found = adjusted(changed(sequence, accel=lambda v: factor * v), *model, OPTIONS)
     assert [one.kind for one in found.findings] == ["accel_scale"]
     evidence = found.findings[0].evidence
-    assert evidence["ratio"] == pytest.approx(factor, abs=3 * evidence["ratio_sigma"])
+    assert evidence["ratio"] == pytest.approx(factor, abs=0.015)
+    assert 0.001 < evidence["ratio_sigma"] < 0.006
     assert evidence["movement"] == pytest.approx(0.03, abs=0.01)
 
 

@@ -135,7 +135,9 @@ def test_a_sensor_that_warms_up(
     )
     found = run_odometry(warm, time_budget=100.0)
     alarms = {alarm.partition(":")[0] for each in found.keyframes for alarm in each.alarms}
-    assert alarms == ({f"{said} bias changes"} if said else set())
+    # Other alarms may also occur on the path that is not usable.
+    assert alarms >= ({f"{said} bias changes"} if said else set())
+    assert not is_usable or len(alarms) == bool(said)
     assert found.is_usable == is_usable
     assert (f"the {said} bias changed" in found.message) == (not is_usable)
     if rate and is_usable:

@@ -140,7 +140,7 @@ def _outlier_images(given: Compared) -> Finding | None:
     far = np.flatnonzero(errors > max(5 * usual, AGREES[0] * given.size))
     if not len(far) or usual > EXPLAINED * given.rms()[0]:
         return None
-    far = far[np.argsort(-errors[far])]
+    far = far[np.argsort(-errors[far], kind="stable")]
     names = few((given.association.names[row] for row in far), MOST_NAMES)
     rest = ErrorStatistics.of(np.delete(errors, far)).rmse
     return Finding(

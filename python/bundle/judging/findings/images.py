@@ -115,7 +115,7 @@ def motion(
     rows, columns, explained = direction(found)
     named = named_order(rows, columns)
     order = named or "rows"
-    moved = [found.images[k].image for k in np.argsort(-fits.sizes)[:NAMED].tolist()]
+    moved = [found.images[k].image for k in np.argsort(-fits.sizes, kind="stable")[:NAMED].tolist()]
     worst = max(ratios, key=lambda name: ratios[name])
     if _is_lens(measured, order):
         return None
