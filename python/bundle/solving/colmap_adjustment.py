@@ -58,12 +58,13 @@ def bundle_adjustment(
     pycolmap. With ``config``, the function does what
     ``pycolmap.create_default_bundle_adjuster(options, config, reconstruction).solve()`` does.
 
-    Four differences remain. The gauge of two cameras fixes only the degrees of freedom that are
+    Five differences remain. The gauge of two cameras fixes only the degrees of freedom that are
     free: with a metric rig, constant points or constant images, the cost is lower than pycolmap's,
     which fixes 7 in any case. The gauge of three points fixes other points than pycolmap's, and
     therefore reaches another cost. If COLMAP's tolerance is 0, a solve ends at a relative change of
-    the cost of 1e-13, which is rounding. A solution that is invalid is discarded; the
-    reconstruction then keeps its values, and ``termination_type`` is FAILURE.
+    the cost of 1e-13, which is rounding. The gradient of rotations counts in full, which pycolmap
+    bounds by 2: with a mapper's tolerances, a solve takes more steps. An invalid solution is
+    discarded: the reconstruction keeps its values, and ``termination_type`` is FAILURE.
 
     Args:
         reconstruction: the reconstruction to change.
@@ -168,8 +169,7 @@ class _Limits:
 # The rules are COLMAP's (bundle_adjustment_ceres.cc):
 #
 # - Observations of the named images take part, and all observations of the named points. Points
-# with
-#   shorter tracks than ``min_track_length`` take no part.
+#   with shorter tracks than ``min_track_length`` take no part.
 # - An image that takes part only because of a named point is constant. If it belongs to a rig, its
 #   pose does not follow its frame. A camera of such images only has constant intrinsics.
 # - A point is constant if it is named so, or if some of its observations take no part.
