@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from bundle.figures.evaluation_figures import (
     difference_figure,
@@ -64,7 +65,9 @@ def test_figures_have_the_numbers_of_the_validation():
     bars = difference_figure(found).marks[0]
     order = np.argsort(found.decision.scores)[:4]
     np.testing.assert_array_equal(bars.y, found.decision.differences[order])
-    np.testing.assert_allclose(bars.error, 2 * found.decision.standard_errors[order])
+    limit = stats.t.isf(stats.norm.sf(2.0), len(set(found.image.tolist())) - 1)
+    np.testing.assert_allclose(bars.error, limit * found.decision.standard_errors[order])
+    assert f"with {limit:.1f} standard errors" in difference_figure(found).title
     assert difference_figure(found).y.low <= (bars.y - bars.error).min()
     for curve in distribution_figure(found).marks:
         k = next(k for k, one in enumerate(found.candidates) if one.name == curve.label)
