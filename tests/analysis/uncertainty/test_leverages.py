@@ -146,3 +146,21 @@ def test_influences_agree_with_those_row_by_row(case):
     solved = np.linalg.solve(rest[checked], found["residuals"][checked][:, :, None])
     change = (out["along"][checked] * solved[:, :, 0]).sum(axis=1)
     np.testing.assert_allclose(out["without"][checked], change, **near)
+
+
+@pytest.mark.parametrize("case", ["own lenses", "one lens", "stereo", "rigs, sensors refined"])
+def test_deletions_of_points_agree_with_steps_of_smaller_problems(case):
+    """At a minimum, one step of Gauss-Newton without the point, with rows of the same place."""
+    problem, options = CASES[case]
+    options = {key: value for key, value in options.items() if not key.startswith("loss")}
+    tight = {"function_tolerance": 1e-15, "gradient_tolerance": 0, "parameter_tolerance": 0}
+    solved = bundle.solve(problem, **options, **tight).problem
+    ids = solved.image_ids
+    quantity = quantity_of(f"baseline {ids[0]} {ids[3]} / baseline {ids[2]} {ids[-1]}", solved, {})
+    prepared = prepared_with(solved, options, BY_PRIORS)  # at the points: of no force
+    out = _core_influence(prepared, quantity, "points")
+    sigma = np.sqrt(out["variance"])
+    for point in (0, 1, 7, 31, 55):
+        keep = solved.observation_point != point
+        change = _core_influence(prepared, quantity, keep=keep)["step"] - out["step"]
+        assert out["without"][point] == pytest.approx(change, rel=1e-5, abs=1e-7 * sigma)
