@@ -34,6 +34,8 @@ from bundle.cli.main import COMMANDS, command_parser
         (["refine", "MODEL", "-o", "x", "--gcp-accuracy", "0.1"], ["mean --gcp-sigma?"]),
         (["refine", "MODEL", "-o", "x", "--share-intrinsics"], ["mean --share-cameras?"]),
         (["refine", "MODEL", "-o", "x", "--filter"], ["mean --rounds?"]),
+        (["refine", "MODEL", "-o", "x", "--report", "x.html"], ["mean --html?"]),
+        (["convert", "MODEL", "x", "--lens", "OPENCV"], ["mean --camera-model?"]),
         (["info", "--zzz", "MODEL"], []),
         (["convert", "MODEL", "b", "c"], ["'c'"[1:-1]]),
         (["report", "MODEL", "refined", "-o", "x.html"], []),  # no flag resembles a word

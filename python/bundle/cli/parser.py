@@ -315,6 +315,8 @@ ELSEWHERE = {
     "--gcp-sigma": "--gcp-accuracy --marker-accuracy",
     "--fix-cameras": "--fix-intrinsics",
     "--share-cameras": "--share-intrinsics --shared-intrinsics --single-camera --share",
+    "--html": "--report --page",
+    "--camera-model": "--lens --lens-model --distortion-model",
     "--rounds": "--filter --filter-outliers --outliers",
 }
 """Flags of other tools (g2o, GTSAM, Metashape, COLMAP), by the flag that means the same here."""

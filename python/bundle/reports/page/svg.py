@@ -355,18 +355,18 @@ def _legend(marks: Iterable[Line | Steps]) -> str:
 
 
 def _labels(dots: list[tuple[float, float]], names: Iterable[str]) -> list[str]:
-    """Return the names that have room next to their dots."""
+    """Return the names that have room next to their dots or above them."""
     taken = [(x - 4, y - 4, x + 4, y + 4) for x, y in dots]
     parts = []
     for (x, y), name in zip(dots, names, strict=True):
         width = LETTER * len(name)
-        for left in (x + 6, x - 6 - width):
-            box = (left, y - 7, left + width, y + 7)
+        for left, middle in ((x + 6, y), (x - 6 - width, y), (x - 6, y - 12)):
+            box = (left, middle - 7, left + width, middle + 7)
             others = [other for other in taken if other != (x - 4, y - 4, x + 4, y + 4)]
             inside = box[0] > LEFT and box[2] < WIDTH - RIGHT and box[1] > TOP
             if inside and not any(_meet(box, other) for other in others):
                 taken.append(box)
-                at = {"x": f"{left:.1f}", "y": f"{y + 4:.1f}"}
+                at = {"x": f"{left:.1f}", "y": f"{middle + 4:.1f}"}
                 parts.append(tag("text", escape(name), class_="tick", **at))
                 break
     return parts
