@@ -100,7 +100,7 @@ def _other_version(content):
 
 
 def _second_of_the_same_id(content):
-    return content[:8] + content[-51:-43] + content[16:]  # the last track is empty
+    return content[:8] + content[-59:-51] + content[16:]  # the last track has one element
 
 
 FAULTS = {
@@ -126,8 +126,8 @@ def test_objects_are_read_where_a_file_cannot(monkeypatch, files_read, fault):
     model = rigs(1)
     images, points = images_of(model), [point for _, point in sorted(model.points3D.items())]
     if fault == "a point twice":
-        for point in points:
-            point.track = pycolmap.Track()
+        for row, point in enumerate(points):
+            point.track = pycolmap.Track([pycolmap.TrackElement(7, row)])
     name, change = FAULTS[fault]
     if fault == "no folder":
         monkeypatch.setattr(module.Path, "mkdir", refuse)

@@ -298,6 +298,14 @@ def test_tracks_that_do_not_match_the_keypoints_read_are_named():
     refused(model, f"point {wide[0]}: expected one track element")
 
     model = rigs(0)
+    track = model.point3D(wide[0]).track
+    places = [(element.image_id, element.point2D_idx) for element in track.elements]
+    outside = [place for place in places if place[0] not in config.images]
+    assert len(outside) > 1
+    track.add_element(*outside[0])
+    refused(model, f"point {wide[0]}: expected one track element")
+
+    model = rigs(0)
     last = sorted(model.reg_image_ids())[-1]
     beyond = model.image(last).num_points2D()
     model.point3D(wide[0]).track.add_element(last, beyond)  # no such keypoint
