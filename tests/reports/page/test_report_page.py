@@ -186,7 +186,7 @@ def test_the_3d_view_paints_and_its_switches_change_it(written, solved, browser)
         limit = float(scene[name]["error"]["ends"][1].split()[0])
         np.testing.assert_allclose(shades / 254, np.minimum(rmse / limit, 1), atol=3e-3)
     browser.open(path)
-    browser.wait_for("Number(document.querySelector('.scene').dataset.drawn) >= 3")
+    browser.wait_for("Number(document.querySelector('.scene').dataset.drawn) > 0")
     painted = (
         "(() => { const from = document.querySelector('.scene canvas');"
         " const to = document.createElement('canvas'); to.width = from.width;"
@@ -196,20 +196,26 @@ def test_the_3d_view_paints_and_its_switches_change_it(written, solved, browser)
         " 65536 * rgba[i + 2]; seen.set(key, (seen.get(key) || 0) + 1); }"
         " return [seen.size, rgba.length / 4 - Math.max(...seen.values())]; })()"
     )
-    colours, everything = browser.evaluate(painted)
+
+    def next_frame() -> list[int]:
+        frames = "new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))"
+        browser.call("Runtime.evaluate", expression=frames, awaitPromise=True)
+        return browser.evaluate(painted)
+
+    colours, everything = next_frame()
     assert colours > 10 and everything > 300
     browser.click("[data-state=before]")
     assert browser.evaluate("document.querySelector('[data-state=after]').ariaPressed") == "false"
-    assert browser.evaluate(painted) != [colours, everything]
+    assert next_frame() != [colours, everything]
     browser.click("[data-state=after]")
-    assert browser.evaluate(painted) == [colours, everything]
+    assert next_frame() == [colours, everything]
     browser.click("[data-shows=points]")
-    _, others = browser.evaluate(painted)
+    _, others = next_frame()
     browser.click("[data-shows=ellipsoids]")
-    _, cameras = browser.evaluate(painted)
+    _, cameras = next_frame()
     browser.click("[data-shows=cameras]")
     assert 0 < cameras < others < everything
-    assert browser.evaluate(painted)[1] == 0
+    assert next_frame()[1] == 0
     assert browser.complaints() == []
 
 
@@ -354,7 +360,7 @@ def test_an_image_opens_with_its_residuals_and_its_photograph(written, solved, b
 def test_a_click_on_a_camera_opens_its_image(written, browser):
     path, _, _ = written
     browser.open(path)
-    browser.wait_for("Number(document.querySelector('.scene').dataset.drawn) >= 3")
+    browser.wait_for("Number(document.querySelector('.scene').dataset.drawn) > 0")
     # Look for a camera along a grid, as a user with a mouse does.
     hit = browser.evaluate(
         "(() => { const canvas = document.querySelector('.scene canvas');"

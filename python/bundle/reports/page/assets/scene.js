@@ -163,9 +163,16 @@ function start() {
   const chooser = find("shade");
   chooser.append(...[state.error, ...scene3d.shades].map((one, k) => new Option(`colour: ${one.name}`, k)));
 
+  // Once for all changes before the next frame: without a graphics card a drawing takes long.
+  let waits = false;
   function draw() {
-    renderer.render(world, camera);
-    place.dataset.drawn = String(Number(place.dataset.drawn || 0) + 1);
+    if (waits) return;
+    waits = true;
+    requestAnimationFrame(() => {
+      waits = false;
+      renderer.render(world, camera);
+      place.dataset.drawn = String(Number(place.dataset.drawn || 0) + 1);
+    });
   }
 
   function paint() {
