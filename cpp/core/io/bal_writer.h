@@ -1,6 +1,6 @@
 #pragma once
 
-/// Parts of a BAL file as text. bal.h defines the numbers.
+/// Parts of a BAL file as text; digits: number_writer.h. bal.h defines the numbers.
 
 #include <algorithm>
 #include <cstdint>

@@ -1,6 +1,7 @@
 #pragma once
 
-/// Cursors over text: numbers in a stream of any size (BAL), and records in lines (COLMAP).
+/// Cursors over text, with the place of each error: numbers in a stream of any size (BAL), and
+/// records in lines (COLMAP).
 
 #include <charconv>
 #include <cstddef>

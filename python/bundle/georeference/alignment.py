@@ -17,7 +17,6 @@ import numpy as np
 from bundle.errors import InputError
 from bundle.georeference.alignment_result import Alignment, ImageError, as_triple
 from bundle.georeference.control_point import (
-    GCP_PIXEL_SIGMA,
     GCP_SIGMA,
     GroundControlPoint,
     parse_pixel_sigma,
@@ -32,7 +31,7 @@ from bundle.georeference.similarity_fit import Correspondences, fit_similarity
 from bundle.georeference.survey import Survey, control_point_error
 from bundle.georeference.survey_priors import GPS_SIGMA, check_settings, given_gps
 from bundle.georeference.text_lines import ImageIndex
-from bundle.interface.georeference_options import ROBUST_SCALE
+from bundle.interface.georeference_options import GCP_PIXEL_SIGMA, ROBUST_SCALE
 from bundle.io.files import Source, as_problem
 from bundle.model.problem import Problem
 

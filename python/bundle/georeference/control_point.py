@@ -31,7 +31,6 @@ GCP_SIGMA = Sigma(0.02, 0.02)
 """Default sigma of surveyed positions. Horizontal and vertical sigmas are equal: if sigmas are far
 too small, a smaller horizontal sigma would make the fit tilt the model.
 """
-GCP_PIXEL_SIGMA = 0.5  # default sigma of measurements in pixels
 
 
 class Measurement(NamedTuple):

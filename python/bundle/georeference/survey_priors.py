@@ -18,7 +18,6 @@ from bundle.base.words import plural
 from bundle.errors import InputError, brief
 from bundle.georeference.alignment_result import ControlPointError, ImageError
 from bundle.georeference.control_point import (
-    GCP_PIXEL_SIGMA,
     GCP_SIGMA,
     GroundControlPoint,
     parse_pixel_sigma,
@@ -46,7 +45,7 @@ from bundle.georeference.similarity_fit import fit_similarity
 from bundle.georeference.survey import Survey
 from bundle.georeference.text_lines import ImageIndex
 from bundle.georeference.vector_priors import PositionPrior
-from bundle.interface.georeference_options import ROBUST_SCALE
+from bundle.interface.georeference_options import GCP_PIXEL_SIGMA, ROBUST_SCALE
 from bundle.io.database_images import is_database
 from bundle.model.problem import Problem
 

@@ -22,7 +22,7 @@ from bundle.base.arrays import check_distinct
 from bundle.base.records import dataclass
 from bundle.errors import InputError
 from bundle.georeference.alignment_result import ControlPointError
-from bundle.georeference.control_point import GCP_PIXEL_SIGMA, GCP_SIGMA, GroundControlPoint
+from bundle.georeference.control_point import GCP_SIGMA, GroundControlPoint
 from bundle.georeference.measurements import FoundPriors
 from bundle.georeference.similarity import Similarity
 from bundle.georeference.similarity_fit import Correspondences
@@ -31,6 +31,7 @@ from bundle.georeference.text_lines import ImageIndex
 from bundle.georeference.triangulated_targets import Triangulated, triangulate
 from bundle.georeference.vector_priors import UNKNOWN
 from bundle.graphs.factors.factors import PriorFactor
+from bundle.interface.georeference_options import GCP_PIXEL_SIGMA
 from bundle.model.problem import Problem
 
 Array = NDArray[np.float64]
