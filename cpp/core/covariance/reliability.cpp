@@ -269,11 +269,11 @@ void CovarianceComputation::FindEffects(BlockValues inverse, ReliabilityOutput* 
   for (int i = 0; i < view().num_images; ++i) {
     const Matrix6 covariance = Eigen::Map<const Matrix6>(&output_.poses[36 * size_t(i)]);
     if (!(covariance.trace() > 0)) continue;
-    const Eigen::MatrixXd inverse = PseudoInverse(covariance);
+    const Eigen::MatrixXd weight = PseudoInverse(covariance);
     Matrix rows = LocalRows(i, moved);
     if (centered_.is_moved()) rows = MapBack(i).lazyProduct(rows).eval();
     for (int k = 0; k < count; ++k) {
-      const double sigmas = std::sqrt(rows.col(k).dot(inverse.lazyProduct(rows.col(k))));
+      const double sigmas = std::sqrt(rows.col(k).dot(weight.lazyProduct(rows.col(k))));
       ExternalEffect& effect = found->worst[k];
       if (!(sigmas > effect.image_sigmas)) continue;
       effect.image = i;
