@@ -267,11 +267,12 @@ def _criteria(
         dof = full.summary.num_residuals - certainties[largest].num_parameters
         options = fitting.options.replace(loss=loss)
         variance = dispersion(lengths if sigmas is None else lengths / sigmas, dof, options)
-        ends = [(fits[k].full.summary, certainties[k].num_parameters) for k in known]  # type: ignore
-        values = np.array(
-            [information_criteria(one.final_cost, variance, count, one.num_residuals)
-             for one, count in ends]
-        )  # fmt: skip
+        values = np.zeros((len(known), 2))
+        for row, k in enumerate(known):
+            end = fits[k].full
+            assert end is not None
+            counts = certainties[k].num_parameters, end.summary.num_residuals
+            values[row] = information_criteria(end.summary.final_cost, variance, *counts)
         for k, row in zip(known, values - values.min(axis=0), strict=True):
             found[k] = (float(row[0]), float(row[1]))
     return found
