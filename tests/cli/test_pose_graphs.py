@@ -61,6 +61,25 @@ def test_the_advice_on_wrong_closures_finds_them(run, tmp_path):
     assert chi2 == pytest.approx(bundle.solve(clean).summary.chi2_final, rel=0.01)
 
 
+def test_a_solve_at_its_limit_advises_the_search_for_wrong_closures(run, tmp_path):
+    clean = chain_of_poses(4, 900, 300)
+    given = {"clean": clean, "wrong": wrong_closures(clean, np.random.default_rng(0))}
+    for name, graph in given.items():
+        bundle.save(graph, tmp_path / f"{name}.g2o")
+    words = ["refine", tmp_path / "wrong.g2o", "-o", tmp_path / "o.g2o", "--overwrite"]
+    limit = ["--max-iterations", 3]
+    page = tmp_path / "page.html"
+    said = run(*words, *limit, "--html", page).out
+    advice = f"bundle refine {tmp_path / 'wrong.g2o'} -o OUTPUT --loss auto"
+    assert said.count("did not reach a minimum") == 1
+    assert advice in " ".join(said.replace("\\\n", " ").split())
+    assert "did not reach a minimum" in page.read_text()
+    for flags in (["--loss", "huber"], ["--consistency"]):  # chi2 has no expectation
+        assert "did not reach a minimum" not in run(*words, *limit, *flags).out
+    words[1] = tmp_path / "clean.g2o"  # near its minimum, which needs one more step
+    assert "--loss auto" not in run(*words, *limit).out
+
+
 def test_flags_of_pose_graphs(run, source, tmp_path):
     flags = ["--error", "g2o", "--init", "chordal", "--information", "isotropic"]
     flags += ["--trust-region", "gauss-newton", "--loss", "huber", "--loss-on", "all"]

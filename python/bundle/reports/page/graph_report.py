@@ -75,7 +75,7 @@ def write_graph_report(
         if finding.kind == NO_MINIMUM and name
     ]
     if isinstance(source, PoseGraphResult):
-        advice += about_information(name or "GRAPH", kinds_of(source))
+        advice += about_information(name or "GRAPH", source, kinds_of(source))
     above = {finding.sentence for finding in (*problems, *advice)}
     notes = [finding.sentence for finding in found if finding.sentence not in above]
     drawn = _drawn(facts)
@@ -109,12 +109,9 @@ def error_kinds(facts: GraphFacts) -> list[dict[str, Any]]:
 
     Their ratio is NaN away from a minimum, where the expectation is not valid.
     """
-    redundancy = np.full(len(facts.chi2), np.nan)
-    if facts.diagnosis is not None:
-        redundancy = facts.diagnosis.edge_redundancy
-    is_minimum = facts.diagnosis is not None and not any(
-        finding.kind == NO_MINIMUM for finding in facts.diagnosis.findings
-    )
+    found = facts.diagnosis
+    redundancy = np.full(len(facts.chi2), np.nan) if found is None else found.edge_redundancy
+    is_minimum = found is not None and not any(one.kind == NO_MINIMUM for one in found.findings)
     rows = []
     for kind in dict.fromkeys(facts.kinds.tolist()):
         member = facts.kinds == kind
@@ -166,9 +163,8 @@ def _errors(facts: GraphFacts) -> list[Section]:
         "A ratio far below 1: the information is too cautious (sigmas too large); far above 1: "
         f"too optimistic, or some {noun}s are wrong."
     )
-    test = np.full(len(facts.chi2), np.nan)
-    if facts.diagnosis is not None:
-        test = facts.diagnosis.edge_test
+    found = facts.diagnosis
+    test = np.full(len(facts.chi2), np.nan) if found is None else found.edge_test
     edges = [
         Column(f"worst {noun}s", facts.names.__getitem__),
         Column("kind", facts.kinds.__getitem__),

@@ -14,7 +14,13 @@ from typing import Any
 
 import numpy as np
 
-from bundle.analysis.diagnosis.chi2_kinds import Chi2Kind, chi2_kinds, information_sentence
+from bundle.analysis.diagnosis.chi2_kinds import (
+    LEAST_DEGREES,
+    WORTH_MENTION,
+    Chi2Kind,
+    chi2_kinds,
+    information_sentence,
+)
 from bundle.base.words import number, plural, rounded
 from bundle.graphs.pose_graphs.pose_graph_result import (
     CERTIFIED,
@@ -121,20 +127,23 @@ def kinds_of(solved: PoseGraphResult) -> tuple[Chi2Kind, ...]:
     return chi2_kinds(solved)
 
 
-def about_information(path: str, kinds: Sequence[Chi2Kind]) -> list[Finding]:
+def about_information(
+    path: str, solved: PoseGraphResult, kinds: Sequence[Chi2Kind]
+) -> list[Finding]:
     """Return the finding that chi2 contradicts the information; empty if it agrees."""
     sentence = information_sentence(kinds)
-    if not sentence:
-        return []
     is_large = any(one.verdict == "too-large" for one in kinds)
-    return [
-        Finding(
-            kind="information",
-            sentence=sentence,
-            command=f"bundle refine {shlex.quote(path)} -o OUTPUT --loss auto" if is_large else "",
-            evidence={"kinds": kinds},
+    last = kinds[-1] if kinds and _per_degree(solved) else None
+    if last and last.verdict == "undecided" and last.degrees >= LEAST_DEGREES:
+        is_large = last.chi2 > WORTH_MENTION * last.high
+        sentence = is_large * (
+            "The solve did not reach a minimum, and chi2 is above its expectation (at most "
+            f"{number(last.high)}). Some edges are wrong, or more steps are needed."
         )
-    ]
+    command = f"bundle refine {shlex.quote(path)} -o OUTPUT --loss auto" if is_large else ""
+    evidence = {"kinds": kinds}
+    found = Finding(kind="information", sentence=sentence, command=command, evidence=evidence)
+    return [found] if sentence else []
 
 
 # Certificate in the report of `bundle refine` on a pose graph: sentences, facts and JSON.

@@ -40,11 +40,8 @@ from bundle.reports.terminal.solve_data import (
 )
 
 MOST_REJECTED = 20  # number of rejected edges shown
-
 MOST_EDGES = 5  # number of edges with the largest chi2 shown
-
 MOST_BAD = 10  # number of listed edges with invalid information
-
 
 _LINE = Column("line", lambda edge: edge.line or "-")
 
@@ -129,7 +126,7 @@ def refined_graph(
         command="refine",
         input=about_input(path, graph) | {"digests": content_digests(graph)},
         headline=graph_headline(solved),
-        findings=about_information(path, kinds),
+        findings=about_information(path, solved, kinds),
         warnings=(*_said(graph), *summary.warnings),
         sections=[
             Section(facts=[written(output)]),
@@ -172,24 +169,22 @@ def _verdicts(
     sections = []
     if len(solved.chi2_after) > 1:
         sections.append(Section(tables=[Table(WORST, worst, left=2)]))
-    facts = []
+    is_checked = solved.options.consistency
     more = " (--json FILE lists all)"
-    if solved.options.consistency:
+    if is_checked:
         closures = plural(int(solved.problem.is_closure.sum()), "closure")
         many = more if len(left_out) > MOST_REJECTED else ""
         if left_out:
             sections.append(Section(tables=[Table(LEFT_OUT, left_out[:MOST_REJECTED])]))
-        facts.append(Section(facts=[("left out", f"{len(left_out)} of {closures}{many}")]))
-        sections.append(facts[-1])
+        sections.append(Section(facts=[("left out", f"{len(left_out)} of {closures}{many}")]))
     if solved.options.loss != "trivial":
         many = more if len(rejected) > MOST_REJECTED else ""
         if rejected:
             table = Table(REJECTED, rejected[:MOST_REJECTED])
-            sections.append(Section(tables=[table], is_joined=bool(facts)))
+            sections.append(Section(tables=[table], is_joined=is_checked))
         words = plural(len(rejected), "edge") + many
-        joined = bool(facts) and not rejected
-        facts.append(Section(facts=[("rejected", words)], is_joined=joined))
-        sections.append(facts[-1])
+        joined = is_checked and not rejected
+        sections.append(Section(facts=[("rejected", words)], is_joined=joined))
     return sections
 
 
