@@ -7,6 +7,7 @@ import pytest
 import bundle
 from bundle.io.formats.registry import BUILT_IN, format_written
 from bundle.io.open import output_format
+from bundle.io.recognition import OUTPUT_FORMATS
 from tests.scenes import make_problem
 
 
@@ -27,6 +28,23 @@ def test_a_suffix_of_letters_names_a_format_or_is_refused(tmp_path, source):
     (tmp_path / "file.foo").touch()  # perhaps INPUT itself
     assert output_format(source, tmp_path / "old.foo") == "colmap"
     assert output_format(source, tmp_path / "file.foo") == own
+
+
+def test_the_name_of_a_format_is_no_path_of_another_format(tmp_path):
+    for source, own in (("bal", "bal"), ("colmap", "colmap"), ("nvm", "nvm"), ("memory", "colmap")):
+        for name in OUTPUT_FORMATS:
+            for path in (name, tmp_path / name):
+                if own == name:
+                    assert output_format(source, path) == own
+                else:
+                    with pytest.raises(bundle.InputError, match=f"--format {name} gives"):
+                        output_format(source, path)
+                assert output_format(source, path, "ply") == "ply"
+        assert output_format(source, f"{tmp_path}/nvm/") == "colmap"
+    bundle.save(make_problem(), tmp_path / "text", "colmap-text")
+    assert output_format("colmap", "colmap", source=tmp_path / "text") == "colmap-text"
+    (tmp_path / "ply").touch()  # perhaps INPUT itself
+    assert output_format("bal", tmp_path / "ply") == "bal"
 
 
 def test_the_refusal_lists_what_is_written(tmp_path):

@@ -160,8 +160,7 @@ def _save(
     imported = find_format(chosen)
     if imported is not None:
         return _save_imported(problem, path, imported) + _lost_shutter(problem)
-    binary = chosen == "colmap"
-    return save_model(path, chosen, lambda folder: colmap.save(problem, folder, binary=binary))
+    return save_model(path, chosen, lambda to: colmap.save(problem, to, binary=chosen == "colmap"))
 
 
 def save_model(
@@ -199,8 +198,7 @@ def output_format(
       existing transforms.json of any name stays one.
     * The format of the problem; COLMAP for a problem from memory. COLMAP is text
       if the problem was read from a text model at ``source``, otherwise binary. A new path must
-      not have a suffix of letters (``x.foo``): it would be the name of neither a folder nor a file
-      of that format.
+      have neither a suffix of letters (``x.foo``) nor the name of another format (``nvm``).
     """
     folder = as_path(path)
     if format is not None:
@@ -215,24 +213,26 @@ def output_format(
         return default
     if name.lower().endswith(_BAL_SUFFIXES):
         return "bal"
-    by_name = format_for_name(folder)
-    if by_name is not None:
-        return by_name.name
-    known = None if folder.is_dir() else format_written(folder)
+    known = format_for_name(folder) or format_written(folder)
     if known is not None:
         return known.name
     check_name(path, names_written(), compressed=".txt")
     own = find_format(source_format)
+    kept = "bal" if source_format == "bal" else default
+    kept = own.name if own is not None and own.writes else kept
+    if folder.name in OUTPUT_FORMATS and not folder.exists() and not kept.startswith(folder.name):
+        raise InputError(
+            f"{shown(path)}: expected a path, found the name of a format; --format {folder.name} "
+            "gives any path this format"
+        )
     if own is not None and own.writes and own.is_folder:
-        return own.name  # the name of a project is free
+        return kept  # the name of a project is free
     if _WORD.fullmatch(folder.suffix) and not folder.exists():
         raise InputError(
             f"{shown(path)}: expected a name of {names_written()}, found a name in "
             f"{shown(folder.suffix)}; --format gives any name a format"
         )
-    if own is not None and own.writes:
-        return own.name
-    return "bal" if source_format == "bal" else default
+    return kept
 
 
 def check_target(
