@@ -36,6 +36,11 @@ from bundle.cli.main import COMMANDS, command_parser
         (["refine", "MODEL", "-o", "x", "--filter"], ["mean --rounds?"]),
         (["refine", "MODEL", "-o", "x", "--report", "x.html"], ["mean --html?"]),
         (["convert", "MODEL", "x", "--lens", "OPENCV"], ["mean --camera-model?"]),
+        (["validate", "MODEL", "--lens", "OPENCV"], ["mean --camera-models?"]),
+        (["validate", "MODEL", "--kernel", "huber"], ["mean --losses?"]),
+        (["refine", "MODEL", "-o", "x", "--share-cameras"], ["argument: IDS|all|size (see"]),
+        (["refine", "MODEL", "-o", "x", "--loss"], ["argument: trivial, huber, "]),
+        (["synth", "x", "--image-size", "3"], ["2 arguments: WIDTH HEIGHT (see"]),
         (["info", "--zzz", "MODEL"], []),
         (["convert", "MODEL", "b", "c"], ["'c'"[1:-1]]),
         (["report", "MODEL", "refined", "-o", "x.html"], []),  # no flag resembles a word

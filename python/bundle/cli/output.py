@@ -95,21 +95,13 @@ def publish(report: Report, asked: argparse.Namespace) -> None:
         from bundle.reports.page.result_pages import write_reported  # for --html only
 
         write_reported(report, page)
-    if asked.json != "-":
-        width = screen_width(sys.stdout)
-        show(*(laid_out(report, verbose=True) if asked.verbose else fitted(report, width)))
-    if asked.json is not None:
-        write_json(asked.json, report.json())
-
-
-def write_json(path: str | None, report: dict[str, Any]) -> None:
-    """Write JSON completely to a file, to standard output ("-"), or not at all (None)."""
-    if path is None:
+    if asked.json == "-":
+        print_out(dumps(report.json()))
         return
-    if path == "-":
-        print_out(dumps(report))
-    else:
-        atomic.write_text(Path(path), dumps(report))
+    width = screen_width(sys.stdout)
+    show(*(laid_out(report, verbose=True) if asked.verbose else fitted(report, width)))
+    if asked.json is not None:
+        atomic.write_text(Path(asked.json), dumps(report.json()))
 
 
 def show(*blocks: Block | str) -> None:
@@ -136,8 +128,7 @@ class Progress:
 
     def __init__(self, *, quiet: bool) -> None:
         self._started = time.perf_counter()
-        self._stage = ""
-        self._done = ""
+        self._stage, self._done = "", ""
         self._said = self._started
         self._latest: Mapping[str, Any] | None = None
         self._quiet = quiet

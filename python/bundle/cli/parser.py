@@ -190,6 +190,15 @@ class Parser(argparse.ArgumentParser):
         self.taken.append((action, list(arg_strings)))
         return super()._get_values(action, arg_strings)
 
+    def _match_argument(self, action: argparse.Action, arg_strings_pattern: str) -> int:
+        """Return the number of values; unlike the base class, name values that are missing."""
+        try:
+            return super()._match_argument(action, arg_strings_pattern)
+        except argparse.ArgumentError as error:
+            shown_here = [self._get_formatter()._format_args(action, action.dest.upper())]
+            error.message += f": {', '.join(map(str, action.choices or shown_here))}"
+            raise
+
     def flags(self) -> tuple[str, ...]:
         """Return all flags."""
         return tuple(self.declared()._option_string_actions)
@@ -331,7 +340,8 @@ def unknown_flag(found: str, command: str, flags: Mapping[str, Iterable[str]]) -
     if not name.startswith("-"):
         return f"unrecognized arguments: {found}"
     own = flags.get(command, ())
-    spellings = {word: flag for flag in own for word in [flag, *ELSEWHERE.get(flag, "").split()]}
+    words = {flag + end: said for flag, said in ELSEWHERE.items() for end in ("", "s", "es")}
+    spellings = {word: flag for flag in own for word in [flag, *words.get(flag, "").split()]}
     meant = nearest(name, spellings)
     others = {other: tuple(names) for other, names in flags.items() if other != command}
     having = [other for other, names in others.items() if name in names]
