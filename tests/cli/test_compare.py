@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 import signal
 import subprocess
 
@@ -54,6 +55,17 @@ def test_json_alone_on_standard_output(run, model):
     assert [one["outcome"] for one in report["runs"]] == ["DONE", "DONE"]
     assert report["inputs"][0]["path"] == str(model)
     assert ["1", "2", "1"] in map(figures, err.splitlines())
+
+
+def test_two_models_are_told_of_the_command_that_compares_them(run, model, tmp_path):
+    other = tmp_path / "a b"
+    run("convert", model, other)
+    err = run("compare", model, other, *QUICK, "--solvers", "dense-schur").err
+    (note,) = (line for line in err.splitlines() if line.startswith("note: "))
+    assert note.endswith(f"bundle evaluate {model} --reference '{other}'")
+    assert err.index(note) < err.index("DENSE_SCHUR")
+    assert run(*shlex.split(note.partition(": bundle ")[2])).code == 0
+    assert "note" not in run("compare", model, *QUICK, "--solvers", "dense-schur").err
 
 
 def test_quiet(run, model):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from bundle.checking.gradient_report import GradientReport
 from bundle.checking.jacobians import check_problem
-from bundle.cli.error_lines import EXIT_NO_SOLUTION, EXIT_UNDECIDED
+from bundle.cli.error_lines import EXIT_NO_SOLUTION, EXIT_UNDECIDED, complain
 from bundle.cli.option_flags import naming_flags, options_given, with_named_images
 from bundle.errors import InputError, brief, shown
 from bundle.interface.analysis_options import CheckOptions
@@ -103,14 +104,13 @@ def _check(
     from bundle.model.pose_graph_arrays import PoseGraph
     from bundle.model.problem import Problem
 
-    most = settings["most_of_a_kind"]
     each = {name: settings[name] for name in ("seed", "tolerance", "details")}
     if isinstance(thing, FactorGraph):
         return thing.check_gradients(progress=progress, **settings)
     if isinstance(thing, PoseGraph):
         return check_edges(thing, progress=progress, **settings)
     if isinstance(thing, Problem):
-        return check_problem(thing, samples_per_image=most, **each)
+        return check_problem(thing, samples_per_image=settings["most_of_a_kind"], **each)
     if isinstance(thing, tuple) and 2 <= len(thing) <= 3:
         first, *others = thing
         if isinstance(first, Problem):
@@ -282,6 +282,9 @@ def compare_models(run: Run) -> Report:
     options = options_given(arguments, SolveOptions)
     asked = run.given(CompareOptions)
     every = {"orderings": ORDERINGS} if arguments.orders == "all" else {}
+    if len(arguments.inputs) == 2 and not arguments.quiet:
+        a, b = map(shlex.quote, arguments.inputs)
+        complain(f"note: for the differences of two models: bundle evaluate {a} --reference {b}")
     flags = {name: f"--{listed.replace('_', '-')}" for name, listed in COMPARED.items()}
     with naming_flags(**flags):
         found = compare(

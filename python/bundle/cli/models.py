@@ -37,7 +37,6 @@ from bundle.reports.terminal.outputs import alignment
 
 if TYPE_CHECKING:
     from bundle.cli.run import Run
-    from bundle.editing.rolling_shutters import GlobalShutterModel
     from bundle.model.pose_graph_arrays import PoseGraph
     from bundle.model.problem import Problem
 
@@ -68,8 +67,11 @@ def convert_model(run: Run) -> Report:
     edited = with_rigs(edited, run.arguments.rig_config)
     moved = None
     if run.arguments.global_shutter:
+        from bundle.editing.rolling_shutters import to_global_shutter
+
         run.progress.stage("moving observations")
-        moved = _without_rolling_shutter(edited, run.source)
+        with naming_flags(problem=f"--global-shutter: {shown(run.source)}"):
+            moved = to_global_shutter(edited)
         edited = moved.problem
     output, place = _checked_output(run, [run.source], edited)
     lost = run.write(run.target, lambda _: save(edited, **output, progress=run.progress.text))
@@ -85,23 +87,14 @@ def _checked_output(
     Return path and format of OUTPUT, and the georeference of the first source, if any.
     """
     first, path = problems[0], run.target
-    output = {
-        "path": path,
-        "format": output_format(first.format, path, run.arguments.format, sources[0]),
-    }
-    check_target(first, path, output["format"])
+    format = output_format(first.format, path, run.arguments.format, sources[0])
+    output = {"path": path, "format": format}
+    check_target(first, path, format)
     place = georeference_at(sources[0])
     if place is not None:
         check_georeference(**output)
     check_replaced(path, sources, run.arguments.overwrite, same_images(*problems))
     return output, place
-
-
-def _without_rolling_shutter(problem: Problem, source: str) -> GlobalShutterModel:
-    from bundle.editing.rolling_shutters import to_global_shutter
-
-    with naming_flags(problem=f"--global-shutter: {shown(source)}"):
-        return to_global_shutter(problem)
 
 
 MERGED = "Merged with another model, in the frame of the first."
@@ -309,10 +302,8 @@ def align_model(arguments: argparse.Namespace) -> int:
     ):
         progress.stage(f"reading {shown(source)}")
         problem = load(source, progress.text)
-        output = {
-            "path": target,
-            "format": output_format(problem.format, target, arguments.format, source),
-        }
+        format = output_format(problem.format, target, arguments.format, source)
+        output = {"path": target, "format": format}
         check_target(problem, **output)
         check_replaced(target, [source], arguments.overwrite, same_images(problem))
         check_georeference(**output)

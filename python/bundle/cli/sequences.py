@@ -58,8 +58,7 @@ def convert_sequence(run: Run) -> Report:
     sequence = given.sequence
 
     def is_same(path: Path) -> bool:
-        there = read_sequence(path)[0]
-        return np.array_equal(there.frames()[0], sequence.frames()[0])
+        return np.array_equal(read_sequence(path)[0].frames()[0], sequence.frames()[0])
 
     check_replaced(target, [source], run.arguments.overwrite, is_same)
     run.write(target, lambda path: save_sequence(sequence, path))
