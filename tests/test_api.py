@@ -34,8 +34,20 @@ def test_dir_has_every_public_name_and_each_is_there():
     for name in bundle.__all__:
         assert getattr(bundle, name) is not None
         assert name == "__version__" or getattr(bundle, name).__doc__, name
-    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+    with pytest.raises(AttributeError, match=r"no attribute 'nothing'$"):
         _ = bundle.nothing
+
+
+def test_names_by_other_words_are_answered_by_the_names_here(problem):
+    for name, meant in {**bundle._ELSEWHERE, "covarience": "covariance"}.items():
+        assert name not in bundle.__all__ and meant in bundle.__all__
+        with pytest.raises(AttributeError, match=f"no attribute '{name}'; did you mean {meant}"):
+            getattr(bundle, name)
+    assert not hasattr(bundle, "_solve")  # a probe, such as those of notebooks
+    with pytest.raises(bundle.InputError, match=r"found FactorGraph .*; call its \.solve\(\)$"):
+        bundle.solve(bundle.FactorGraph())
+    with pytest.raises(bundle.InputError, match=r"; pass its \.problem$"):
+        bundle.inspect(bundle.solve(problem, max_num_iterations=1))
 
 
 def test_public_functions_describe_every_parameter():

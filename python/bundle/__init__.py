@@ -143,6 +143,10 @@ _MODULES = {
 }
 """Public modules, with their location in the package."""
 
+_ELSEWHERE = {"refine": "solve", "optimize": "solve", "adjust": "solve", "read": "load"}
+_ELSEWHERE |= {"write": "save", "convert": "save", "info": "describe", "vio": "run_odometry"}
+"""Names of this package by other words, such as those of the command line."""
+
 __all__ = sorted({*_MODULES, *_MODULE_OF})  # noqa: PLE0605 (the stub has a list)
 
 
@@ -170,7 +174,10 @@ def __getattr__(name: str) -> Any:
         globals()[name] = value
         return value
     if name not in _MODULE_OF:
-        raise AttributeError(f"module 'bundle' has no attribute {name!r}")
+        from bundle.errors import nearest
+
+        hint = "" if name.startswith("_") else nearest(name, {n: n for n in __all__} | _ELSEWHERE)
+        raise AttributeError(f"module 'bundle' has no attribute {name!r}{hint}")
     module = _MODULE_OF[name]
     if module not in _WITHOUT_LIBRARIES:
         from bundle.base import own_process

@@ -59,9 +59,7 @@ def load(
     if not is_pose_graph_file(path):
         options = ReadOptions.of(format, image_size, image_list, reconstruction, pixel_origin)
         return io.load(path, options=options)
-    from bundle.io.g2o_files import (
-        load_g2o,  # late, as in save: refinements of models do not use it
-    )
+    from bundle.io.g2o_files import load_g2o  # late, as in save: few models need it
 
     return load_g2o(path)
 
@@ -116,8 +114,9 @@ def as_problem(source: Source, name: str = "problem") -> Problem:
 
 
 def _hint(source: Any) -> str:
-    problem = getattr(source, "problem", None)
-    return "; pass its .problem" if isinstance(problem, Problem) else ""
+    if isinstance(getattr(source, "problem", None), Problem):
+        return "; pass its .problem"
+    return "; call its .solve()" if hasattr(source, "solve") else ""
 
 
 def reprojection_errors(
