@@ -16,6 +16,7 @@ from bundle.interface.option_class import spellings
 from bundle.interface.planning_options import COMPARED
 from bundle.model.residuals import reprojection_error
 from tests import scenes
+from tests.campaigns.triage_inputs import chain_of_poses
 
 LAZY = (
     *("reports.page", "model.losses", "figures.matplotlib", "planning.comparison"),
@@ -38,7 +39,7 @@ def test_dir_has_every_public_name_and_each_is_there():
         _ = bundle.nothing
 
 
-def test_names_by_other_words_are_answered_by_the_names_here(problem):
+def test_names_by_other_words_are_answered_by_the_names_here(problem, tmp_path):
     for name, meant in {**bundle._ELSEWHERE, "covarience": "covariance"}.items():
         assert name not in bundle.__all__ and meant in bundle.__all__
         with pytest.raises(AttributeError, match=f"no attribute '{name}'; did you mean {meant}"):
@@ -46,8 +47,18 @@ def test_names_by_other_words_are_answered_by_the_names_here(problem):
     assert not hasattr(bundle, "_solve")  # a probe, such as those of notebooks
     with pytest.raises(bundle.InputError, match=r"found FactorGraph .*; call its \.solve\(\)$"):
         bundle.solve(bundle.FactorGraph())
-    with pytest.raises(bundle.InputError, match=r"; pass its \.problem$"):
-        bundle.inspect(bundle.solve(problem, max_num_iterations=1))
+    graph = chain_of_poses(0, 30, 3)
+    for function, given in (
+        (bundle.solve, problem),
+        (bundle.inspect, problem),
+        (bundle.solve, graph),
+    ):
+        result = bundle.solve(given, max_num_iterations=1)
+        with pytest.raises(bundle.InputError, match=r"; pass its \.problem$"):
+            function(result)
+        function(result.problem)
+        with pytest.raises(bundle.InputError, match=r"a Problem, such as result\.problem, found "):
+            bundle.save(result, tmp_path / "x")
 
 
 def test_public_functions_describe_every_parameter():

@@ -114,7 +114,7 @@ def as_problem(source: Source, name: str = "problem") -> Problem:
 
 
 def _hint(source: Any) -> str:
-    if isinstance(getattr(source, "problem", None), Problem):
+    if hasattr(source, "problem"):
         return "; pass its .problem"
     return "; call its .solve()" if hasattr(source, "solve") else ""
 

@@ -346,7 +346,7 @@ def _files_of_other_format(folder: Path, format: str) -> tuple[str, ...]:
 
 
 def _check_problem(problem: Problem) -> None:
-    check_type("problem", problem, Problem, "a Problem")
+    check_type("problem", problem, Problem, "a Problem, such as result.problem")
 
 
 _HEAD = struct.Struct("<I7dI")  # id, pose, camera
