@@ -133,5 +133,5 @@ def test_a_focal_length_along_a_straight_road(backend):
 def test_the_option_reaches_the_drop_in():
     from bundle.interface.colmap_options import colmap_adjustment
 
-    assert colmap_adjustment({}, {}).options.convergence == "ceres"
+    assert colmap_adjustment({}, {}).options.convergence == "colmap"
     assert bundle.SolveOptions().convergence == "sigmas"

@@ -157,7 +157,7 @@ ceres::Solver::Summary CeresSolve::SolveOnce(const ProgressCallback& progress,
 void CeresSolve::TellOfCostWithoutHeld(ceres::Solver::Summary* summary) const {
   constexpr char kFormat[] = "Function tolerance reached. |cost_change|/cost: %le <= %le";
   double share = 0, tolerance = 0;
-  const bool is_ours = share_ == 1 && options_.convergence == ConvergenceRule::kCeres;
+  const bool is_ours = share_ == 1 && options_.convergence != ConvergenceRule::kSigmas;
   if (is_ours || std::sscanf(summary->message.c_str(), kFormat, &share, &tolerance) != 2) {
     return;
   }
@@ -177,7 +177,7 @@ std::optional<Continuation> CeresSolve::FindContinuation(
       summary.iterations.rbegin(), summary.iterations.rend(),
       [](const ceres::IterationSummary& iteration) { return iteration.step_is_successful; });
   const double share = std::max(0.0, 1 - watch_.state_cost.load() / last->cost);
-  const bool by_function = options_.convergence == ConvergenceRule::kCeres &&
+  const bool by_function = options_.convergence != ConvergenceRule::kSigmas &&
                            summary.message.rfind("Function tolerance", 0) == 0;
   // A change in the last digits of the held cost is no reason to repeat.
   constexpr double kSameShare = 1e-3;

@@ -100,11 +100,14 @@ inline constexpr NamedValue<Twists> kTwists[] = {
     {"free", Twists::kFree}, {"tied", Twists::kTied}, {"hard", Twists::kHard}};
 
 /// Rule by which a solve without a loss ends (minimize/sigma_rule.h): a distance to the minimum, or
-/// Ceres' function tolerance alone.
-enum class ConvergenceRule { kSigmas, kCeres };
+/// Ceres' function tolerance alone, or this with gradients of rotations as COLMAP's Ceres measures
+/// them (schur/linearize.cpp).
+enum class ConvergenceRule { kSigmas, kCeres, kColmap };
 
 inline constexpr NamedValue<ConvergenceRule> kConvergenceRules[] = {
-    {"sigmas", ConvergenceRule::kSigmas}, {"ceres", ConvergenceRule::kCeres}};
+    {"sigmas", ConvergenceRule::kSigmas},
+    {"ceres", ConvergenceRule::kCeres},
+    {"colmap", ConvergenceRule::kColmap}};
 
 /// Ids of the rig and of the camera.
 using SensorId = std::pair<int64_t, int64_t>;

@@ -35,8 +35,10 @@ struct Linearization {
   bool is_finite = true;
   double cost = 0;
   double held_cost = 0;
-  double gradient_norm = 0;      ///< ||J^T r||_2
-  double gradient_max_norm = 0;  ///< ||J^T r||_inf; with bounds ||P(x - J^T r) - x||_inf
+  double gradient_norm = 0;  ///< ||J^T r||_2
+  /// ||J^T r||_inf; with bounds ||P(x - J^T r) - x||_inf. Rotations may count as quaternions
+  /// (schur/linearize.cpp).
+  double gradient_max_norm = 0;
 };
 
 struct NewtonResult {

@@ -8,16 +8,27 @@
 /// damping is a tenth of that, squared, because many points with uncertain depths together can
 /// still determine what the cameras share.
 ///
+/// The gradient's maximum norm is that of x - P(x - g). COLMAP's Ceres takes it in the numbers of a
+/// quaternion q and not in those of a rotation vector, so that a rotation is at most 2. Its Plus
+/// turns q from the left by twice its argument. So with the gradient a w.r.t. a rotation from the
+/// left, the argument is -2 a and the turn is -4 a. A step dw turns by J_l dw: a = J_l^-T g.
+///
 /// Conjugate gradients amplify rounding errors. For them, sums are made on a grid
 /// (schur/assembly/sum_grid.h). All other sums over points are double-doubles
 /// (sums/double_double.h). Sums over factors other than observations are plain doubles and are
 /// added last.
 
+#include <Eigen/Core>
+#include <Eigen/LU>
+#include <algorithm>
 #include <cmath>
 #include <cstddef>
 #include <vector>
 
+#include "core/geometry/rotation.h"
 #include "core/minimize/damping.h"
+#include "core/model/camera_states.h"
+#include "core/model/parameter_layout.h"
 #include "core/schur/assembly/sum_systems.h"
 #include "core/schur/for_chunks.h"
 #include "core/schur/schur_problem.h"
@@ -44,6 +55,34 @@ class HeldPoints {
   const int num_free_;
 };
 
+/// Replaces the moves -g of each pose's w by the largest move of its quaternion.
+void MoveQuaternions(const AdjustmentProblem& problem, const ParameterLayout& layout,
+                     const CameraStates& cameras, std::vector<double>* moves) {
+  for (int pose = 0; pose < NumPoses(problem); ++pose) {
+    if (layout.pose_block(pose) < 0) continue;
+    const CameraBlock& block = layout.blocks()[layout.pose_block(pose)];
+    double* const first = moves->data() + block.offset;
+    Eigen::Vector3d move = Eigen::Vector3d::Zero();
+    int size = 0;
+    for (; size < block.size && block.columns[size] < 3; ++size) {
+      move[block.columns[size]] = first[size];
+    }
+    const double* const left_jacobian = cameras.pose(pose).left_jacobian;
+    const Eigen::Vector3d turn =  // of column-major numbers, which are the transpose
+        4 * (Eigen::Map<const Eigen::Matrix3d>(left_jacobian).inverse() * move);
+    double value[7], increment[4], turned[4];
+    cameras.ValueOf(pose, value);
+    ExpQuaternion(turn.data(), increment);
+    QuaternionProduct(increment, value, turned);
+    double largest = 0;
+    for (int i = 0; i < 4; ++i) {
+      const double by = std::abs(turned[i] - value[i]);
+      if (!(by <= largest)) largest = by;
+    }
+    std::fill_n(first, size, largest);
+  }
+}
+
 }  // namespace
 
 Linearization SchurProblem::Linearize(double damping) {
@@ -60,11 +99,15 @@ Linearization SchurProblem::Linearize(double damping) {
   double gradient_squared = sums.gradient_squared, gradient_max = sums.gradient_max;
   HoldActive();
   DampCameras(damping, first);
-  for (size_t j = 0; j < gradient().size(); ++j) {
+  std::vector<double> moves(gradient().size());
+  for (size_t j = 0; j < moves.size(); ++j) {
     const double g = gradient()[j];
     gradient_squared += g * g;
-    const double size = std::abs(ProjectedStep(j, -g));
-    if (!(size <= gradient_max)) gradient_max = size;
+    moves[j] = ProjectedStep(j, -g);
+  }
+  if (moves_quaternions_) MoveQuaternions(problem_, layout_, x_->cameras(), &moves);
+  for (const double move : moves) {
+    if (!(std::abs(move) <= gradient_max)) gradient_max = std::abs(move);
   }
   result.gradient_norm = std::sqrt(gradient_squared);
   result.gradient_max_norm = gradient_max;

@@ -208,10 +208,11 @@ void SchurProblem::MeasureStart(const SolveOptions& options) {
   factors_.Cost(x_->cameras(), x_->points.data(), &kinds);
   kind_costs_ = RoundOverRanks(communicator_, "scalars", kinds);
   degrees_of_freedom_ = CountDegreesOfFreedom(options);
+  moves_quaternions_ = options.convergence == ConvergenceRule::kColmap;
 }
 
 std::optional<double> SchurProblem::CountDegreesOfFreedom(const SolveOptions& options) const {
-  if (options.convergence == ConvergenceRule::kCeres) return std::nullopt;
+  if (options.convergence != ConvergenceRule::kSigmas) return std::nullopt;
   int64_t degrees = 2 * num_active_observations() + factors_.num_residuals();
   for (int i = 0; i < plan_.num_free_points; ++i) {
     degrees -= std::min<int64_t>(3, 2 * (plan_.first[i + 1] - plan_.first[i]));

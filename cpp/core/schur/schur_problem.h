@@ -219,6 +219,7 @@ class SchurProblem final : public LeastSquares {
   double candidate_norm_ = 0;
   double fixed_cost_ = 0;
   bool scaled_ = false;
+  bool moves_quaternions_ = false;  ///< in the gradient's maximum norm (linearize.cpp)
 };
 
 }  // namespace bundle

@@ -191,7 +191,7 @@ def _solve_options(known: Mapping[str, Any]) -> SolveOptions:
         if solver in _ITERATIVE:
             values["preconditioner_type"] = known["preconditioner_type"]
     return SolveOptions(
-        convergence="ceres",
+        convergence="colmap",
         refine=refine,
         refine_sensor_from_rig=known["refine_sensor_from_rig"],
         trust_region_strategy_type=strategy,

@@ -59,8 +59,7 @@ TRUST_REGION_STRATEGIES = ("levenberg_marquardt", "dogleg", "subspace_dogleg")
 LOSSES = ("trivial", "huber", "soft_l1", "cauchy", "arctan", "tukey")
 GAUGES = ("auto", "none", "two_cameras", "three_points")
 CHEIRALITIES = ("auto", "algebraic", "zero")
-CONVERGENCE_RULES = ("sigmas", "ceres")
-
+CONVERGENCE_RULES = ("sigmas", "ceres", "colmap")
 TWISTS = ("free", "tied", "hard")
 
 REFINED = (
@@ -235,7 +234,8 @@ class SolveOptions(Options):
         "sigmas",
         "--convergence",
         "stopping rule without a loss. sigmas: the function tolerance is reached, and the minimum "
-        "is less than about 0.1 standard deviations away. ceres: the function tolerance is reached",
+        "is less than about 0.1 standard deviations away. ceres: the function tolerance is "
+        "reached. colmap: as ceres, and gradients of rotations are moves of unit quaternions",
         choices=CONVERGENCE_RULES,
     )
     function_tolerance: float = option(

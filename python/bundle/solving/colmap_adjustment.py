@@ -62,9 +62,9 @@ def bundle_adjustment(
     free: with a metric rig, constant points or constant images, the cost is lower than pycolmap's,
     which fixes 7 in any case. The gauge of three points fixes other points than pycolmap's, and
     therefore reaches another cost. If COLMAP's tolerance is 0, a solve ends at a relative change of
-    the cost of 1e-13, which is rounding. The gradient of rotations counts in full, which pycolmap
-    bounds by 2: with a mapper's tolerances, a solve takes more steps. An invalid solution is
-    discarded: the reconstruction keeps its values, and ``termination_type`` is FAILURE.
+    the cost of 1e-13, which is rounding. With a linear solver of Ceres (normal equations, QR), the
+    gradient of rotations counts in full, which pycolmap bounds by 2: more steps. An invalid
+    solution is discarded: the reconstruction keeps its values, and ``termination_type`` is FAILURE.
 
     Args:
         reconstruction: the reconstruction to change.
