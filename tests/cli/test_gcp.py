@@ -42,6 +42,28 @@ def place_of(folder):
     return json.loads((folder / "out" / "georeference.json").read_text())
 
 
+def test_two_tables_give_the_numbers_of_the_list(run, made):
+    folder, _ = made
+    listed = folder / "gcp_list.txt"
+    points, marks = folder / "points.csv", folder / "marks.csv"
+    known = bundle.georeference.read_gcp_list(listed)
+    rows = [",".join([one.name, *map(repr, one.position)]) for one in known]
+    points.write_text("\n".join([str(known[0].reference_system), "label,x,y,z", *rows]))
+    seen = [(one.name, *mark[:3]) for one in known for mark in one.measurements]
+    marks.write_text("\n".join(f"{image},{name},{x!r},{y!r}" for name, image, x, y in seen))
+    answers = []
+    for given in (listed, f"{points},{marks}"):
+        code, _, _ = refine(run, folder, "--gcp", given, "--threads", "1")
+        assert code == 0
+        model = bundle.load(folder / "out")
+        answers.append((place_of(folder), model.cam_from_world.tolist(), model.points.tolist()))
+    assert answers[0] == answers[1]
+    code, _, err = refine(run, folder, "--gcp", points)
+    assert code == 2 and "points.csv: line 2: " in err and "POINTS,MARKS" in err
+    code, _, err = refine(run, folder, "--gcp", f"{marks},{points}")
+    assert code == 2 and "titles of columns such as label, longitude, latitude, height" in err
+
+
 def test_a_model_is_adjusted_to_its_control_points(run, made, backend):
     folder, scene = made
     gcps = folder / "gcp_list.txt"

@@ -34,8 +34,8 @@ METRES = 20.0  # per unit of the model
 
 
 def base(folder: Path) -> None:
-    """sparse/0 with what is known of it: geo.txt, gcp_list.txt, bars.txt, gravity.txt, images,
-    photos, rules.txt; data.
+    """sparse/0 with what is known of it: geo.txt, gcp_list.txt, points.csv, marks.csv, bars.txt,
+    gravity.txt, images, photos, rules.txt; data.
 
     30 images of a camera each: ids from 1 and from 120, some in left/ and some in new/.
     """
@@ -61,7 +61,13 @@ def base(folder: Path) -> None:
         tags = {1: "N", 2: degrees(lat), 3: "E", 4: degrees(lon), 5: b"\0", 6: h}
         photo(folder / "images" / name, tags)
     shutil.copytree(folder / "images", folder / "photos")
-    (folder / "gcp_list.txt").write_text("\n".join(["EPSG:4326", *targets(truth), ""]))
+    marks = targets(truth)
+    (folder / "gcp_list.txt").write_text("\n".join(["EPSG:4326", *marks, ""]))
+    words = [line.split() for line in marks]
+    points = dict.fromkeys(f"{name},{lon},{lat},{h}" for lon, lat, h, *_, name in words)
+    (folder / "points.csv").write_text("\n".join(["label,lon,lat,alt", *points, ""]))
+    lines = [f"{image},{name},{x},{y}" for *_, x, y, image, name in words]
+    (folder / "marks.csv").write_text("\n".join([*lines, ""]))
     centers = METRES * truth.projection_centers
     bars = [
         f"{names[a]} {names[b]} {np.linalg.norm(centers[a] - centers[b]):.6f}"

@@ -101,7 +101,8 @@ def align(
     if gcps is None and gps is None:
         raise InputError("align: expected control points (gcps), positions (gps) or a model (to)")
 
-    points = with_check_points(given_control_points(gcps, given), check_points)
+    points, notes = given_control_points(gcps, given)
+    points = with_check_points(points, check_points)
     positions = given_gps(gps, images, given)
     survey = Survey(
         given,
@@ -113,7 +114,7 @@ def align(
         antenna=np.asarray(antenna, dtype=np.float64),
     )
     decisive, frame = survey.decisive, survey.frame
-    notes = check_readings(survey)
+    notes += check_readings(survey)
     fit = fit_similarity(
         survey.measured.rows(decisive),
         loss=prior_loss,

@@ -1,4 +1,4 @@
-"""Ground control points of files: ODM's ``gcp_list.txt``, one measurement per line, and OpenSfM's.
+"""Ground control points of files: ODM's ``gcp_list.txt``, OpenSfM's, and tables of other programs.
 
     EPSG:32632
     # x y z px py image [label] [extras]
@@ -21,12 +21,16 @@ measurement. The label is the first of the other words; words after it are ignor
 
 ``ground_control_points.json`` of an OpenSfM project has latitudes and longitudes, and measurements
 in normalised coordinates: pixels from the centre over max(width, height).
+
+Metashape, Pix4D and others write tables of surveyed points, read as those of images are, and of
+marks in pixels from the upper left corner. The names of points tell the orders of marks without
+titles apart; points need titles, because Pix4D's have latitude or longitude first.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import field, replace
 from pathlib import Path
 from typing import Any
@@ -36,7 +40,7 @@ import numpy as np
 from bundle.base.arrays import at, check_distinct, check_type
 from bundle.base.paths import as_path, is_path
 from bundle.base.records import dataclass
-from bundle.base.words import plural
+from bundle.base.words import few, plural
 from bundle.errors import InputError, brief, nearest, shown
 from bundle.georeference.control_point import (
     GroundControlPoint,
@@ -45,8 +49,15 @@ from bundle.georeference.control_point import (
     parse_pixel_sigma,
     parse_sigma,
 )
+from bundle.georeference.gps_positions import TITLES, read_positions
 from bundle.georeference.local_frame import is_opensfm
-from bundle.georeference.text_lines import ImageIndex, parse_number, read_lines
+from bundle.georeference.text_lines import (
+    ImageIndex,
+    content_lines,
+    parse_number,
+    read_lines,
+    read_table,
+)
 from bundle.io.formats.file_values import Node, read_json
 from bundle.model.problem import Problem
 
@@ -58,6 +69,20 @@ POINTS, LIST = "ground_control_points.json", "gcp_list.txt"
 """Files of an OpenSfM project."""
 _KEYS = ("sigma", "pixel_sigma")
 _FIELDS = "x y z px py image [label]"
+_BOTH = "; of tables give both: POINTS,MARKS"
+_MARKS = {
+    "image": "image imagename camera cameraname cameralabel photo photoname filename file",
+    "point": "point pointname pointlabel marker markername markerlabel gcp gcpname gcplabel target "
+    "targetname label name",
+    "px": "px pixelx xpixel xpx imagex ximage imageu u column x",
+    "py": "py pixely ypixel ypx imagey yimage imagev v row y",
+}
+"""Columns of marks, with the letters of their titles, preferred ones first."""
+_POINTS = {"label": f"{_MARKS['point']} id"} | {k: v for k, v in TITLES.items() if k != "image"}
+_ORDERS = [0, 1, 2, 3], [1, 0, 2, 3], [0, 3, 1, 2]
+"""Columns of image, point, px and py in tables of marks without titles."""
+
+_Found = tuple[tuple[GroundControlPoint, ...], tuple[str, ...]]  # with notes
 
 
 @dataclass
@@ -81,10 +106,8 @@ def read_gcp_list(path: str | os.PathLike[str]) -> tuple[GroundControlPoint, ...
         OSError: the file cannot be read.
     """
     path = as_path(path)
-    try:
-        system, rows = read_lines(path, name_at=5)
-    except InputError as error:
-        raise InputError(f"{error}; then a line for each mark in an image: {_FIELDS}") from None
+    wanted = f"; then a line for each mark in an image: {_FIELDS}{_BOTH}"
+    system, rows = read_lines(path, name_at=5, wanted=wanted)
     targets: dict[tuple[str, ...], _Target] = {}
     for line, words in rows:
         _read_line(f"{shown(path)}: line {line}", line, words, targets)
@@ -111,7 +134,7 @@ def _read_line(
     place: str, line: int, words: list[str], targets: dict[tuple[str, ...], _Target]
 ) -> None:
     if len(words) < 6:
-        raise InputError(f"{place}: expected {_FIELDS}, found {plural(len(words), 'word')}")
+        raise InputError(f"{place}: expected {_FIELDS}, found {plural(len(words), 'word')}{_BOTH}")
     x, y, z, px, py = (
         parse_number(place, name, word, unknown=name == "z")
         for name, word in zip(("x", "y", "z", "px", "py"), words[:5], strict=True)
@@ -235,13 +258,64 @@ def _control_points(node: Node, problem: Problem) -> tuple[GroundControlPoint, .
     return tuple(points)
 
 
-def given_control_points(gcps: Any, problem: Problem) -> tuple[GroundControlPoint, ...]:
-    """Return control points from objects or from a file; an empty list for None."""
+def read_gcp_tables(points: Path, marks: Path) -> _Found:
+    """Read control points from a table of surveyed points and a table of marks."""
+    system, lines, table, notes = read_positions(points, _POINTS)
+    places = [f"{shown(points)}: line {line}" for line in lines.values()]
+    if system is not None:
+        system.to_geodetic(table[:, :3], places)
+    measurements: dict[str, dict[str, Measurement]] = {name: {} for name in lines}
+    for place, image, name, *pixel in _read_marks(marks, lines):
+        if name not in lines:
+            meant = nearest(name, [*lines]) or f"; expected some of {few(map(shown, lines))}"
+            raise InputError(f"{place}: {shown(points)} has no point {brief(name)}{meant}")
+        if image in measurements[name]:
+            twice = f"a second one of {brief(name)} in {brief(image)}"
+            raise InputError(f"{place}: expected one mark of a point per image, found {twice}")
+        px, py = (parse_number(place, *one) for one in zip(("px", "py"), pixel, strict=True))
+        measurements[name][image] = Measurement(image, px, py)
+    found = []
+    for place, name, (x, y, z, *both) in zip(places, lines, table.tolist(), strict=True):
+        sigmas = [sigma for sigma in both if not np.isnan(sigma)]
+        with at(place):
+            point = GroundControlPoint(
+                name=name,
+                position=(x, y, z),
+                measurements=tuple(measurements[name].values()),
+                sigma=Sigma(sigmas[0], sigmas[-1]) if sigmas else None,
+                reference_system=None if system is None else system.name,
+            )
+        found += [point] * bool(point.measurements)
+    unmarked = [shown(name) for name, seen in measurements.items() if not seen]
+    without = f"{plural(len(unmarked), 'point')} of {shown(points)} without marks: {few(unmarked)}."
+    return tuple(found), (*notes, *[without] * bool(unmarked))
+
+
+def _read_marks(path: Path, points: Collection[str]) -> Iterator[list[str]]:
+    """Yield the place, image, point, px and py of each mark."""
+    wanted, table = ", ".join(_MARKS), read_table(path, _MARKS)
+    rows, comma = (content_lines(path), ",") if table is None else (table.rows, table.comma)
+    if table is None:
+        columns = max(_ORDERS, key=lambda at: sum(w[at[1]] in points for _, w in rows if w[3:]))
+    elif min(columns := table.columns) < 0:
+        raise InputError(f"{table.place}: expected columns {wanted}, found {few(table.titles, 9)}")
+    for line, words in rows:
+        place = f"{shown(path)}: line {line}"
+        if len(words) < len(_MARKS):
+            raise InputError(f"{place}: expected {wanted}, found {plural(len(words), 'word')}")
+        image, point, *pixel = (words[column] for column in columns)
+        yield [place, image, point, *(word.replace(",", comma) for word in pixel)]
+
+
+def given_control_points(gcps: Any, problem: Problem) -> _Found:
+    """Return control points from objects or files, and notes; an empty list for None."""
     if gcps is None:
-        return ()
+        return (), ()
     if is_path(gcps):
         path = as_path(gcps, "gcps")
-        return read_opensfm_gcps(path, problem) if is_opensfm(path) else read_gcp_list(path)
+        if "," in str(path) and not path.exists():
+            return read_gcp_tables(*(as_path(one, "gcps") for one in str(path).split(",", 1)))
+        return read_opensfm_gcps(path, problem) if is_opensfm(path) else read_gcp_list(path), ()
     try:
         points = tuple(gcps)
     except TypeError:
@@ -251,7 +325,7 @@ def given_control_points(gcps: Any, problem: Problem) -> tuple[GroundControlPoin
     check_distinct("gcps: expected unique names", (point.name for point in points))
     if not points:
         raise InputError("gcps: expected at least one control point, found 0")
-    return points
+    return points, ()
 
 
 def with_check_points(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import field, replace
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 import bundle._core as _core
 from bundle.base.display import Display, Displayed
-from bundle.base.paths import numbered_lines
 from bundle.base.records import dataclass
 from bundle.base.words import few, plural
 from bundle.errors import InputError, brief, shown
@@ -23,10 +22,11 @@ from bundle.georeference.local_frame import LocalFrame, frame_of
 from bundle.georeference.reference_system import ReferenceSystem
 from bundle.georeference.text_lines import (
     LOCAL,
+    UNIT,
     ImageIndex,
     parse_number,
     read_lines,
-    split_fields,
+    read_table,
     system_of,
 )
 from bundle.io.database_images import open_database
@@ -201,7 +201,7 @@ def case_notes(index: ImageIndex, names: Iterable[str]) -> list[str]:
 #
 # Source: https://docs.opendronemap.org/geo/ and ``opendm/geo.py`` of OpenDroneMap.
 
-_TITLES = {
+TITLES = {
     "image": "image imagename sourcefile label filename name file photo",
     "x": "longitude xlongitude gpslongitude lon lng long easting xeasting xeast east x",
     "y": "latitude ylatitude gpslatitude lat northing ynorthing ynorth north y",
@@ -213,11 +213,6 @@ _TITLES = {
     "vrms sigmav sigmaz sdu accuracyxyz accuracy sigma",
 }
 """Words of a line of geo.txt, with the letters of their titles in tables, preferred ones first."""
-_UNIT = re.compile(
-    r"(?<![^\W_])(?:(?P<us>us\W*(?:survey\W*)?(?:ft|feet|foot)|ft\W*us)|(?P<ft>ft|feet|foot)|(?P<cm>cm)"
-    r"|(?P<mm>mm)|m|met(?:er|re)s?|deg(?:rees?)?)(?![^\W_])",
-    re.IGNORECASE,
-)
 _METRES = {"us": 1200 / 3937, "ft": 0.3048, "cm": 0.01, "mm": 0.001, None: 1.0}
 _METASHAPE = re.compile(r'CoordinateSystem: .*AUTHORITY\["EPSG","(\d+)"\]\]$')
 
@@ -231,24 +226,51 @@ def read_geo_file(path: str | os.PathLike[str]) -> GpsPositions:
             The message is one line with file, line number, expected and found.
         OSError: the file cannot be read.
     """
-    system, lines, titles, notes = _table(path) or (*read_lines(path, name_at=0), [*_TITLES], [])
     name = shown(path)
+    system, lines, table, notes = read_positions(path, TITLES)
+    fixed = np.ones(len(table), bool) if system is None else ~system.is_no_fix(table[:, :3])
+    without = [image for image, has_fix in zip(lines, fixed, strict=True) if not has_fix]
+    images = tuple(image for image, has_fix in zip(lines, fixed, strict=True) if has_fix)
+    geodetic, accuracy = table[fixed, :3], table[fixed, 3:]
+    if system is not None:
+        geodetic = system.to_geodetic(geodetic, [f"{name}: line {lines[one]}" for one in images])
+        notes += [*system.notes, *system.area_notes(geodetic), *no_fix_notes(without, name)]
+    return GpsPositions(
+        names=images,
+        geodetic=geodetic,
+        accuracy=accuracy,
+        reference_system=None if system is None else system.name.strip("'\" "),
+        source=name,
+        notes=tuple(notes),
+    )
+
+
+def read_positions(
+    path: str | os.PathLike[str], known: Mapping[str, str]
+) -> tuple[ReferenceSystem | None, dict[str, int], NDArray[np.float64], list[str]]:
+    """Return the reference system, the line of each name, its numbers, and notes.
+
+    ``known``: as ``TITLES``. Numbers: (n, 5) x, y, z in units of the system, two accuracies [m].
+    """
+    what, name = next(iter(known)), shown(path)
+    wanted = f"; or titles of columns such as {what}, longitude, latitude, height"
+    titled = _table(path, known)
+    system, lines, titles, notes = titled or (*read_lines(path, 0, wanted), [*known], [])
     seen: dict[str, int] = {}
     rows: list[NDArray[np.float64]] = []
     odd = 0
     for number, words in lines:
         place = f"{name}: line {number}"
         rows.append(_row(place, words, titles))
-        image = words[0]
-        if image in seen:
+        if words[0] in seen:
             raise InputError(
-                f"{place}: expected one line for each image, found {brief(image)} again (first "
-                f"in line {seen[image]})"
+                f"{place}: expected one line for each {what}, found {brief(words[0])} again (first "
+                f"in line {seen[words[0]]})"
             )
-        seen[image] = number
+        seen[words[0]] = number
         odd += len(words) in (5, 6, 8)
     if not rows:
-        raise InputError(f"{name}: expected images after the first line, found 0")
+        raise InputError(f"{name}: expected {what}s after the first line, found 0")
     table = np.array(rows)
     units = [*([1.0] * 3 if system is None else system.units), 1.0, 1.0]
     used = [titles[column] for column in (1, 2, 3, 7, 8)]
@@ -258,33 +280,17 @@ def read_geo_file(path: str | os.PathLike[str]) -> GpsPositions:
     if len(changed):
         columns = few(dict.fromkeys(shown(used[column]) for column in changed))
         notes.append(f"Columns of {name} that are converted from the units of titles: {columns}.")
-    lines_of = np.array(list(seen.values()))
-    fixed = np.ones(len(table), bool) if system is None else ~system.is_no_fix(table[:, :3])
-    without = [image for image, has_fix in zip(seen, fixed, strict=True) if not has_fix]
-    images = tuple(image for image, has_fix in zip(seen, fixed, strict=True) if has_fix)
-    table, lines_of = table[fixed], lines_of[fixed]
-    geodetic = table[:, :3]
-    if system is not None:
-        geodetic = system.to_geodetic(geodetic, [f"{name}: line {line}" for line in lines_of])
-        notes += [*system.notes, *system.area_notes(geodetic), *no_fix_notes(without, name)]
     if odd:
         notes.append(
             f"{plural(odd, 'line')} of {name} have numbers after the height that are neither three "
             "angles nor three angles and two accuracies; they are ignored."
         )
-    return GpsPositions(
-        names=images,
-        geodetic=geodetic,
-        accuracy=table[:, 3:],
-        reference_system=None if system is None else system.name.strip("'\" "),
-        source=name,
-        notes=tuple(notes),
-    )
+    return system, seen, table, notes
 
 
 def _factor(title: str, unit: float) -> float:
     """Return the factor from the unit that a title names to the unit of its axis, both [m]."""
-    metres = _METRES[found.lastgroup] if (found := _UNIT.search(title)) else unit
+    metres = _METRES[found.lastgroup] if (found := UNIT.search(title)) else unit
     is_same = unit < 0.1 or abs(metres / unit - 1) < 1e-5  # degrees; the two feet
     return 1.0 if is_same else metres / unit
 
@@ -293,10 +299,10 @@ def _row(place: str, words: list[str], titles: list[str]) -> NDArray[np.float64]
     """Return x, y, z and the two accuracies; nan if missing."""
     if len(words) < 3:
         raise InputError(
-            f"{place}: expected image x y [z] [yaw pitch roll] [h-acc v-acc], "
+            f"{place}: expected {titles[0]} x y [z] [yaw pitch roll] [h-acc v-acc], "
             f"found {brief(' '.join(words))}"
         )
-    row = np.full(len(_TITLES), np.nan)
+    row = np.full(len(TITLES), np.nan)
     end = 9 if len(words) >= 9 else 7 if len(words) >= 7 else 4
     for column, word in enumerate(words[1:end], 1):
         row[column] = parse_number(place, titles[column], word, unknown=column > 2)
@@ -306,54 +312,34 @@ def _row(place: str, words: list[str], titles: list[str]) -> NDArray[np.float64]
 
 
 def _table(
-    path: str | os.PathLike[str],
+    path: str | os.PathLike[str], known: Mapping[str, str]
 ) -> tuple[ReferenceSystem | None, list[tuple[int, list[str]]], list[str], list[str]] | None:
     """Return reference system, words of geo.txt, their titles, and notes; None without titles."""
-    lines = [(number, line.strip(" \r")) for number, line in numbered_lines(path) if line.strip()]
-    for first, (number, header) in enumerate(lines[:5]):
-        place = f"{shown(path)}: line {number}"
-        mark = next((mark for mark in ";\t," if mark in header), "\t")
-        titles = split_fields(header.lstrip("# ").rstrip(mark), mark)
-        letters = [
-            re.sub(r"[\[(].*?[\])]|[\W_]", "", _UNIT.sub("", title).lower()) for title in titles
-        ]
-        columns = [
-            next((letters.index(title) for title in known.split() if title in letters), -1)
-            for known in _TITLES.values()
-        ]
-        below = lines[first : first + 2][-1][1]
-        if max(columns[:3]) >= 0 and mark in header and mark in below:
-            break
-    else:
+    table = read_table(path, known)
+    if table is None:
         return None
+    place, _, titles, letters, columns, *_ = table
     hemispheres = [k for k, title in enumerate(letters) if re.search("l(at|ong)ituderef$", title)]
     systems = ["EPSG:4326"] * bool(re.search("lon|lng", letters[columns[1]]))
-    for _, line in lines[:first]:
+    for line in table.above:
         code = _METASHAPE.search(line)
         systems += [f"EPSG:{code[1]}"] if code else [line] * (line[0] != "#")
     if min(columns[:3]) < 0 or not systems:
+        what = next(iter(known))
         raise InputError(
-            f"{place}: expected columns image, longitude and latitude, or image, x and y below a "
+            f"{place}: expected columns {what}, longitude and latitude, or {what}, x and y below a "
             f"line with their reference system such as EPSG:32632 or {LOCAL}, found {few(titles)}"
         )
-    rows, decimal = [], "," if mark == "," else "."
-    for number, line in lines[first + 1 :]:
-        fields = split_fields(line, mark)
-        if line[0] == "#" or not any(fields):
-            continue
-        if len(fields) < len(titles) or any(fields[len(titles) :]):
-            raise InputError(
-                f"{shown(path)}: line {number}: expected {plural(len(titles), 'field')}, one for "
-                f"each title, found {len(fields)}"
-            )
-        image, *numbers = (fields[column] if column >= 0 else "" for column in columns)
+    rows = []
+    for number, fields in table.rows:
+        name, *numbers = (fields[column] if column >= 0 else "" for column in columns)
         for column in hemispheres:
             axis = int("lat" in letters[column])
             if numbers[axis] and fields[column][:1] in tuple("SsWw"):  # South, West
                 numbers[axis] = f"-{numbers[axis].lstrip('-')}"
         if any(numbers[:2]):
-            words = [number.replace(",", decimal) or "nan" for number in numbers]
-            rows.append((number, [image, *words]))
+            words = [number.replace(",", table.comma) or "nan" for number in numbers]
+            rows.append((number, [name, *words]))
     used = {*columns, *hemispheres}
     unused = [title for column, title in enumerate(titles) if title and column not in used]
     note = f"Columns of {shown(path)} without a use: {few(map(shown, unused))}."

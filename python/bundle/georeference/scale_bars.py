@@ -97,7 +97,7 @@ def read_scale_bars(
     from bundle.georeference.text_lines import content_lines, parse_number
 
     path = as_path(scale_bars, "scale_bars")
-    targets = [point.name for point in given_control_points(gcp, problem)]
+    targets = [point.name for point in given_control_points(gcp, problem)[0]]
     known = dict.fromkeys([*targets, *problem.image_names])
     bars, lines = [], dict[frozenset[str], int]()
     for line, words in content_lines(path):

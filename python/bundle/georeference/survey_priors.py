@@ -349,7 +349,8 @@ def gcp_priors(
     pixel_sigma = parse_pixel_sigma("gcp_pixel_sigma", gcp_pixel_sigma)
     settings: dict[str, Any] = {"loss": prior_loss, "loss_scale": prior_loss_scale}
     check_settings(antenna, settings)
-    points = with_check_points(given_control_points(gcps, problem), check_points)
+    given, notes = given_control_points(gcps, problem)
+    points = with_check_points(given, check_points)
     positions = given_gps(gps, images, problem)
     survey = Survey(
         problem,
@@ -360,7 +361,7 @@ def gcp_priors(
         gps_sigma=parse_sigma("gps_sigma", gps_sigma),
         antenna=np.asarray(antenna, dtype=np.float64),
     )
-    notes = check_readings(survey)
+    notes += check_readings(survey)
     # fails if they are not sufficient
     fit_similarity(survey.measured.rows(survey.decisive), what=survey.what)
     left_out, suspect = survey.leave_one_out()

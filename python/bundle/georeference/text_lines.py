@@ -1,4 +1,4 @@
-"""Images by name or id, and lines of text files with positions or numbers of images."""
+"""Images by name or id, and lines of text files and tables about images or control points."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ import math
 import os
 import re
 from collections.abc import Collection, Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.base.arrays import at
 from bundle.base.paths import numbered_lines
+from bundle.base.words import plural
 from bundle.errors import InputError, brief, nearest, shown
 from bundle.georeference.reference_system import ReferenceSystem
 from bundle.model.problem import Problem
@@ -150,7 +150,7 @@ LOCAL = "LOCAL"
 
 
 def read_lines(
-    path: str | os.PathLike[str], name_at: int
+    path: str | os.PathLike[str], name_at: int, wanted: str
 ) -> tuple[ReferenceSystem | None, list[tuple[int, list[str]]]]:
     """Return the reference system, and the words of every further line with its number from 1.
 
@@ -167,15 +167,17 @@ def read_lines(
         )
     (number, header), *rows = lines
     split = [(place, split_words(line, name_at)) for place, line in rows]
-    return system_of(f"{shown(path)}: line {number}", header), split
+    return system_of(f"{shown(path)}: line {number}", header, wanted), split
 
 
-def system_of(place: str, text: str) -> ReferenceSystem | None:
+def system_of(place: str, text: str, wanted: str = "") -> ReferenceSystem | None:
     """Return the reference system that a line names; None for LOCAL."""
     if text.strip().upper() == LOCAL:
         return None
-    with at(place):
+    try:
         return ReferenceSystem(text.strip())
+    except InputError as error:
+        raise InputError(f"{place}: {error}{wanted}") from None
 
 
 def split_fields(text: str, separator: str) -> list[str]:
@@ -212,6 +214,62 @@ def parse_number(place: str, name: str, word: str, *, unknown: bool = False) -> 
         hint = "" if name not in _COORDINATES or not re.search("[^\\W\\d]", word) else _QUOTES
         raise InputError(f"{place}: {name}: expected {kind}, found {brief(word)}{hint}")
     return value
+
+
+UNIT = re.compile(
+    r"(?<![^\W_])(?:(?P<us>us\W*(?:survey\W*)?(?:ft|feet|foot)|ft\W*us)|(?P<ft>ft|feet|foot)|(?P<cm>cm)"
+    r"|(?P<mm>mm)|m|met(?:er|re)s?|deg(?:rees?)?)(?![^\W_])",
+    re.IGNORECASE,
+)
+
+
+class Table(NamedTuple):
+    """Table with titles of columns."""
+
+    place: str  # file and line of the titles
+    above: list[str]  # lines above them
+    titles: list[str]
+    letters: list[str]  # of the titles, in lower case, without units
+    columns: list[int]  # index of each known title; -1 without it
+    rows: list[tuple[int, list[str]]]  # number from 1 and fields of each line
+    comma: str  # "." for decimal commas; "," between fields
+
+
+def read_table(path: str | os.PathLike[str], known: Mapping[str, str]) -> Table | None:
+    """Return a table with one of the first three columns of ``known``; None without titles.
+
+    ``known``: letters of the titles of each column, preferred ones first.
+    """
+    lines = [(number, line.strip(" \r")) for number, line in numbered_lines(path) if line.strip()]
+    for first, (number, header) in enumerate(lines[:5]):
+        place = f"{shown(path)}: line {number}"
+        mark = next((mark for mark in ";\t," if mark in header), "\t")
+        titles = split_fields(header.lstrip("# ").rstrip(mark), mark)
+        letters = [
+            re.sub(r"[\[(].*?[\])]|[\W_]", "", UNIT.sub("", title).lower()) for title in titles
+        ]
+        columns = [
+            next((letters.index(title) for title in words.split() if title in letters), -1)
+            for words in known.values()
+        ]
+        below = lines[first : first + 2][-1][1]
+        if max(columns[:3]) >= 0 and mark in header and mark in below:
+            break
+    else:
+        return None
+    rows = []
+    for number, line in lines[first + 1 :]:
+        fields = split_fields(line, mark)
+        if line[0] == "#" or not any(fields):
+            continue
+        if len(fields) < len(titles) or any(fields[len(titles) :]):
+            raise InputError(
+                f"{shown(path)}: line {number}: expected {plural(len(titles), 'field')}, one for "
+                f"each title, found {len(fields)}"
+            )
+        rows.append((number, fields))
+    above = [line for _, line in lines[:first]]
+    return Table(place, above, titles, letters, columns, rows, "," if mark == "," else ".")
 
 
 # Lines of text files with numbers of images: words, images, headers.

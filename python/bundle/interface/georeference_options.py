@@ -109,8 +109,9 @@ class GeoreferenceOptions(Options):
     gcp: str | None = option(
         None,
         "--gcp",
-        "OpenDroneMap's gcp_list.txt, or OpenSfM's ground_control_points.json or its folder",
-        metavar="FILE",
+        "OpenDroneMap's gcp_list.txt, OpenSfM's ground_control_points.json or its folder, or two "
+        "tables (CSV), POINTS,MARKS: label, x, y, height; image, label, px, py",
+        metavar="FILE[,MARKS]",
         value="path",
         use=43,
     )
@@ -208,8 +209,7 @@ class GeoreferenceOptions(Options):
     def arguments(self) -> dict[str, Any]:
         """Return the changed options as arguments of readers, with parsed texts."""
         parsed = {"antenna": "lever_arm", "check_points": "check_point_names"}
-        names = self.changed()
-        return {name: getattr(self, parsed.get(name, name)) for name in names}
+        return {name: getattr(self, parsed.get(name, name)) for name in self.changed()}
 
     @property
     def lever_arm(self) -> list[float]:
