@@ -172,7 +172,7 @@ def test_beside_an_output_file(run, model):
     )
     bundle.save(flat, model.parent / "radial", "colmap")
     write_geo(model.parent / "geo.txt", problem.image_names, noisy(goal, 0.1))
-    words = ("-o", out, "--gps", model.parent / "geo.txt")
+    words = ("-o", out, "--format", "bal", "--gps", model.parent / "geo.txt")
     assert run("refine", model.parent / "radial", *words).code == 0
     assert {path.name for path in out.parent.iterdir()} == {"out.txt", "georeference.json"}
 

@@ -130,10 +130,10 @@ class UserFunction:
     def _jacobians(self, given: Any) -> list[Array]:
         is_list = isinstance(given, list | tuple) or (isinstance(given, np.ndarray) and given.ndim)
         if not is_list or len(given) != len(self.sizes):
-            alone = "; try [jacobian]" if len(self.sizes) == 1 and np.ndim(given) == 2 else ""
+            is_one = len(self.sizes) == 1 and getattr(given, "ndim", 0) == 2
             raise InputError(
                 f"{self.name}: expected {plural(len(self.sizes), 'Jacobian')}, one per variable, "
-                f"found {len(given) if is_list else brief(given)}{alone}"
+                f"found {len(given) if is_list else brief(given)}{'; try [jacobian]' * is_one}"
             )
         matrices = []
         for label, size, jacobian in zip(self.labels, self.sizes, given, strict=True):
