@@ -94,22 +94,19 @@ def _allowed(measured: Measured, finding: Finding) -> Finding:
     rules = list(measured.constraints)
     if not rules or not finding.command.startswith("bundle refine"):
         return finding
-    from bundle.editing.camera_sharing import share_cameras  # only with rules
-    from bundle.editing.model_change import change_camera_model
+    from bundle.editing.camera_sharing import edit_cameras  # only with rules
     from bundle.solving.constraints.resolve import apply
     from bundle.solving.constraints.rule_list import parse_rule
 
     problem = measured.start or measured.whole
+    added = measured.command.added(finding.command)
+    flags = dict(added)
+    shared = flags.get("--share-cameras")
     try:
-        for flag, value in measured.command.added(finding.command):
-            if flag == "--camera-model":
-                problem = change_camera_model(problem, value).problem
-            elif flag == "--share-cameras":
-                ids = map(int, value.split(",")) if value != "all" else problem.camera_ids.tolist()
-                problem = share_cameras(problem, ids, keep_scale=True)
-            elif flag == "--set":
-                rules.append(parse_rule(value, "the advised rule"))
-        apply(rules, problem, measured.options)
+        share = shared is not None and (shared == "all" or list(map(int, shared.split(","))))
+        edits = edit_cameras(problem, flags.get("--camera-model"), share, keep_scale=True)
+        rules += [parse_rule(text, "the advised rule") for flag, text in added if flag == "--set"]
+        apply(rules, problem if edits is None else edits.problem, measured.options)
     except InputError as error:
         sentence = f"{finding.sentence} Rules of this run contradict the command for it: {error}."
         return dataclasses.replace(finding, sentence=sentence, command="")
