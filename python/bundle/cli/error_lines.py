@@ -70,9 +70,11 @@ def _line(error: BaseException) -> str | None:
 
 
 def _is_folder_gone() -> bool:
-    with contextlib.suppress(FileNotFoundError):
-        return not Path.cwd()
-    return True
+    try:
+        Path.cwd()
+    except FileNotFoundError:
+        return True
+    return False
 
 
 def _os_error(error: OSError) -> str:

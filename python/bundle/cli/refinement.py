@@ -41,8 +41,14 @@ if TYPE_CHECKING:
     from bundle.solving.constraints.rule_list import Constraints
 
 OF_PLAIN = {
-    *("arguments", "source", "target", "given"),
-    *("checkpoints", "options", "constraints", "disk"),
+    "arguments",
+    "source",
+    "target",
+    "given",
+    "checkpoints",
+    "options",
+    "constraints",
+    "disk",
 }
 """Fields that a refinement in slices serves, too; any other makes it more than plain."""
 
