@@ -10,7 +10,7 @@ ROOT = Path(__file__).parents[1]
 CORE = ROOT / "cpp" / "core"
 SOURCES = sorted(path for path in CORE.rglob("*.cpp") if path.name != "kernels.cpp")
 FILES = sorted(path for path in (ROOT / "cpp").rglob("*") if path.suffix in {".h", ".cpp"})
-LONGEST = 400
+LONGEST = 350
 
 
 @pytest.mark.parametrize("path", SOURCES, ids=lambda path: path.relative_to(CORE).as_posix())

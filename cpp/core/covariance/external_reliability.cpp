@@ -1,0 +1,238 @@
+/// Part of CovarianceComputation (covariance_computation.h): what undetected errors move.
+
+#include <Eigen/Core>
+#include <Eigen/LU>
+#include <algorithm>
+#include <cmath>
+#include <utility>
+#include <vector>
+
+#include "core/covariance/covariance_computation.h"
+#include "core/covariance/point_pairs.h"
+#include "core/covariance/reliability.h"
+#include "core/dense/decompositions.h"
+
+namespace bundle {
+namespace {
+
+/// Eigenvalues below this share of the largest one are rounding errors.
+constexpr double kNoVariance = 1e-12;
+
+/// The least eigenvalue of I - h, and its direction.
+struct Weakest {
+  double redundancy;
+  double direction[2];
+};
+
+Weakest FindWeakest(double h00, double h01, double h11) {
+  const double half = 0.5 * (h00 - h11), root = std::hypot(half, h01);
+  // Of the two forms of the eigenvector, the one without cancellation.
+  double x = half + root, y = h01;
+  if (half < 0) {
+    x = h01;
+    y = root - half;
+  }
+  const double norm = std::hypot(x, y);
+  Weakest found{1 - 0.5 * (h00 + h11) - root, {1, 0}};
+  if (norm > 0) {
+    found.direction[0] = x / norm;
+    found.direction[1] = y / norm;
+  }
+  return found;
+}
+
+/// C^+ of a covariance, whose rank is found in units of its sigmas.
+Eigen::MatrixXd PseudoInverse(const Eigen::MatrixXd& covariance) {
+  const Eigen::VectorXd sigmas = covariance.diagonal().cwiseMax(0).cwiseSqrt();
+  const Eigen::VectorXd scale = sigmas.unaryExpr([](double s) { return s > 0 ? 1 / s : 0; });
+  const SymmetricEigen of =
+      DecomposeSymmetric(scale.asDiagonal() * covariance * scale.asDiagonal());
+  const double least = kNoVariance * of.values[of.values.size() - 1];
+  const Eigen::VectorXd inverse =
+      of.values.unaryExpr([least](double v) { return v > least ? 1 / v : 0; });
+  const Eigen::MatrixXd scaled = scale.asDiagonal() * of.vectors;
+  return Multiply(scaled * inverse.asDiagonal(), scaled.transpose());
+}
+
+/// to -= Y^T x for `size` rows of Y and of x, which are `width` registers wide, as is each of three
+/// rows of `to`.
+BUNDLE_FOR_TWO_PROCESSORS
+void SubtractTransposed(const double* y, int size, const double* x, int width, double* to) {
+  const Four* const rows = reinterpret_cast<const Four*>(x);
+  Four* const sums = reinterpret_cast<Four*>(to);
+  for (int w = 0; w < width; ++w) {
+    Four sum[3] = {sums[w], sums[width + w], sums[2 * width + w]};
+    for (int r = 0; r < size; ++r) {
+      for (int c = 0; c < 3; ++c) sum[c] -= y[3 * r + c] * rows[width * r + w];
+    }
+    for (int c = 0; c < 3; ++c) sums[width * c + w] = sum[c];
+  }
+}
+
+/// x^T A x of the columns x of three rows, `width` registers wide, for a symmetric A.
+BUNDLE_FOR_TWO_PROCESSORS
+void FindSquares(const double* a, const double* rows, int width, double* squares) {
+  const Four* const x = reinterpret_cast<const Four*>(rows);
+  Four* const to = reinterpret_cast<Four*>(squares);
+  for (int w = 0; w < width; ++w) {
+    Four sum = {};
+    for (int i = 0; i < 3; ++i) {
+      Four row = {};
+      for (int k = 0; k < 3; ++k) row += a[3 * i + k] * x[width * k + w];
+      sum += row * x[width * i + w];
+    }
+    to[w] = sum;
+  }
+}
+
+}  // namespace
+
+/// The observations of the least redundancy that is not below the limit; ties by index.
+void CovarianceComputation::FindWorst(const ReliabilityOptions& wanted,
+                                      ReliabilityOutput* found) const {
+  std::vector<std::pair<double, int64_t>> candidates;
+  for (int64_t i = 0; i < view().num_observations; ++i) {
+    const double* const h = &found->leverages[3 * size_t(i)];
+    if (!(found->weights[i] > 0)) continue;
+    const double least = FindWeakest(h[0], h[1], h[2]).redundancy;
+    if (least >= wanted.least) candidates.emplace_back(least, i);
+  }
+  const size_t count = std::min(candidates.size(), size_t(wanted.num_worst));
+  std::partial_sort(candidates.begin(), candidates.begin() + static_cast<std::ptrdiff_t>(count),
+                    candidates.end());
+  for (size_t k = 0; k < count; ++k) {
+    found->worst.push_back({});
+    found->worst.back().observation = candidates[k].second;
+  }
+}
+
+/// J~^T u / sqrt(l) of each of these observations is b, and x = G b with any inverse G of a gauge:
+///
+///   x_c = C (b_c - Y_q b_q) with q its own point,      x_p = V_p^-1 b_p - Y_p^T x_c.
+///
+/// Inner constraints subtract N s, with s = N^T x = K^T x_c + N_q^T V_q^-1 b_q (free_gauge.h).
+void CovarianceComputation::FindEffects(BlockValues inverse, ReliabilityOutput* found) {
+  const int count = static_cast<int>(found->worst.size()), n = system_.num_unknowns();
+  if (count == 0) return;
+  const int degrees = constraints_ == nullptr ? 0 : gauge_->degrees();
+  Eigen::MatrixXd rhs = Eigen::MatrixXd::Zero(n, count), x = rhs;
+  Eigen::MatrixXd own = Eigen::MatrixXd::Zero(3, count);  // V_q^-1 b_q
+  Eigen::MatrixXd s = Eigen::MatrixXd::Zero(degrees, count);
+  for (int k = 0; k < count; ++k) {
+    ObservationRows rows;
+    const int64_t i = found->worst[k].observation;
+    system_.evaluator().Evaluate(i, &rows);
+    const double* const h = &found->leverages[3 * size_t(i)];
+    const Weakest weakest = FindWeakest(h[0], h[1], h[2]);
+    const double length = 1 / std::sqrt(weakest.redundancy);
+    const double u[2] = {length * weakest.direction[0], length * weakest.direction[1]};
+    for (int b = 0; b < rows.num_blocks; ++b) {
+      const int offset = layout().blocks()[rows.block[b]].offset;
+      for (int c = 0; c < rows.size[b]; ++c) {
+        rhs(offset + c, k) +=
+            u[0] * rows.jacobian[b][c] + u[1] * rows.jacobian[b][rows.size[b] + c];
+      }
+    }
+    const int point = view().observation_point[i];
+    if (!layout().point_is_free(point)) continue;
+    Vector3 of_point;
+    for (int c = 0; c < 3; ++c) of_point[c] = u[0] * rows.point[c] + u[1] * rows.point[3 + c];
+    system_.ForPoints(1, {point}, [&](int, const PointBlocks& blocks, const PointAssembler&, int) {
+      SubtractEliminated(blocks, of_point, &rhs, k);
+      own.col(k) = Eigen::Map<const Matrix3>(blocks.inverse) * of_point;
+      if (degrees > 0) s.col(k) += gauge_->OfPoint(point).transpose().lazyProduct(own.col(k));
+    });
+  }
+  Check(system_.Solve(rhs.data(), count, x.data()));
+  if (degrees > 0) s += MultiplyTransposed(gauge_->reduced(), x);
+  Matrix moved = x;
+  if (degrees > 0) moved -= Multiply(gauge_->cameras(), s);
+  for (int i = 0; i < view().num_images; ++i) {
+    const Matrix6 covariance = Eigen::Map<const Matrix6>(&output_.poses[36 * size_t(i)]);
+    if (!(covariance.trace() > 0)) continue;
+    const Eigen::MatrixXd weight = PseudoInverse(covariance);
+    Matrix rows = LocalRows(i, moved);
+    if (centered_.is_moved()) rows = MapBack(i).lazyProduct(rows).eval();
+    for (int k = 0; k < count; ++k) {
+      const double sigmas = std::sqrt(rows.col(k).dot(weight.lazyProduct(rows.col(k))));
+      ExternalEffect& effect = found->worst[k];
+      if (!(sigmas > effect.image_sigmas)) continue;
+      effect.image = i;
+      effect.image_sigmas = sigmas;
+    }
+  }
+  // The columns of an unknown side by side, four in a register.
+  const int width = (count + 3) / 4;
+  std::vector<double> by_unknown(4 * size_t(width) * n);
+  for (int row = 0; row < n; ++row) {
+    for (int k = 0; k < count; ++k) by_unknown[4 * size_t(width) * row + k] = x(row, k);
+  }
+  std::swap(system_.values(), inverse);
+  const std::vector<int> points = PointsBeside(*found);
+  std::vector<PaddedRows> padded(system_.num_threads());
+  std::vector<std::vector<double>> room(system_.num_threads());
+  std::vector<std::vector<ExternalEffect>> effects(system_.num_threads(), found->worst);
+  system_.ForPoints(system_.num_threads(), points,
+                    [&](int p, const PointBlocks& blocks, const PointAssembler&, int thread) {
+                      if (blocks.num_null > 0) return;
+                      const Matrix3 information = OfPoint(p, blocks, &padded[thread]).inverse();
+                      room[thread].assign(4 * 4 * size_t(width), 0.0);
+                      double* const squares = &room[thread][3 * 4 * size_t(width)];
+                      using Columns = Eigen::Matrix<double, 3, Eigen::Dynamic, Eigen::RowMajor>;
+                      Eigen::Map<Columns> of(room[thread].data(), 3, 4 * width);
+                      for (int k = 0; k < count; ++k) {
+                        if (view().observation_point[found->worst[k].observation] == p)
+                          of.col(k) = own.col(k);
+                      }
+                      for (size_t b = 0; b < blocks.blocks.size(); ++b) {
+                        const CameraBlock& block = layout().blocks()[blocks.blocks[b]];
+                        SubtractTransposed(&blocks.y[3 * size_t(blocks.begin[b])], block.size,
+                                           &by_unknown[4 * size_t(width) * block.offset], width,
+                                           of.data());
+                      }
+                      if (degrees > 0) of.leftCols(count) -= gauge_->OfPoint(p).lazyProduct(s);
+                      FindSquares(information.data(), of.data(), width, squares);
+                      for (int k = 0; k < count; ++k) {
+                        const double moved_by = std::sqrt(squares[k]);
+                        ExternalEffect& effect = effects[thread][k];
+                        if (!(moved_by > effect.point_sigmas)) continue;
+                        effect.point = p;
+                        effect.point_sigmas = moved_by;
+                      }
+                    });
+  for (const std::vector<ExternalEffect>& of_thread : effects) {  // of ascending points
+    for (int k = 0; k < count; ++k) {
+      if (of_thread[k].point_sigmas > found->worst[k].point_sigmas) found->worst[k] = of_thread[k];
+    }
+  }
+}
+
+/// Free points in the images of the worst observations, ascending.
+std::vector<int> CovarianceComputation::PointsBeside(const ReliabilityOutput& found) const {
+  std::vector<uint8_t> is_beside(view().num_images), is_wanted(view().num_points);
+  for (const ExternalEffect& effect : found.worst) {
+    is_beside[view().observation_image[effect.observation]] = 1;
+  }
+  for (int64_t i = 0; i < view().num_observations; ++i) {
+    if (is_beside[view().observation_image[i]] != 0) is_wanted[view().observation_point[i]] = 1;
+  }
+  std::vector<int> points;
+  for (int p = 0; p < view().num_points; ++p) {
+    if (is_wanted[p] != 0 && layout().point_is_free(p)) points.push_back(p);
+  }
+  return points;
+}
+
+/// Subtracts Y b of a point from column k.
+void CovarianceComputation::SubtractEliminated(const PointBlocks& blocks, const Vector3& b,
+                                               Eigen::MatrixXd* columns, int k) const {
+  for (size_t a = 0; a < blocks.blocks.size(); ++a) {
+    const int offset = layout().blocks()[blocks.blocks[a]].offset;
+    for (int row = blocks.begin[a]; row < blocks.begin[a + 1]; ++row) {
+      const Eigen::Map<const Vector3> y(&blocks.y[3 * size_t(row)]);
+      (*columns)(offset + row - blocks.begin[a], k) -= y.dot(b);
+    }
+  }
+}
+
+}  // namespace bundle
