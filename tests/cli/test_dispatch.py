@@ -20,7 +20,7 @@ WAYS = [
 
 @pytest.mark.parametrize("way", WAYS)
 def test_every_function_of_a_row_exists(way):
-    names = [name for name in (way.call, way.run, way.main, way.report) if name]
+    names = [name for name in (way.call, way.run, way.of, way.main, way.report) if name]
     assert names and all(callable(resolve(name)) for name in names)
     for name in names:
         module, _, function = name.partition(":")

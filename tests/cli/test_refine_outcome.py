@@ -6,8 +6,15 @@ import numpy as np
 import pytest
 
 from bundle.cli import refine
+from bundle.cli import run as runs
+from bundle.cli.commands import COMMANDS
+from bundle.cli.main import command_parser
+from bundle.cli.output import Progress
+from bundle.cli.refinement import Refinement
 from bundle.georeference import similarity as similarities
 from bundle.interface.finding import Finding
+from bundle.io.recognition import Kind
+from bundle.judging.findings import find as finding
 from bundle.judging.findings.next_command import NextCommand
 
 PROBLEM, START = SimpleNamespace(image_ids=np.array([7, 8])), object()
@@ -30,18 +37,22 @@ def judged(
         return (Finding(kind=kind, sentence="", command=advised),)
 
     broken = Finding(kind="broken", sentence="")
-    monkeypatch.setattr(refine, "find", find)
+    monkeypatch.setattr(finding, "find", find)
+    monkeypatch.setattr(runs, "repeated_flags", lambda _: ("--a", "1"))
+    monkeypatch.setattr("bundle.cli.refinement.repeated_flags", runs.repeated_flags)
 
     def broken_parts(_, held=()):
         given["held"] = held
         return (broken,)
 
     monkeypatch.setattr(refine, "broken_parts", broken_parts)
-    asked = SimpleNamespace(source="IN", target="OUT", given=("--a", "1"), constraints=(rule,))
-    opened = SimpleNamespace(
-        sliced=sliced, known=SimpleNamespace(priors=(PRIOR,)), problem=PROBLEM, options=OPTIONS
-    )
-    solved = SimpleNamespace(
+    words = command_parser().parse_args(["refine", "IN", "-o", "OUT"])
+    progress = Progress(quiet=True)
+    run = Refinement(COMMANDS["refine"], Kind.RECONSTRUCTION, words, progress, "IN")
+    run.sliced, run.problem, run.options = sliced, PROBLEM, OPTIONS
+    run.known, run.constraints = SimpleNamespace(priors=(PRIOR,)), (rule,)
+    run.inertial, run.measured = inertial, ()
+    run.found = SimpleNamespace(
         problem=PROBLEM, initial_problem=START, options=OPTIONS, survey_checks="survey",
         similarity=similarity,
         summary=SimpleNamespace(
@@ -50,7 +61,7 @@ def judged(
         reprojection_error_before=SimpleNamespace(rmse=1.0, median=200.0),
         iterations={"cost": np.zeros(steps + 1)},
     )  # fmt: skip
-    found = refine.judge(asked, opened, solved, inertial)
+    found = refine.judge(run)
     return [one.kind for one in found], given, found
 
 

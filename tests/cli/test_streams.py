@@ -189,12 +189,12 @@ def test_ctrl_c_again_and_again(tmp_path):
 MOMENTS = {
     # Python keeps in mind that a string's execution was interrupted, even where that is caught.
     "while a string is executed": """
-refine.run = lambda _: exec("raise KeyboardInterrupt")
+refine.refine = lambda _: exec("raise KeyboardInterrupt")
 """,
     # The second signal arrives where no exception would be caught any more.
     "just after the first": """
 begin = main._ignoring_interrupts
-refine.run = lambda _: interrupt()
+refine.refine = lambda _: interrupt()
 main._ignoring_interrupts = lambda **how: (interrupt(), begin(**how))[1]
 """,
 }

@@ -55,6 +55,7 @@ class Way(Row):
     code: Callable[[Any], int] | None = None  # exit code by the result; None: 0
     run: Name = ""  # function of this room that gets the run and returns the report
     main: Name = ""  # function of this room that gets the arguments and returns the exit code
+    of: Name = "cli.run:Run"  # class of the run that ``run`` and ``plan`` get
     # function of this room that does the work of --dry-run: it gets the run, checks and reads as
     # ``run`` or ``main`` would, and returns sentences on the predicted cost
     plan: Name = ""
@@ -188,7 +189,9 @@ COMMANDS: dict[str, Command] = {
             a.CHECK_GRADIENTS,
         ),
         ways={
-            Kind.RECONSTRUCTION: Way(main="cli.refine:run", plan="cli.refine:plan"),
+            Kind.RECONSTRUCTION: Way(
+                of="cli.refinement:Refinement", run="cli.refine:refine", plan="cli.refine:plan"
+            ),
             Kind.POSE_GRAPH: Way(
                 run="cli.models:refine_pose_graph",
                 plan="cli.models:plan_pose_graph",
@@ -455,7 +458,7 @@ COMMANDS: dict[str, Command] = {
             a.group("another model", a.ALIGNED_TO),
             a.options("GeoreferenceOptions", "robustness", a.ROBUST),
         ),
-        ways={Kind.RECONSTRUCTION: Way(main="cli.models:align_model")},
+        ways={Kind.RECONSTRUCTION: Way(run="cli.models:align_model")},
     ),
     "merge": Command(
         help="merge two models that share images",

@@ -29,7 +29,6 @@ def georeference_given(
     *,
     page: bool = False,
     beside: Collection[str] = (),
-    only_images: str | None = None,
 ) -> GeoreferenceOptions:
     """Return the options of all measurements.
 
@@ -65,7 +64,7 @@ def georeference_given(
                 f"{flags[row.source]}: expected {places}, which define east, north and up, "
                 f"found {shown(arguments.input)} without any"
             )
-    if only_images is not None and placed:
+    if placed and getattr(arguments, "only_images", None) is not None:
         raise InputError(
             f"{flags['priors']}: not valid with --only-images, which leaves all other images in "
             "place"

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 from collections.abc import Sequence
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
-from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
-from bundle.cli.error_lines import EXIT_DONE, EXIT_NO_SOLUTION
+from bundle.cli.error_lines import EXIT_NO_SOLUTION
 from bundle.cli.georeferencing import (
     carry_georeference,
     check_georeference,
@@ -20,10 +18,9 @@ from bundle.cli.georeferencing import (
     write_georeference,
 )
 from bundle.cli.option_flags import naming_flags, options_given
-from bundle.cli.output import Progress, check_replaced, publish, same_images
+from bundle.cli.output import check_replaced, same_images
 from bundle.cli.problem_edits import cameras_edited, with_rigs
 from bundle.errors import InputError, shown
-from bundle.georeference.alignment import align
 from bundle.georeference.measurements import ROWS, settings_of
 from bundle.georeference.survey_priors import survey_settings
 from bundle.interface.camera_edit_options import LensOptions
@@ -33,7 +30,6 @@ from bundle.interface.options import SolveOptions
 from bundle.io.georeference_file import owner_of, path_beside
 from bundle.io.open import check_target, load, output_format, save
 from bundle.reports.sections import Report
-from bundle.reports.terminal.outputs import alignment
 
 if TYPE_CHECKING:
     from bundle.cli.run import Run
@@ -74,7 +70,7 @@ def convert_model(run: Run) -> Report:
             moved = to_global_shutter(edited)
         edited = moved.problem
     output, place = _checked_output(run, [run.source], edited)
-    lost = run.write(run.target, lambda _: save(edited, **output, progress=run.progress.text))
+    lost = _saved(run, edited, output)
     carry_georeference(place, **output)
     return converted(run.source, problem, output, lost, edits, moved)
 
@@ -97,6 +93,14 @@ def _checked_output(
     return output, place
 
 
+def _saved(run: Run, problem: Problem, output: dict[str, str]) -> tuple[str, ...]:
+    """Write OUTPUT; return the data that its format loses."""
+    lost: tuple[str, ...] = run.write(
+        run.target, lambda _: save(problem, **output, progress=run.progress.text)
+    )
+    return lost
+
+
 MERGED = "Merged with another model, in the frame of the first."
 
 
@@ -116,8 +120,7 @@ def merge_models(run: Run) -> Report:
         output, place = _checked_output(run, paths, a, b)
         run.progress.stage("merging")
         merged = merge(a, b, max_error=arguments.max_error)
-        problem = merged.problem
-        lost = run.write(run.target, lambda _: save(problem, **output, progress=run.progress.text))
+        lost = _saved(run, merged.problem, output)
         carry_georeference(place, **output, changed=MERGED)
     return merged_report(paths, (a, b), merged, output, lost)
 
@@ -142,12 +145,12 @@ def refine_pose_graph(run: Run) -> Report:
     from bundle.interface.pose_graph_options import PoseGraphOptions
     from bundle.io.g2o_files import check_g2o_target, save_g2o
     from bundle.reports.terminal.pose_graph_tables import refined_graph
-    from bundle.reports.terminal.solve_data import WallTime
 
     note_alone("refines the pose graph")
     options = run.given(PoseGraphOptions)
     check_g2o_target(run.target)
-    load_time, graph = _timed(run.load)
+    with run.timing("load"):
+        graph = run.load()
     _check_graph_replaced(run, graph)
     run.progress.stage("building the problem")
     before = Waiting.now()
@@ -156,21 +159,15 @@ def refine_pose_graph(run: Run) -> Report:
     waiting = waiting_since(before)
     is_done = solved.summary.is_solution_usable and not solved.summary.interrupted
     is_saved = solved.summary.is_solution_usable or solved.summary.interrupted
-    save_time = 0.0
     if is_saved:
-        save_time, _ = _timed(lambda: run.write(run.target, partial(save_g2o, solved.problem)))
+        with run.timing("save"):
+            run.write(run.target, partial(save_g2o, solved.problem))
     page = run.arguments.html
     if page is not None:
         from bundle.reports.page.graph_report import write_graph_report  # only for --html
 
         run.write(page, lambda _: write_graph_report(solved, page, name=str(run.source)))
-    wall = WallTime(
-        load=load_time,
-        build=solved.build_time_in_seconds,
-        solve=solved.solve_time_in_seconds,
-        save=save_time,
-        total=run.wall,
-    )
+    wall = run.wall_time(solved)
     run.end(0 if is_done else EXIT_NO_SOLUTION, solved.outcome)
     written = {"path": run.target, "format": "g2o"} if is_saved else None
     return refined_graph(run.source, solved, wall, written, waiting)
@@ -190,13 +187,6 @@ def plan_pose_graph(run: Run) -> list[str]:
     run.progress.stage("inspecting")
     found = inspect(graph, num_threads=options.num_threads)
     return [*inspected_graph(run.source, graph, found, run.wall).headline]
-
-
-def _timed(work: Any) -> tuple[float, Any]:
-    """Run a function; return its time in seconds and its result."""
-    begun = perf_counter()
-    result = work()
-    return perf_counter() - begun, result
 
 
 def _check_graph_replaced(run: Run, graph: PoseGraph) -> None:
@@ -228,6 +218,7 @@ def report_model(run: Run) -> Report:
             certainty = covariance(
                 run.input, priors=run.priors, constraints=run.constraints, scale="sigma0"
             )
+        run.progress.stage("judging")
         run.judge(lens_sigmas=None if certainty is None else certainty.lens_sigmas)
         found = one_list(describe(run.input).suspicions, run.findings)
         run.progress.stage(f"writing {shown(page)}")
@@ -288,30 +279,24 @@ FLAGS = {
 """Flags of the arguments of :func:`bundle.align`, which refuses flags without effect."""
 
 
-def align_model(arguments: argparse.Namespace) -> int:
+def align_model(run: Run) -> Report:
     """Align INPUT into OUTPUT."""
-    source, target = arguments.input, arguments.output
+    from bundle.georeference.alignment import align
+    from bundle.reports.terminal.outputs import alignment
+
+    arguments = run.arguments
     given = options_given(arguments, GeoreferenceOptions, beside=GeoreferenceOptions.names())
     if given.gps_offset != "none":
         raise InputError(
             "--gps-offset: valid only with refine, which estimates it together with the cameras"
         )
-    with (
-        Progress(quiet=arguments.quiet) as progress,
-        naming_flags(**{**prior_flags(given), **FLAGS}),
-    ):
-        progress.stage(f"reading {shown(source)}")
-        problem = load(source, progress.text)
-        format = output_format(problem.format, target, arguments.format, source)
-        output = {"path": target, "format": format}
-        check_target(problem, **output)
-        check_replaced(target, [source], arguments.overwrite, same_images(problem))
+    with naming_flags(**{**prior_flags(given), **FLAGS}):
+        problem = run.load()
+        output, _ = _checked_output(run, [run.source], problem)
         check_georeference(**output)
-        progress.stage("aligning")
+        run.progress.stage("aligning")
         settings = settings_of(given, *(row for row in ROWS if row.places))
         aligned = align(problem, to=arguments.reference, **survey_settings(problem, settings))
-        progress.stage(f"writing {shown(target)}")
-        lost = save(aligned.problem, **output, progress=progress.text)
-        write_georeference(aligned, **output, reference=arguments.reference)
-    publish(alignment(source, problem, aligned, output, lost), arguments)
-    return EXIT_DONE
+    lost = _saved(run, aligned.problem, output)
+    write_georeference(aligned, **output, reference=arguments.reference)
+    return alignment(run.source, problem, aligned, output, lost)

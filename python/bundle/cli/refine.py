@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
-from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING
@@ -16,31 +15,25 @@ from bundle.base.own_process import Waiting, waiting_since
 from bundle.base.words import pixels, plural
 from bundle.cli.error_lines import EXIT_DONE, EXIT_NO_SOLUTION, complain
 from bundle.cli.georeferencing import carry_georeference, write_georeference
-from bundle.cli.inertial_flags import adjusted_with_imu
-from bundle.cli.output import Progress, publish
+from bundle.cli.inertial_flags import InertialFiles, adjusted_with_imu
 from bundle.cli.problem_edits import loops_closed
-from bundle.cli.refine_input import Opened, on_disk, open_input, with_disk_use
+from bundle.cli.refine_input import on_disk, open_input, with_disk_use
 from bundle.cli.refinement import Refinement
 from bundle.errors import InputError, shown
 from bundle.georeference.measurements import place_of
 from bundle.interface.finding import Finding, one_list
-from bundle.interface.pose_graph_options import LoopOptions
 from bundle.io.open import save
-from bundle.judging.findings.find import find
 from bundle.judging.findings.measured import Measured
 from bundle.judging.findings.minimum import SMALLEST_SHIFT, shifted_pixels
 from bundle.judging.findings.next_command import NextCommand
 from bundle.judging.findings.positions import DAMPED, RADIUS_FLAG, positions_of_start
+from bundle.reports.sections import Report
 from bundle.reports.terminal.refine import refinement
-from bundle.reports.terminal.solve_data import WallTime
 from bundle.solving.kept_errors import Edit
 from bundle.solving.request import PartRequest, SolveRequest
 from bundle.solving.rounds.solve_rounds import run as run_plan
 
 if TYPE_CHECKING:
-    from bundle.cli.run import Run
-    from bundle.georeference.measurements import MeasurementErrors
-    from bundle.graphs.loops.loop_closing import LoopClosing
     from bundle.inertial.offline.inertial_result import InertialAdjustment
     from bundle.model.problem import Problem
     from bundle.solving.result import Result
@@ -48,138 +41,155 @@ if TYPE_CHECKING:
 STAYED = "Refined again without positions, starting from the georeferenced model."
 
 
-def run(arguments: argparse.Namespace) -> int:
+def refine(run: Refinement) -> Report:
     """Refine INPUT into OUTPUT."""
-    started = perf_counter()
-    asked = Refinement.of(arguments)
-    with on_disk(asked), Progress(quiet=arguments.quiet) as progress:
-        opened = open_input(asked, progress)
-        if asked.check_gradients and _has_wrong_jacobians(asked, opened, progress):
-            return EXIT_NO_SOLUTION
-        closed = _close_loops(asked.loops, opened, progress)
+    run.check()
+    with on_disk(run):
+        open_input(run)
+        if run.arguments.check_gradients and (wrong := _wrong_jacobians(run)):
+            return wrong
+        _close_loops(run)
         before = Waiting.now()
-        inertial = _adjusted_with_imu(asked, opened, progress)
-        result = _solve(asked, opened, closed, progress) if inertial is None else inertial.result
-        solved = _with_edits(result, asked, opened, closed)
+        _solve(run)
         waiting = waiting_since(before)
-        measured = opened.known.errors(solved)
-        begun = perf_counter()
+        run.measured = run.known.errors(run.found)
         try:
-            written, lost = _write(opened, solved, measured, progress)
+            with run.timing("save"):
+                written, lost = _write(run)
         except InputError as error:  # of a format that cannot hold a model that a shift has bent
-            for one in _shifted_input(asked, opened, solved):
+            for one in _shifted_input(run):
                 raise InputError(f"{one.sentence} `{one.command}`".removesuffix(" ``")) from error
             raise
-        save_time = perf_counter() - begun
-        statistics_time = _measure(opened, solved, progress)
-        findings = judge(asked, opened, solved, inertial, measured)
-        if asked.page is not None:
-            progress.stage(f"writing {shown(asked.page)}")
-            write_page(asked, asked.page, opened, solved, measured, findings)
-    wall = WallTime(
-        load=opened.load_time,
-        build=solved.build_time_in_seconds,
-        solve=solved.solve_time_in_seconds,
-        save=save_time,
-        statistics=statistics_time,
-        total=perf_counter() - started,
-    )
-    told = (asked.source, opened.loaded, solved, wall, written)
-    sigmas = readout_sigmas(asked, opened, closed, solved)
-    beside = asked.options_beside()
+        _measure(run)
+        run.findings = judge(run)
+        if run.arguments.html is not None:
+            run.write(run.arguments.html, partial(_write_page, run))
     report = refinement(
-        *told, lost, beside, opened.edits, closed, findings, waiting, measured, inertial, sigmas,
-    )  # fmt: skip
-    publish(with_disk_use(report, asked), arguments)
-    if solved.summary.is_solution_usable and not solved.summary.interrupted:
-        return EXIT_DONE
-    if arguments.json == "-":  # standard output has only the JSON report
-        complain(solved.outcome)
-    return EXIT_NO_SOLUTION
+        run.source,
+        run.input,
+        run.found,
+        run.wall_time(run.found),
+        written,
+        lost,
+        run.options_beside(),
+        run.edits,
+        run.closed,
+        run.findings,
+        waiting,
+        run.measured,
+        run.inertial,
+        readout_sigmas(run),
+    )
+    is_done = run.found.summary.is_solution_usable and not run.found.summary.interrupted
+    run.end(EXIT_DONE if is_done else EXIT_NO_SOLUTION, run.found.outcome)
+    return with_disk_use(report, run)
 
 
-def plan(run: Run) -> list[str]:
+def plan(run: Refinement) -> list[str]:
     """Check a refinement and read INPUT for --dry-run; return its predicted cost."""
     from bundle.planning.inspection.problem_inspection import inspect
     from bundle.reports.terminal.inspect import predicted
     from bundle.solving.prepare import prepare
 
-    asked = Refinement.of(run.arguments)
-    with on_disk(asked):
-        opened = open_input(asked, run.progress)
-    run.input = opened.loaded
-    if opened.sliced or asked.inertial:
+    run.check()
+    with on_disk(run):
+        open_input(run)
+    if run.sliced or run.imu:
         return ["The cost of this kind of run is not predicted."]
+    run.closed = None
     run.progress.stage("inspecting")
-    with asked.naming_flags():
-        ready = prepare(_request(asked, opened, None))
+    with run.naming():
+        ready = prepare(_request(run))
         inspection = inspect(ready.start, ready.options)
-    return predicted(inspection, ready.options, asked.num_adjustments)
+    return predicted(inspection, ready.options, run.num_adjustments)
 
 
-def _close_loops(given: LoopOptions, opened: Opened, progress: Progress) -> LoopClosing | None:
-    if given.loops is not None:
-        progress.stage(f"closing the loops of {shown(given.loops)}")
-    return loops_closed(given, opened.problem)
+def _wrong_jacobians(run: Refinement) -> Report | None:
+    """Check the Jacobians; if any is wrong, return the report on them, which replaces the solve."""
+    from bundle.checking import gradient_report, jacobians  # only for --check-gradients
+    from bundle.reports.terminal.analyses import checked
+
+    run.progress.stage("checking the Jacobians")
+    begun, options = perf_counter(), run.options
+    found = jacobians.check_problem(
+        run.problem, cheirality=options.cheirality, num_threads=options.num_threads
+    )
+    if found.verdict != "wrong":
+        if not found.ok:
+            complain(f"note: {gradient_report.outcome(found)} `bundle check` shows where.")
+        return None
+    run.end(EXIT_NO_SOLUTION, gradient_report.outcome(found))
+    settings = {"check_gradients": True, **options.asdict()}
+    return checked(run.source, run.problem, found, settings, perf_counter() - begun)
 
 
-def _request(asked: Refinement, opened: Opened, closed: LoopClosing | None) -> SolveRequest:
+def _close_loops(run: Refinement) -> None:
+    if run.loops.loops is not None:
+        run.progress.stage(f"closing the loops of {shown(run.loops.loops)}")
+    run.closed = loops_closed(run.loops, run.problem)
+
+
+def _request(run: Refinement) -> SolveRequest:
+    closed = run.closed
     return SolveRequest(
-        problem=opened.problem if closed is None else closed.problem,
-        options=opened.options,
+        problem=run.problem if closed is None else closed.problem,
+        options=run.options,
         factors=() if closed is None else closed.factors,
-        priors=opened.known.priors,
-        align=opened.align,
-        constraints=asked.constraints,
-        part=PartRequest.of(asked.local.only_images, asked.local.rest),
+        priors=run.priors,
+        align=run.align,
+        constraints=run.constraints,
+        part=PartRequest.of(run.local.only_images, run.local.rest),
     )
 
 
-def _solve(
-    asked: Refinement, opened: Opened, closed: LoopClosing | None, progress: Progress
-) -> Result:
+def _solve(run: Refinement) -> None:
     """Refine the problem with its priors, rules and loops, by the plan of the run."""
-    progress.stage("building the problem")
-    with asked.naming_flags():
-        if opened.sliced is not None:
-            return opened.sliced.solve(opened.options, progress.iteration, asked.plan)
-        request = _request(asked, opened, closed)
-        if asked.plan.database is None:
-            return run_plan(request, asked.plan, progress.iteration)
-        from bundle.solving import refine_tracks  # for --database only
-
-        return refine_tracks.run(
-            request, asked.plan, progress.iteration,
-            is_share_given="--hold-out" in asked.given, tell=progress.stage,
-        )  # fmt: skip
+    run.inertial = None
+    with run.naming():
+        if run.imu is not None:
+            run.inertial = _adjusted_with_imu(run, run.imu)
+            found = run.inertial.result
+        else:
+            run.progress.stage("building the problem")
+            found = _adjusted(run)
+    run.found = _with_edits(run, found)
 
 
-def _adjusted_with_imu(
-    asked: Refinement, opened: Opened, progress: Progress
-) -> InertialAdjustment | None:
-    """Refine the problem with the samples of an IMU; None without samples."""
-    if asked.inertial is None:
-        return None
-    if opened.place is not None:
+def _adjusted(run: Refinement) -> Result:
+    progress = run.progress
+    if run.sliced is not None:
+        return run.sliced.solve(run.options, progress.iteration, run.rounds_plan)
+    request = _request(run)
+    if run.rounds_plan.database is None:
+        return run_plan(request, run.rounds_plan, progress.iteration)
+    from bundle.solving import refine_tracks  # for --database only
+
+    is_share_given = run.arguments.hold_out is not None
+    return refine_tracks.run(
+        request, run.rounds_plan, progress.iteration,
+        is_share_given=is_share_given, tell=progress.stage,
+    )  # fmt: skip
+
+
+def _adjusted_with_imu(run: Refinement, files: InertialFiles) -> InertialAdjustment:
+    """Refine the problem with the samples of an IMU."""
+    if run.place is not None:
         raise InputError("--imu: expected a model without georeference.json, which it would move")
-    progress.stage("adjusting with the IMU")
-    with asked.naming_flags():
-        return adjusted_with_imu(
-            asked.inertial, opened.problem, opened.options, opened.known.priors, asked.plan,
-            progress.iteration,
-        )  # fmt: skip
+    run.progress.stage("adjusting with the IMU")
+    return adjusted_with_imu(
+        files, run.problem, run.options, run.priors, run.rounds_plan, run.progress.iteration
+    )
 
 
-def _with_edits(
-    solved: Result, asked: Refinement, opened: Opened, closed: LoopClosing | None
-) -> Result:
+def _with_edits(run: Refinement, solved: Result) -> Result:
     """Return the result with the edits of cameras, rigs and loops before those of the solve."""
-    problem = opened.loaded
+    problem = run.input
     edits = []
     for edit, edited in (
-        *(() if opened.edits is None else opened.edits.stages),
-        ("" if asked.rig_config is None else "rig_config", opened.problem),  # "": only a shutter
-        ("loops", opened.problem if closed is None else closed.problem),
+        *(() if run.edits is None else run.edits.stages),
+        # "": only a shutter
+        ("" if run.arguments.rig_config is None else "rig_config", run.problem),
+        ("loops", run.problem if run.closed is None else run.closed.problem),
     ):
         if edited is not problem:
             edits += [Edit(edit, problem, edited)] if edit else []
@@ -187,60 +197,35 @@ def _with_edits(
     return dataclasses.replace(solved, edits=(*edits, *solved.edits)) if edits else solved
 
 
-def _write(
-    opened: Opened, solved: Result, measured: Sequence[MeasurementErrors], progress: Progress
-) -> tuple[dict[str, str] | None, tuple[str, ...]]:
+def _write(run: Refinement) -> tuple[dict[str, str] | None, tuple[str, ...]]:
     """Write a usable result; return its path and format, and the data that the format loses."""
+    solved, place = run.found, place_of(run.measured)
     if not (solved.summary.is_solution_usable or solved.summary.interrupted):
         return None, ()
-    target, place = opened.output["path"], place_of(measured)
-    progress.stage(f"writing {shown(target)}")
-    if opened.sliced is None:
+    run.progress.stage(f"writing {shown(run.target)}")
+    if run.sliced is None:
         refined = solved.problem
         if place is not None:
             from bundle.georeference.local_frame import with_origin  # few runs have a place
 
             refined = with_origin(refined, place.origin)
-        lost = save(refined, **opened.output, progress=progress.text)
+        lost = save(refined, **run.output, progress=run.progress.text)
     else:
-        lost = opened.sliced.save(Path(target))
+        lost = run.sliced.save(Path(run.target))
     if place is not None:
-        write_georeference(place, **opened.output)
+        write_georeference(place, **run.output)
     else:
-        carry_georeference(opened.place, **opened.output, changed=STAYED)
-    return opened.output, lost
+        carry_georeference(run.place, **run.output, changed=STAYED)
+    return run.output, lost
 
 
-def _measure(opened: Opened, solved: Result, progress: Progress) -> float:
-    """Compute reprojection errors before and after; return the elapsed seconds."""
-    progress.stage("measuring reprojection errors")
-    begun = perf_counter()
-    if opened.sliced is not None:
-        opened.sliced.measure(solved)
-    solved.measure()
-    return perf_counter() - begun
-
-
-def _has_wrong_jacobians(asked: Refinement, opened: Opened, progress: Progress) -> bool:
-    """Check the Jacobians; if any is wrong, report that instead of solving."""
-    from bundle.checking import gradient_report, jacobians  # only for --check-gradients
-    from bundle.reports.terminal.analyses import checked
-
-    progress.stage("checking the Jacobians")
-    begun, options = perf_counter(), opened.options
-    report = jacobians.check_problem(
-        opened.problem, cheirality=options.cheirality, num_threads=options.num_threads
-    )
-    if report.verdict != "wrong":
-        if not report.ok:
-            complain(f"note: {gradient_report.outcome(report)} `bundle check` shows where.")
-        return False
-    if asked.arguments.json == "-":
-        complain(gradient_report.outcome(report))
-    settings = {"check_gradients": True, **options.asdict()}
-    took = perf_counter() - begun
-    publish(checked(asked.source, opened.problem, report, settings, took), asked.arguments)
-    return True
+def _measure(run: Refinement) -> None:
+    """Compute reprojection errors before and after."""
+    run.progress.stage("measuring reprojection errors")
+    with run.timing("statistics"):
+        if run.sliced is not None:
+            run.sliced.measure(run.found)
+        run.found.measure()
 
 
 # Outcome of `bundle refine`: findings, sigmas of refined readouts, and report page.
@@ -250,20 +235,14 @@ OUT_OF_VIEW = {"too_many_behind", "invalid_solution"}
 """Warnings of a solve whose steps left the cameras or the range of their parameters."""
 
 
-def judge(
-    asked: Refinement,
-    opened: Opened,
-    solved: Result,
-    inertial: InertialAdjustment | None,
-    measured: Sequence[MeasurementErrors] = (),
-) -> tuple[Finding, ...]:
+def judge(run: Refinement) -> tuple[Finding, ...]:
     """Return the findings about the result, those of an IMU first.
 
     An unusable result has only these and the findings about the start; a result in slices has none.
     If all pixels of the input have the same shift, the solve has bent the model, and this is the
     only finding.
     """
-    command = NextCommand(asked.source, asked.target, asked.given)
+    command, solved, inertial = run.command, run.found, run.inertial
     about_imu = tuple(
         Finding(
             kind=one.kind,
@@ -274,38 +253,34 @@ def judge(
         )
         for one in (() if inertial is None else inertial.findings)
     )
-    if opened.sliced is not None:
+    if run.sliced is not None:
         return about_imu
-    if shift := _shifted_input(asked, opened, solved):
+    if shift := _shifted_input(run):
         return one_list(shift, about_imu, broken_parts(solved.problem))
-    priors = opened.known.priors
     if not solved.summary.is_solution_usable:
         if any(one.is_problem for one in about_imu):  # the cause
             return one_list(about_imu)
         given = Measured(
-            whole=_start(solved), command=command, options=solved.options, priors=priors
+            whole=_start(solved), command=command, options=solved.options, priors=run.priors
         )
         far = positions_of_start(given) or far_start(solved, command)
         return one_list(about_imu, () if far is None else (far,))
-    found = find(
+    run.judge(
         solved.problem,
-        source=asked.source,
-        target=asked.target,
-        given=asked.given,
+        target=run.target,
         options=solved.options,
-        priors=priors if inertial is None else (inertial, *priors),
+        priors=run.priors if inertial is None else (inertial, *run.priors),
         survey=solved.survey_checks,
-        constraints=asked.constraints,
         start=_start(solved),
         is_minimum=solved.summary.termination_type == "CONVERGENCE",
     )
-    loose = "".join(one.command for one in found if one.kind == "undetermined_intrinsics")
+    loose = "".join(one.command for one in run.findings if one.kind == "undetermined_intrinsics")
     limited = not_converged(solved, command.with_flags_of(loose))  # more steps alone move it on
-    is_held = inertial is not None or any(one.target.kind == "image" for one in asked.constraints)
+    is_held = inertial is not None or any(one.target.kind == "image" for one in run.constraints)
     held = set(solved.problem.image_ids.tolist()) if is_held else {*solved.options.fixed_image_ids}
-    held |= {getattr(prior, "image", None) for prior in priors}
-    surveyed = _about_control_points(measured, command)
-    return one_list(about_imu, limited, broken_parts(solved.problem, held), surveyed, found)
+    held |= {getattr(prior, "image", None) for prior in run.priors}
+    surveyed = _about_control_points(run)
+    return one_list(about_imu, limited, broken_parts(solved.problem, held), surveyed, run.findings)
 
 
 def _start(solved: Result) -> Problem:
@@ -317,29 +292,26 @@ def _start(solved: Result) -> Problem:
     return moved(solved.initial_problem, solved.similarity)
 
 
-def _about_control_points(
-    measured: Sequence[MeasurementErrors], command: NextCommand
-) -> tuple[Finding, ...]:
-    place = place_of(measured)
+def _about_control_points(run: Refinement) -> tuple[Finding, ...]:
+    place = place_of(run.measured)
     if place is None or not place.control_points:
         return ()
     from bundle.judging.findings.control_points import control_points  # few runs need it
 
-    found = control_points(place.control_points, command)
+    found = control_points(place.control_points, run.command)
     return () if found is None else (found,)
 
 
-def _shifted_input(asked: Refinement, opened: Opened, solved: Result) -> tuple[Finding, ...]:
+def _shifted_input(run: Refinement) -> tuple[Finding, ...]:
     """Return the finding about pixels of the input that all have the same shift, or None.
 
     A refined principal point absorbs a shift without a bend. The RMSE is at least as large as the
     shift: a small RMSE excludes a shift without further work.
     """
-    command = NextCommand(asked.source, asked.target, asked.given)
-    is_far = opened.sliced is None and solved.reprojection_error_before.rmse >= SMALLEST_SHIFT
-    if not is_far or "principal_point" in opened.options.refine:
+    is_far = run.sliced is None and run.found.reprojection_error_before.rmse >= SMALLEST_SHIFT
+    if not is_far or "principal_point" in run.options.refine:
         return ()
-    found = shifted_pixels(Measured(whole=opened.problem, command=command, options=opened.options))
+    found = shifted_pixels(Measured(whole=run.problem, command=run.command, options=run.options))
     return () if found is None else (found,)
 
 
@@ -383,10 +355,9 @@ def far_start(solved: Result, command: NextCommand) -> Finding | None:
     )
 
 
-def readout_sigmas(
-    asked: Refinement, opened: Opened, closed: LoopClosing | None, solved: Result
-) -> dict[int, float]:
+def readout_sigmas(run: Refinement) -> dict[int, float]:
     """Return the standard deviation of each refined readout, by camera id."""
+    solved: Result = run.found
     shutter = solved.problem.rolling_shutter
     if not solved.options.refine_readout or not solved.summary.is_solution_usable:
         return {}
@@ -399,31 +370,24 @@ def readout_sigmas(
         solved.options,
         of="intrinsics",
         scale="sigma0",
-        factors=() if closed is None else closed.factors,
-        priors=opened.known.priors,
-        constraints=asked.constraints,
+        factors=() if run.closed is None else run.closed.factors,
+        priors=run.priors,
+        constraints=run.constraints,
     ).readout_sigmas
 
 
-def write_page(
-    asked: Refinement,
-    page: str,
-    opened: Opened,
-    solved: Result,
-    measured: Sequence[MeasurementErrors],
-    findings: Sequence[Finding],
-) -> None:
+def _write_page(run: Refinement, path: str) -> None:
     """Write the report page; most runs do not need its imports."""
     from bundle.reports.page.report_page import write_report
 
     write_report(
-        solved,
-        page,
-        images=asked.georeference.images,
-        priors=opened.known.priors,
-        constraints=asked.constraints,
-        georeference=place_of(measured),
-        measured=measured,
-        findings=findings,
-        name=asked.source,
+        run.found,
+        path,
+        images=run.georeference.images,
+        priors=run.priors,
+        constraints=run.constraints,
+        georeference=place_of(run.measured),
+        measured=run.measured,
+        findings=run.findings,
+        name=run.source,
     )

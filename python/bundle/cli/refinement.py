@@ -1,28 +1,20 @@
-"""Request of `bundle refine` for a reconstruction: the checked values of the command line.
-
-Only this file reads the arguments; all later steps use typed options.
-"""
+"""A run of `bundle refine` on a reconstruction: its options, checked in the order of the help."""
 
 from __future__ import annotations
 
 import argparse
 import dataclasses
-from collections.abc import Set
-from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bundle.base.records import dataclass
-from bundle.cli.declarations import read_options
+from bundle.cli.declarations import READING
 from bundle.cli.error_lines import complain
-from bundle.cli.georeferencing import georeference_given, prior_flags
 from bundle.cli.inertial_flags import InertialFiles, inertial_given
-from bundle.cli.option_flags import naming_flags, options_given
-from bundle.cli.problem_edits import rules_as_options, rules_of
-from bundle.cli.run import repeated_flags
+from bundle.cli.option_flags import options_given
+from bundle.cli.problem_edits import rules_as_options
+from bundle.cli.run import Run, given_flags, repeated_flags
 from bundle.errors import InputError, shown
-from bundle.interface.camera_edit_options import LensOptions, RuleOptions, ShutterOptions
-from bundle.interface.georeference_options import GeoreferenceOptions
+from bundle.interface.camera_edit_options import LensOptions, ShutterOptions
 from bundle.interface.judging_options import HoldOutOptions
 from bundle.interface.options import SolveOptions
 from bundle.interface.pose_graph_options import LoopOptions
@@ -34,97 +26,68 @@ from bundle.interface.round_options import (
     OutOfCoreOptions,
     RoundOptions,
 )
-from bundle.io.formats.read_options import ReadOptions
+from bundle.judging.findings.next_command import NextCommand
 from bundle.solving.rounds.plan import RunPlan
 
 if TYPE_CHECKING:
-    from bundle.solving.constraints.rule_list import Constraints
-
-OF_PLAIN = {
-    "arguments",
-    "source",
-    "target",
-    "given",
-    "checkpoints",
-    "options",
-    "constraints",
-    "disk",
-}
-"""Fields that a refinement in slices serves, too; any other makes it more than plain."""
+    from bundle.editing.camera_sharing import CameraEdits
+    from bundle.georeference.measurements import MeasurementErrors
+    from bundle.graphs.loops.loop_closing import LoopClosing
+    from bundle.inertial.offline.inertial_result import InertialAdjustment
+    from bundle.model.problem import Problem
+    from bundle.solving.slices.sliced_refinement import SlicedRefinement
 
 
-@dataclass(frozen=True, kw_only=True)
-class Refinement:
-    """The command line, with the values that were checked or made of it."""
+class Refinement(Run):
+    """Run of `bundle refine` on a reconstruction; ``found`` is the result of the solve.
 
-    arguments: argparse.Namespace  # parsed command line
-    source: str  # path of INPUT
-    reading: ReadOptions  # facts that the file of INPUT lacks
-    target: str  # path of OUTPUT
-    rig_config: str | None  # path of a rig configuration, or None
-    page: str | None  # path of the report page, or None
-    check_gradients: bool  # True to check the Jacobians first
-    options: SolveOptions  # options of the solve, without images given by name
+    :meth:`check` sets the options, ``bundle.cli.refine_input`` what belongs to INPUT, and
+    ``bundle.cli.refine`` the result.
+    """
+
     local: LocalOptions  # images to refine while all others are constant
     rounds: RoundOptions  # rounds of adjusting and filtering
     held_out: HoldOutOptions  # share of the observations that a second fit holds out
-    georeference: GeoreferenceOptions  # options of positions and control points
     loops: LoopOptions  # loops to close before the solve
     lenses: LensOptions  # cameras of the output
     shutters: ShutterOptions  # rolling shutters
-    rules: RuleOptions  # rules as given
-    constraints: Constraints | tuple[()]  # the parsed rules
-    inertial: InertialFiles | None  # files of an IMU, or None
+    imu: InertialFiles | None  # files of an IMU, or None
     checkpoints: CheckpointOptions  # checkpoint files, for a run that may be killed
     disk: OutOfCoreOptions  # folder for observations and points on disk
-    given: tuple[str, ...]  # flags that the next command of a finding repeats
 
-    @staticmethod
-    def of(arguments: argparse.Namespace) -> Refinement:
-        """Return the request, checked in the order of the help."""
+    problem: Problem  # INPUT with the requested cameras and rigs
+    edits: CameraEdits | None  # changes of its cameras; None without any
+    output: dict[str, str]  # path and format of OUTPUT
+    align: bool | None  # True to move the problem to its priors
+    place: dict[str, Any] | None  # content of the georeference.json next to INPUT, or None
+    # refinement by processes that read one slice each; None: one process reads all
+    sliced: SlicedRefinement | None
+    closed: LoopClosing | None  # problem with closed loops, or None
+    inertial: InertialAdjustment | None  # result with an IMU, or None
+    measured: tuple[MeasurementErrors, ...]  # errors of the result at its measurements
+
+    def check(self) -> None:
+        """Read and check the options; images given by name follow when INPUT is open."""
+        arguments = self.arguments
         take_colmap_options(arguments)
-        options = options_given(arguments, SolveOptions, names_follow=True)
-        local = options_given(arguments, LocalOptions)
-        rounds = _rounds_given(arguments)
-        georeference = georeference_given(
-            arguments,
-            options.refine,
-            page=arguments.html is not None,
-            only_images=local.only_images,
-        )
-        loops = options_given(arguments, LoopOptions)
-        if loops.loops is not None and local.only_images is not None:
+        self.options = self.given(SolveOptions)
+        self.local = self.given(LocalOptions)
+        self.rounds = _rounds_given(arguments)
+        self.held_out = _share_given(arguments)
+        self.check_knowledge(self.options.refine, page=arguments.html is not None)
+        self.loops = self.given(LoopOptions)
+        if self.loops.loops is not None and self.local.only_images is not None:
             raise InputError(
                 "--loops: not valid with --only-images, which leaves all other images in place"
             )
-        rules = options_given(arguments, RuleOptions)
-        constraints = rules_of(rules)
-        return Refinement(
-            arguments=arguments,
-            source=arguments.input,
-            reading=read_options(arguments),
-            target=arguments.output,
-            rig_config=arguments.rig_config,
-            page=arguments.html,
-            check_gradients=arguments.check_gradients,
-            options=options,
-            local=local,
-            rounds=rounds,
-            held_out=_share_given(arguments),
-            georeference=georeference,
-            loops=loops,
-            lenses=options_given(arguments, LensOptions),
-            shutters=options_given(arguments, ShutterOptions),
-            rules=rules,
-            constraints=constraints,
-            inertial=inertial_given(arguments),
-            checkpoints=_checkpoints_given(arguments),
-            disk=options_given(arguments, OutOfCoreOptions),
-            given=repeated_flags(arguments),
-        )
+        self.lenses = self.given(LensOptions)
+        self.shutters = self.given(ShutterOptions)
+        self.imu = inertial_given(arguments)
+        self.checkpoints = _checkpoints_given(arguments)
+        self.disk = self.given(OutOfCoreOptions)
 
     @property
-    def plan(self) -> RunPlan:
+    def rounds_plan(self) -> RunPlan:
         """Rounds of the run, its checkpoints, and its held-out observations."""
         return RunPlan(rounds=self.rounds, held_out=self.held_out, **self.checkpoints.asdict())
 
@@ -133,31 +96,32 @@ class Refinement:
         """Most adjustments of the run."""
         return self.rounds.num_rounds + 1
 
-    def naming_flags(self) -> AbstractContextManager[None]:
-        """Return a context whose errors about options name their flags."""
-        classes = (SolveOptions, RoundOptions, LocalOptions, CheckpointOptions, HoldOutOptions)
-        return naming_flags(*classes, **prior_flags(self.georeference))
-
     @property
-    def is_plain(self) -> bool:
-        """True for a single solve of the complete, unchanged INPUT without further steps."""
-        return not self.steps_beyond()
+    def command(self) -> NextCommand:
+        """The command line of this run, which findings change."""
+        return NextCommand(self.source, self.target, repeated_flags(self.arguments))
 
-    def steps_beyond(self, plain: Set[str] = frozenset(OF_PLAIN)) -> tuple[str, ...]:
-        """Return the sorted names of options that need more than a plain solve."""
-        found: list[str] = []
-        for name in set(self.__dataclass_fields__) - plain:
-            value = getattr(self, name)
-            changed = value.changed() if hasattr(value, "changed") else bool(value)
-            found += changed if isinstance(changed, dict) else [name] if changed else []
-        return tuple(sorted(found))
+    def flags_beyond(self, *plain: str) -> list[str]:
+        """Return the flags that need more than one solve of the complete, unchanged INPUT.
+
+        ``plain``: names of options that are served, too.
+        """
+        parts = (
+            *(self.local, self.rounds, self.held_out, self.georeference, self.loops, self.lenses),
+            *(self.shutters, self.rules, self.checkpoints),
+        )
+        changed = {name for part in parts for name in part.changed()} - {*plain}
+        flags = {self.arguments.flags[name] for name in changed}
+        flags |= {*given_flags(self.arguments, (*READING, "rig_config", "html", "imu"))}
+        flags |= {"--check-gradients"} if self.arguments.check_gradients else set()
+        return sorted(flags)
 
     def options_beside(self) -> dict[str, Any]:
         """Return, for the report, the given options in addition to those of the solve."""
         rounds = self.rounds.asdict() if self.rounds.num_rounds else {}
         local = {} if self.local.only_images is None else self.local.asdict()
         held_out = self.held_out.asdict() if self.held_out.hold_out else {}
-        inertial = {} if self.inertial is None else vars(self.inertial)
+        inertial = {} if self.imu is None else vars(self.imu)
         parts = self.georeference, self.loops, self.lenses, self.shutters
         return {
             **rounds,

@@ -28,7 +28,7 @@ from bundle.cli.option_flags import (
 from bundle.cli.output import Progress, publish
 from bundle.cli.problem_edits import rules_as_options, rules_of, with_rigs
 from bundle.errors import InputError, shown
-from bundle.georeference.measurements import ROWS
+from bundle.georeference.measurements import ROWS, Measurements
 from bundle.interface.camera_edit_options import RuleOptions
 from bundle.interface.option_class import Options, option_class
 from bundle.io.recognition import Kind, recognize
@@ -36,7 +36,9 @@ from bundle.reports.sections import Report, Section, several
 
 if TYPE_CHECKING:
     from bundle.georeference.measurements import Prior
-    from bundle.interface.georeference_options import GeoreferenceOptions
+    from bundle.interface.solve_record import SolveRecord
+    from bundle.model.problem import Problem
+    from bundle.reports.terminal.solve_data import WallTime
     from bundle.solving.constraints.rule_list import Constraints
 
 AnyOptions = TypeVar("AnyOptions", bound=Options)
@@ -56,7 +58,7 @@ def prepare(arguments: argparse.Namespace) -> Callable[[], int]:
         kinds = [(getattr(arguments, "input", None), command.kind(arguments))]
     ways = [command.way(kind) for _, kind in kinds]
     for way in ways:
-        for name in (way.call, way.run, way.main, way.report):
+        for name in (way.call, way.run, way.of, way.main, way.report):
             if name:
                 resolve(name)
     if ways[0].main and not arguments.dry_run:
@@ -66,10 +68,12 @@ def prepare(arguments: argparse.Namespace) -> Callable[[], int]:
 
 
 def _run(command: Command, kinds: list[tuple[Any, str]], arguments: argparse.Namespace) -> int:
-    runs, reports = [], []
+    runs: list[Run] = []
+    reports = []
     with Progress(quiet=arguments.quiet) as progress:
         for path, kind in kinds:
-            runs.append(Run(command, kind, arguments, progress, path))
+            kind_of_run = resolve(command.way(kind).of)
+            runs.append(kind_of_run(command, kind, arguments, progress, path))
             reports.append(runs[-1].plan() if arguments.dry_run else runs[-1].report())
     if arguments.dry_run:
         arguments.html, arguments.json = None, "-" if arguments.json == "-" else None
@@ -94,9 +98,10 @@ class Run:
         constraints: the parsed rules.
         georeference: options of measurements; None: the command has none.
         input: INPUT once it is opened.
-        priors: priors of all measurements.
+        known: what was read of all measurements.
         found: result of the call.
         findings: findings about INPUT.
+        times: seconds of the stages that were timed, by name.
         code: exit code.
         complaint: what standard error says where standard output has only JSON.
     """
@@ -117,11 +122,12 @@ class Run:
         self.options: Any = None
         self.rules = RuleOptions()
         self.constraints: Constraints | tuple[()] = ()
-        self.georeference: GeoreferenceOptions | None = None
+        self.georeference: Any = None
         self.input: Any = None
-        self.priors: tuple[Prior, ...] = ()
+        self.known = Measurements()
         self.found: Any = None
         self.findings: Any = ()
+        self.times: dict[str, float] = {}
         self.code, self.complaint = 0, ""
 
     def report(self) -> Report:
@@ -142,6 +148,7 @@ class Run:
         if way.call:
             self._call(keywords)
         if way.judges:
+            self.progress.stage("judging")
             self.judge()
         if way.saves and self.target:
             self.write(self.target, self.found.save)
@@ -190,6 +197,8 @@ class Run:
 
     def load(self, *, rigs: bool = True) -> Any:
         """Read INPUT, with the rigs of the command line."""
+        given = self.arguments
+        reading = (read_options(given),) if "input_format" in given else ()
         self.progress.stage(f"reading {shown(self.source)}")
         if self._kind == Kind.POSE_GRAPH:
             from bundle.io.g2o_files import load_g2o  # for pose graphs only
@@ -198,8 +207,6 @@ class Run:
         else:
             from bundle.io.open import load
 
-            given = self.arguments
-            reading = (read_options(given),) if "input_format" in given else ()
             self.input = load(self.source, self.progress.text, *reading)
             if rigs and "rig_config" in given:
                 self.input = with_rigs(self.input, given.rig_config)
@@ -214,7 +221,12 @@ class Run:
         if self.georeference is not None:
             from bundle.cli.georeferencing import priors_of
 
-            self.priors = priors_of(self.georeference, self.input).priors
+            self.known = priors_of(self.georeference, self.input)
+
+    @property
+    def priors(self) -> tuple[Prior, ...]:
+        """Priors of all measurements."""
+        return self.known.priors
 
     # Call
 
@@ -246,20 +258,18 @@ class Run:
         with naming_flags(**flags):
             yield
 
-    def judge(self, **known: Any) -> None:
-        """Search for findings about INPUT."""
+    def judge(self, problem: Problem | None = None, **known: Any) -> None:
+        """Search for findings about a problem, by default INPUT."""
         from bundle.judging.findings.find import find
 
-        self.progress.stage("judging")
-        self.findings = find(
-            self.input,
-            source=self.source,
-            given=repeated_flags(self.arguments),
-            options=self.options,
-            priors=self.priors,
-            constraints=self.constraints,
-            **known,
-        )
+        given = {
+            "source": self.source,
+            "given": repeated_flags(self.arguments),
+            "options": self.options,
+            "priors": self.priors,
+            "constraints": self.constraints,
+        }
+        self.findings = find(self.input if problem is None else problem, **{**given, **known})
 
     # Report and write
 
@@ -272,10 +282,28 @@ class Run:
         """Set the exit code, and the line on standard error if standard output has only JSON."""
         self.code, self.complaint = code, complaint
 
+    @contextmanager
+    def timing(self, stage: str) -> Iterator[None]:
+        """Measure the time of a stage."""
+        begun = perf_counter()
+        yield
+        self.times[stage] = perf_counter() - begun
+
     @property
     def wall(self) -> float:
         """Seconds since the start of the run."""
         return perf_counter() - self._started
+
+    def wall_time(self, solved: SolveRecord) -> WallTime:
+        """Return the times of the stages of a run that solves."""
+        from bundle.reports.terminal.solve_data import WallTime  # few commands solve
+
+        return WallTime(
+            **self.times,
+            build=solved.build_time_in_seconds,
+            solve=solved.solve_time_in_seconds,
+            total=self.wall,
+        )
 
     @property
     def asked(self) -> dict[str, Any]:

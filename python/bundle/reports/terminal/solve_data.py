@@ -125,7 +125,7 @@ class WallTime:
     load: float
     build: float
     solve: float
-    save: float
+    save: float = 0.0
     statistics: float = 0.0
     total: float
 
