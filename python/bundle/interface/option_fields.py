@@ -71,6 +71,12 @@ def option(
     return dataclasses.field(default=metadata.pop("default"), metadata=metadata)
 
 
+def same(kind: Any, name: str, **changes: Any) -> Any:
+    """Return a field with the declaration of an option of another class, and some changes."""
+    field = kind.__dataclass_fields__[name]
+    return option(**{"default": field.default, **field.metadata, **changes})
+
+
 def checked(field: dataclasses.Field[Any], value: Any) -> Any:
     """Return the value in canonical form."""
     choices = field.metadata["choices"]

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from bundle.base.records import dataclass
 from bundle.interface.option_class import Options, documented
-from bundle.interface.option_fields import option
-from bundle.interface.options import BACKENDS, LOSSES, TRUST_REGION_STRATEGIES
+from bundle.interface.option_fields import option, same
+from bundle.interface.options import BACKENDS, LOSSES, TRUST_REGION_STRATEGIES, SolveOptions
 
 POSE_ERRORS = ("log", "g2o", "ceres")
 
@@ -102,37 +102,15 @@ class PoseGraphOptions(Options):
         "order in which the poses are eliminated; auto: the cheapest order",
         choices=("auto", "amd", "metis", "natural"),
     )
-    max_num_iterations: int = option(
-        100, "--max-iterations", "maximum number of steps to try", minimum=0, metavar="N"
+    max_num_iterations: int = same(SolveOptions, "max_num_iterations")
+    function_tolerance: float = same(SolveOptions, "function_tolerance", default=1e-10)
+    gradient_tolerance: float = same(
+        SolveOptions,
+        "gradient_tolerance",
+        help="stop when max |gradient entry| <= X, in units of the typical information",
     )
-    function_tolerance: float = option(
-        1e-10,
-        "--function-tolerance",
-        "stop when |change of cost| < X * cost",
-        minimum=0.0,
-        metavar="X",
-    )
-    gradient_tolerance: float = option(
-        1e-10,
-        "--gradient-tolerance",
-        "stop when max |gradient entry| <= X, in units of the typical information",
-        minimum=0.0,
-        metavar="X",
-    )
-    parameter_tolerance: float = option(
-        1e-10,
-        "--parameter-tolerance",
-        "stop when |step| <= X * (|parameters| + X)",
-        minimum=0.0,
-        metavar="X",
-    )
-    num_threads: int = option(
-        0,
-        "--threads",
-        "number of threads, capped at the number of cores; 0: all cores",
-        minimum=0,
-        metavar="N",
-    )
+    parameter_tolerance: float = same(SolveOptions, "parameter_tolerance", default=1e-10)
+    num_threads: int = same(SolveOptions, "num_threads")
 
 
 LOOP_LOSSES = ("trivial", "huber", "soft_l1", "cauchy")

@@ -14,7 +14,7 @@ from typing import Any
 from bundle.base.records import dataclass
 from bundle.errors import InputError
 from bundle.interface.option_class import Options, documented
-from bundle.interface.option_fields import option
+from bundle.interface.option_fields import option, same
 
 SCENES = ("street", "orbit", "photo_collection", "drone_grid")
 # Models for which ``synthetic.scene`` can draw realistic parameters.
@@ -23,30 +23,6 @@ CAMERAS = ("auto", "shared", "individual")
 MIN_OBSERVATIONS_PER_IMAGE = 20
 MIN_TRACK_LENGTH = 2
 USUAL_TRACK_LENGTH = 6.0
-
-
-def pixel_noise_option() -> Any:
-    """Return the field of ``pixel_noise``, for synthetic observations of any kind."""
-    return option(
-        0.5,
-        "--pixel-noise",
-        "standard deviation of x and of y, in pixels",
-        minimum=0.0,
-        below=1e6,
-        metavar="PIXELS",
-    )
-
-
-def outlier_share_option() -> Any:
-    """Return the field of ``outlier_share``, for synthetic observations of any kind."""
-    return option(
-        0.0,
-        "--outlier-share",
-        "share of the observations replaced by uniformly random pixels",
-        minimum=0.0,
-        below=1.0,
-        metavar="X",
-    )
 
 
 @documented
@@ -99,8 +75,22 @@ class SceneOptions(Options):
         metavar=("WIDTH", "HEIGHT"),
         use=9,
     )
-    pixel_noise: float = pixel_noise_option()
-    outlier_share: float = outlier_share_option()
+    pixel_noise: float = option(
+        0.5,
+        "--pixel-noise",
+        "standard deviation of x and of y, in pixels",
+        minimum=0.0,
+        below=1e6,
+        metavar="PIXELS",
+    )
+    outlier_share: float = option(
+        0.0,
+        "--outlier-share",
+        "share of the observations replaced by uniformly random pixels",
+        minimum=0.0,
+        below=1.0,
+        metavar="X",
+    )
     rotation_noise: float = option(
         0.5,
         "--rotation-noise",
@@ -289,8 +279,8 @@ class FlightOptions(Options):
         minimum=1.0,
         metavar="N",
     )
-    pixel_noise: float = pixel_noise_option()
-    outlier_share: float = outlier_share_option()
+    pixel_noise: float = same(SceneOptions, "pixel_noise")
+    outlier_share: float = same(SceneOptions, "outlier_share")
     imu_noise_scale: float = option(
         1.0,
         "--imu-noise",
