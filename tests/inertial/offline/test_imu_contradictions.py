@@ -125,6 +125,21 @@ def test_forces_that_are_three_percent_too_large_or_too_small(tilting, factor):
     assert evidence["movement"] == pytest.approx(0.03, abs=0.01)
 
 
+@pytest.mark.parametrize("loss", ["trivial", "huber"])
+def test_forces_that_are_too_large_beside_points_of_weak_depth(loss):
+    """A step to the right scale, and an undamped one, throws such points behind cameras."""
+    flight = bundle.synthesize_flight(
+        motion="room", duration=10.0, num_tracks=60, seed=91, pixel_noise=0.5
+    )
+    problem, stamps = model_of(flight.sequence, flight.ground_truth, 4, noise=0.1)
+    sequence = changed(flight.sequence, accel=lambda v: 1.04 * v)
+    options = OPTIONS.replace(loss=loss, max_num_iterations=40)
+    inner = problem.select(images=np.arange(len(stamps)) > 0).problem
+    found = adjusted(sequence, inner, stamps[1:], options)
+    assert [one.kind for one in found.findings] == ["accel_scale"]
+    assert found.findings[0].evidence["ratio"] == pytest.approx(1.04, abs=0.01)
+
+
 def test_a_bias_along_gravity_is_no_scale_of_the_forces(tilting):
     sequence, *model = tilting
     found = adjusted(changed(sequence, accel=lambda v: v + np.array([0, 0, 0.3])), *model, OPTIONS)

@@ -83,8 +83,7 @@ NOISE_SCALE, AT_INTERVAL = 5.0, 0.25
 interval in seconds."""
 LEAST_IMAGES = 5
 MOST_STEPS = 200  # least limit of iterations for the images alone, which take milliseconds each
-LARGEST_TURN = math.pi / 2
-"""Angle between consecutive images beyond which they have hardly any point in common."""
+LARGEST_TURN = math.pi / 2  # beyond it, consecutive images have hardly any point in common
 MOST_SOLVES = 3  # most solves in a row, each with motions that are integrated again
 
 
@@ -253,12 +252,10 @@ class _Adjusted(NamedTuple):
 
     def motions(self, case: _Case, forces: float = 1.0) -> list[Preintegration]:
         """Return the motions between bodies, integrated at the biases, with forces divided."""
-        intervals = self.video.at(self.clock.seconds if self.clock.is_clear else 0.0)
-        if forces != 1.0:
-            intervals = [
-                dataclasses.replace(interval, accel=interval.accel / forces)
-                for interval in intervals
-            ]
+        intervals = [
+            dataclasses.replace(interval, accel=interval.accel / forces)
+            for interval in self.video.at(self.clock.seconds if self.clock.is_clear else 0.0)
+        ]
         return preintegrated(intervals, case.noise, self.state.biases[:-1], self.video.rule)
 
     def settled(self, case: _Case) -> _Adjusted:
@@ -371,15 +368,18 @@ def _force_scale(case: _Case, found: _Adjusted, agreement: Agreement) -> ForceSc
     if found.has_ended:
         return ForceScale()
     shortly = case._replace(options=few_steps(case.options), progress=None)
+    has_scale = case.is_metric or case.priors
 
     def least(forces: float) -> LeastCost:
-        end = found.solved(shortly, found.motions(case, forces))
+        start = found.state if has_scale else found.state.scaled(1 / forces)
+        end = found._replace(state=start).solved(shortly, found.motions(case, forces))
         result = end.results[-1]
         if result.summary.interrupted:
             raise KeyboardInterrupt
-        imu = float(np.asarray(result.factor_costs_after).sum())
-        positions = case.bodies.centers(end.state.problem)
-        return LeastCost(result.summary.final_cost - imu, imu, positions)
+        costs, count = np.asarray(result.factor_costs_after), len(case.bodies) - 1
+        motions, priors = float(costs[:count].sum()), float(costs[count:].sum())
+        images = result.summary.final_cost - motions - priors
+        return LeastCost(images, motions, priors, case.bodies.centers(end.state.problem))
 
     return ForceScale.of(least, agreement.images_variance, agreement.variance)
 

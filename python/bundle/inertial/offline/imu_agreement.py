@@ -38,12 +38,10 @@ Array = NDArray[np.float64]
 
 FREEDOM, MOST_FREEDOM = 6, 15
 FALSE_ALARM = 1e-3  # probability of a false alarm in a run
-LARGE_NOISE = 5.0
-"""Ratio of calibrated to measured noise that is an error: samples never have less noise."""
+LARGE_NOISE = 5.0  # calibrated over measured noise that is an error: samples never have less
 JITTER, JITTER_SHARE = 1.5e-3, 0.5
 """Seconds, and share of the residuals' variance, from which times of single images are wrong."""
-DRIFT, DRIFT_SIGMAS = 4e-3, 5.0
-"""Seconds over the video, and sigmas, from which clocks drift."""
+DRIFT, DRIFT_SIGMAS = 4e-3, 5.0  # seconds over the video, and sigmas, from which clocks drift
 
 
 class Agreement(NamedTuple):
@@ -177,9 +175,7 @@ def quietest_ratio(stamps: NDArray[np.int64], gyro: Array, accel: Array, noise: 
 STEPS = 10
 MOST = 0.1  # largest offset in seconds: the model is linear in it
 SMALL_STEP = 1e-7
-DOUBTFUL, CLEAR = 2.0, 5.0
-"""Numbers of sigmas from which an offset is tried, and counts. The errors of poses are correlated.
-"""
+DOUBTFUL, CLEAR = 2.0, 5.0  # sigmas from which an offset is tried, and counts: errors correlate
 
 
 class ClockOffset(NamedTuple):

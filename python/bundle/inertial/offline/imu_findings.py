@@ -26,8 +26,7 @@ from bundle.model.sequence.sequence_findings import LONGEST_BRIDGE, UNDERSTATED,
 
 Array = NDArray[np.float64]
 
-OUTLIERS = 4.0
-"""Variance factor of the images under a quadratic loss from which outliers rule the cost."""
+OUTLIERS = 4.0  # variance factor under a quadratic loss from which outliers rule the cost
 LONG_ARM = 3.0  # distance in metres between camera and IMU from which millimetres are likely
 
 

@@ -17,6 +17,7 @@ from bundle.base.arrays import refuse_row
 from bundle.base.records import dataclass
 from bundle.base.words import plural
 from bundle.errors import InputError
+from bundle.georeference.similarity import Similarity, moved
 from bundle.graphs.factors.factors import BetweenFactor, Factor, PriorFactor
 from bundle.inertial.preintegration.imu_factors import ImageImuFactor
 from bundle.inertial.preintegration.preintegration import Preintegration
@@ -36,8 +37,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 GRAVITY = 9.81  # length of gravity, m/s^2
-GYRO_BIAS_SIGMA, ACCEL_BIAS_SIGMA = 0.1, 0.3
-"""Weak priors of the first biases, rad/s and m/s^2."""
+GYRO_BIAS_SIGMA, ACCEL_BIAS_SIGMA = 0.1, 0.3  # weak priors of the first biases, rad/s and m/s^2
 
 
 class MotionState(NamedTuple):
@@ -46,6 +46,11 @@ class MotionState(NamedTuple):
     problem: Problem
     velocities: Array
     biases: Array
+
+    def scaled(self, factor: float) -> MotionState:
+        """Return the state with other lengths, at the same reprojection errors."""
+        by = Similarity(factor, np.eye(3), np.zeros(3))
+        return MotionState(moved(self.problem, by), factor * self.velocities, self.biases)
 
 
 def solved_with_motions(

@@ -125,16 +125,17 @@ def _covariance(times: Array, noise: ImuNoise) -> Array:
 #
 # where j is the derivative of the residuals w.r.t. f along the minimum: g is the score of f at the
 # present minimum (C. R. Rao, 1948), and h its information without what other unknowns explain. The
-# residuals of images and those of the IMU have the variance factors v and w, so that
+# residuals of images and motions have the variance factors v and w. Random walks of biases and all
+# priors have 1: no factor for vibration is in their sigmas. So
 #
-#     f = 1 - g / h,      var g = v h_images + w h_imu,      T = g^2 / var g,
+#     f = 1 - g / h,      var g = v h_images + w h_motions + h_priors,      T = g^2 / var g,
 #
-# with T chi2 with one degree of freedom if f = 1. g, h and its two parts are the differences of P
-# and its parts at 1 - D, 1 and 1 + D. Each is the end of the same few Gauss-Newton steps from the
-# present minimum: what is left to its own minimum is then the same in all three, and cancels.
+# with T chi2 with one degree of freedom if f = 1. g, h and its parts are the differences of P and
+# its parts at 1 - D, 1 and 1 + D. A step to another scale moves weak points so far that it fails:
+# unless something else knows the scale, each solve begins with lengths over f.
 #
 # Relevance. The estimated f would move each position by a share of its distance from the mean
-# position. On V1_01, whose real errors are not white, T is 25 and this share 1.4 %.
+# position. On V1_01, whose real errors are not white, T is 25 and this share 1.6 %.
 
 
 STEP = 0.03  # D: the smallest error of interest, over which the residuals are linear
@@ -142,10 +143,11 @@ LEAST_MOVEMENT = 0.02  # share of the positions: smaller movements are ignored
 
 
 class LeastCost(NamedTuple):
-    """Minimum cost of images and IMU at a scale of the forces, and the positions (n, 3) at it."""
+    """Minimum cost, by its parts, at a scale of the forces, and the positions (n, 3) at it."""
 
     images: float
-    imu: float
+    motions: float
+    priors: float  # and random walks
     positions: Array
 
 
@@ -162,13 +164,11 @@ class ForceScale(NamedTuple):
     ) -> ForceScale:
         """Return the scale; ``least`` is a function of f."""
         low, mid, high = (least(f) for f in (1 - STEP, 1.0, 1 + STEP))
-        by_images, by_imu = (
-            (getattr(high, part) + getattr(low, part) - 2 * getattr(mid, part)) / STEP**2
-            for part in ("images", "imu")
-        )
-        slope = (high.images + high.imu - low.images - low.imu) / (2 * STEP)
-        curvature = by_images + by_imu
-        spread = images_variance * max(by_images, 0.0) + variance * max(by_imu, 0.0)
+        costs = np.array([end[:3] for end in (low, mid, high)])
+        slope = float((costs[2] - costs[0]).sum()) / (2 * STEP)
+        by_part = (costs[2] + costs[0] - 2 * costs[1]) / STEP**2
+        curvature = float(by_part.sum())
+        spread = float(np.maximum(by_part, 0.0) @ [images_variance, variance, 1.0])
         if not (curvature > 0 and math.isfinite(slope)):
             return ForceScale()
         error = -slope / curvature
@@ -185,11 +185,11 @@ class ForceScale(NamedTuple):
 
 
 def few_steps(options: SolveOptions) -> SolveOptions:
-    """Return the options of a few Gauss-Newton steps."""
+    """Return the options of a few steps to a near minimum."""
     return options.replace(
-        max_num_iterations=3,
-        initial_trust_region_radius=1e8,
-        function_tolerance=1e-12,
+        max_num_iterations=10,
+        initial_trust_region_radius=1e4,
+        function_tolerance=1e-6,
         parameter_tolerance=0.0,
         check_solution=False,
     )
