@@ -34,8 +34,8 @@ METRES = 20.0  # per unit of the model
 
 
 def base(folder: Path) -> None:
-    """sparse/0 with what is known of it: geo.txt, gcp_list.txt, points.csv, marks.csv, bars.txt,
-    gravity.txt, images, photos, rules.txt; data.
+    """sparse/0 with what is known of it: geo.txt, gcp_list.txt, points.csv, marks.csv, markers.xml,
+    bars.txt, gravity.txt, images, photos, rules.txt; data.
 
     30 images of a camera each: ids from 1 and from 120, some in left/ and some in new/.
     """
@@ -68,6 +68,7 @@ def base(folder: Path) -> None:
     (folder / "points.csv").write_text("\n".join(["label,lon,lat,alt", *points, ""]))
     lines = [f"{image},{name},{x},{y}" for *_, x, y, image, name in words]
     (folder / "marks.csv").write_text("\n".join([*lines, ""]))
+    (folder / "markers.xml").write_text(markers(names, words))
     centers = METRES * truth.projection_centers
     bars = [
         f"{names[a]} {names[b]} {np.linalg.norm(centers[a] - centers[b]):.6f}"
@@ -126,6 +127,24 @@ def targets(truth: bundle.Problem) -> list[str]:
             name = truth.image_names[truth.observation_image[row]]
             lines.append(f"{lon!r} {lat!r} {h!r} {x!r} {y!r} {name} gcp{number:02}")
     return lines
+
+
+def markers(images: list[str], marks: list[list[str]]) -> str:
+    """Metashape's XML of the marks; words of a line are x y z px py image label."""
+    known = {words[-1]: words for words in marks}
+    parts = ["<document><chunk><cameras>"]
+    parts += [f'<camera id="{row}" label="{name}"/>' for row, name in enumerate(images)]
+    parts += ["</cameras><markers>"]
+    for name, (x, y, z, *_) in known.items():
+        place = f'<reference x="{x}" y="{y}" z="{z}" enabled="true"/>'
+        parts += [f'<marker id="{name}" label="{name}">{place}</marker>']
+    parts += ["</markers><frames><frame><markers>"]
+    for *_, x, y, image, name in marks:
+        place = f'camera_id="{images.index(image)}" x="{float(x) + 0.5}" y="{float(y) + 0.5}"'
+        parts += [f'<marker marker_id="{name}"><location {place}/></marker>']
+    system = 'GEOGCS["WGS 84",AUTHORITY["EPSG","4326"]]'
+    parts += [f"</markers></frame></frames><reference>{system}</reference></chunk></document>"]
+    return "\n".join(parts)
 
 
 def other_programs(folder: Path, _data: Path) -> None:

@@ -98,6 +98,68 @@ def test_accuracies_are_sigmas(tmp_path):
     assert [note for note in notes if "without a use: error" in note]
 
 
+XML = """<?xml version="1.0" encoding="UTF-8"?>
+<document version="1.5.0"><chunk label="flight">
+<cameras><camera id="4" label="a b"/><group><camera id="9" label="c.JPG"/></group></cameras>
+<markers><marker id="0" label="tie"/>
+<marker id="3" label="north"><reference x="481367.1" y="5782936.4" z="100.25" {north}/></marker>
+<group><marker id="1" label="7"><reference x="481396.0" y="5782940.7" z="99.5" {seven}/></marker>
+</group></markers>
+<frames><frame id="0"><markers>
+<marker marker_id="0"><location camera_id="4" pinned="true" x="1" y="2"/></marker>
+<marker marker_id="3"><location camera_id="4" pinned="true" x="1820.5" y="733"/>
+<location camera_id="9" pinned="false" x="12.5" y="14"/>
+<location camera_id="7" pinned="false" valid="false"/></marker>
+<marker marker_id="1"><location camera_id="9" valid="1" x="2210" y="190.25"/></marker>
+</markers></frame></frames>
+<reference>{system}</reference></chunk></document>"""
+UTM = 'PROJCS["UTM 32N",AUTHORITY["EPSG","32632"]]'
+
+
+def markers(tmp_path, north="", seven="", system=UTM, change=("", "")):
+    """Control points of Metashape's XML by name; its cameras have labels with or without suffix."""
+    text = XML.format(north=north, seven=seven, system=system)
+    (tmp_path / "markers.xml").write_text(text.replace(*change))
+    found, notes = given_control_points(tmp_path / "markers.xml", None)
+    assert notes == ()
+    return {point.name: point for point in found}
+
+
+def test_metashapes_markers_are_those_of_the_list(tmp_path):
+    marks = [(image.replace(" b.JPG", " b"), *rest) for image, *rest in MARKS]
+    found = markers(tmp_path)
+    assert unordered(found) == unordered(listed(tmp_path, marks=marks))
+    assert markers(tmp_path, system=f"\n{UTM}\n") == found
+    sigmas = markers(tmp_path, 'sxyz="0.02"', 'sxy="0.02" sz="0.05" enabled="false"')
+    assert sigmas["north"].sigma == (0.02, 0.02) and sigmas["7"].sigma == (0.02, 0.05)
+    assert (sigmas["north"].role, sigmas["7"].role) == ("control", "check")
+    for word, role in (("true", "control"), ("1", "control"), ("0", "check")):
+        assert markers(tmp_path, f'enabled="{word}"')["north"].role == role
+    flat = markers(tmp_path, change=('z="100.25"', ""), system='LOCAL_CS["Local (m)"]')
+    assert np.isnan(flat["north"].position[2]) and flat["7"].reference_system is None
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        (("</chunk>", ""), "markers.xml: expected XML, found mismatched tag"),
+        (("reference x=", "reference u="), "expected markers with coordinates"),
+        (("chunk", "project"), "expected markers with coordinates"),
+        (('x="481367.1"', 'x="east"'), "marker north: x: expected a number or nan, found 'east'"),
+        (('x="12.5"', 'x=""'), "marker north: px: expected a number, found ''"),
+        (
+            ('camera_id="9" pinned', 'camera_id="4" pinned'),
+            "expected one mark of a point per image",
+        ),
+        ((',AUTHORITY["EPSG","32632"]', ""), "reference: coordinate reference system: expected"),
+    ],
+)
+def test_wrong_markers_are_one_line(tmp_path, change, expected):
+    with pytest.raises(InputError) as caught:
+        markers(tmp_path, change=change)
+    assert expected in str(caught.value) and "\n" not in str(caught.value)
+
+
 def test_degrees_of_wgs84_and_metashapes_comment(tmp_path):
     points = {"north": (9.1, 52.2, 100.25), "7": (9.2, 52.1, 99.5)}
     rows = [f"{name},{y},{x},{z}" for name, (x, y, z) in points.items()]

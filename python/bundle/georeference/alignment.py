@@ -63,7 +63,7 @@ def align(
 
     Args:
         problem: a Problem, the path of one, or a pycolmap.Reconstruction; not modified.
-        gcps: control points, or the path of ODM's gcp_list.txt. Only points in at least two images
+        gcps: control points, or their path (docs/align.md). Only points in at least two images
             of the model are used.
         gps: positions of images: the path of ODM's geo.txt, "exif", or a result of
             ``bundle.georeference`` readers. They may be used with or without control points.

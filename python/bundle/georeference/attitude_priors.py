@@ -257,26 +257,7 @@ def quaternion_of_angles(angles: Array) -> Array:
     return quaternion_from_matrix(np.ascontiguousarray(enu[:, [1, 2, 0]].transpose(2, 1, 0)))
 
 
-# Text files of attitudes: directions of gravity, orientations, headings.
-#
-# :mod:`.image_lines` has the rules for words and names. Gravity has one line for each image: down
-# in the camera's frame (right, down, forward; any length) and a standard deviation in degrees,
-# which may be missing::
-#
-#     IMG_0001.jpg   0.02  0.99  0.10   0.5
-#     IMG_0002.jpg  -0.01  9.79  0.55
-#
-# The first line of orientations names the columns. It is one of these, with or without the columns
-# of standard deviations in degrees (``sigma_tilt`` alone may be missing, too)::
-#
-#     name  yaw pitch roll   sigma_heading sigma_tilt
-#     name  qx qy qz qw      sigma_heading sigma_tilt
-#     name  qw qx qy qz      sigma_heading sigma_tilt
-#     name  heading          sigma_heading
-#
-# Angles are degrees; ``attitude_priors`` defines yaw, pitch and roll. Quaternions are
-# cam_from_world rotations, as COLMAP has them, in a world of east, north, up. The heading is that
-# of the viewing direction.
+# Text files of attitudes, as docs/gravity.md describes them: ``LAYOUTS`` has their columns.
 
 
 SIGMAS = ("sigma_heading", "sigma_tilt")

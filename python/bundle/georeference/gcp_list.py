@@ -1,41 +1,33 @@
-"""Ground control points of files: ODM's ``gcp_list.txt``, OpenSfM's, and tables of other programs.
+"""Ground control points of files; docs/align.md describes the formats.
 
-    EPSG:32632
-    # x y z px py image [label] [extras]
-    481367.1 5782936.4 100.25 1820.5 733.0 IMG_0037.jpg gcp02
-    481396.0 5782940.7 nan    2210.0 190.5 IMG_0037.jpg gcp03 sigma=0.02/0.05 pixel_sigma=0.3
-    481413.2 5783008.9 99.71  1511.0 904.0 "my image.jpg" gcp04 check
-
-The first line names the reference system: EPSG:CODE, a PROJ string, WGS84 UTM ZONE with N or S, or
-WGS84 for longitude and latitude. Fields are separated by blanks or tabs; a byte order mark, Windows
-line ends, empty lines and lines that begin with "#" are allowed anywhere. Lines with equal
-coordinates are one target, as in ODM, labelled or not; "nan" is an unknown height.
-
-In ODM the centre of the first pixel is (0, 0): OpenSfM, which reads the list for it, normalizes x
-by (x + 0.5 - width / 2) / max(width, height) (``opensfm.features.normalized_image_coordinates``).
-Here, as in COLMAP, this centre is (0.5, 0.5): half a pixel is added to each coordinate.
-
-Extensions of ODM's format, which ignores everything after the image's name: ``sigma=H[/V]``
-(metres) and ``check`` on any line of a target apply to the target, ``pixel_sigma=PX`` to the
-measurement. The label is the first of the other words; words after it are ignored.
+ODM's ``gcp_list.txt`` has lines ``x y z px py image [label] [extras]``; lines with equal
+coordinates are one target, as in ODM, labelled or not. In ODM the centre of the first pixel is
+(0, 0): OpenSfM, which reads the list for it, normalizes x by (x + 0.5 - width / 2) / max(width,
+height) (``opensfm.features.normalized_image_coordinates``). Here, as in COLMAP, this centre is
+(0.5, 0.5): half a pixel is added to each coordinate. ODM ignores everything after the image's name,
+also the extras: ``sigma=H[/V]``, ``check``, ``pixel_sigma=PX``.
 
 ``ground_control_points.json`` of an OpenSfM project has latitudes and longitudes, and measurements
 in normalised coordinates: pixels from the centre over max(width, height).
 
-Metashape, Pix4D and others write tables of surveyed points, read as those of images are, and of
-marks in pixels from the upper left corner. The names of points tell the orders of marks without
-titles apart; points need titles, because Pix4D's have latitude or longitude first.
+Tables have marks in pixels from the upper left corner. The names of points tell the orders of marks
+without titles apart; points need titles, because Pix4D's have latitude or longitude first.
+Metashape's XML of markers has both: ids and labels of cameras and markers, ``reference`` of each
+marker, its ``location`` in cameras, and the WKT of the reference system.
 """
 
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import field, replace
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bundle.base.arrays import at, check_distinct, check_type
 from bundle.base.paths import as_path, is_path
@@ -51,12 +43,15 @@ from bundle.georeference.control_point import (
 )
 from bundle.georeference.gps_positions import TITLES, read_positions
 from bundle.georeference.local_frame import is_opensfm
+from bundle.georeference.reference_system import ReferenceSystem
 from bundle.georeference.text_lines import (
+    LOCAL,
     ImageIndex,
     content_lines,
     parse_number,
     read_lines,
     read_table,
+    system_of,
 )
 from bundle.io.formats.file_values import Node, read_json
 from bundle.model.problem import Problem
@@ -67,6 +62,9 @@ PIXEL_SHIFT = 0.5
 CHECK = "check"
 POINTS, LIST = "ground_control_points.json", "gcp_list.txt"
 """Files of an OpenSfM project."""
+_EPSG = re.compile(r'AUTHORITY\["EPSG",\s*"(\d+)"\]\]$')
+_ROW = ("x", "y", "z", "horizontal accuracy", "vertical accuracy")
+_TRUE = ("1", "true")  # values of Metashape's attributes
 _KEYS = ("sigma", "pixel_sigma")
 _FIELDS = "x y z px py image [label]"
 _BOTH = "; of tables give both: POINTS,MARKS"
@@ -83,6 +81,10 @@ _ORDERS = [0, 1, 2, 3], [1, 0, 2, 3], [0, 3, 1, 2]
 """Columns of image, point, px and py in tables of marks without titles."""
 
 _Found = tuple[tuple[GroundControlPoint, ...], tuple[str, ...]]  # with notes
+_Markers = tuple[
+    ReferenceSystem | None, dict[str, str], NDArray[np.float64], list[str], list[list[str]]
+]
+"""System, place of each name, (n, 5) as :func:`read_positions`, check points, marks."""
 
 
 @dataclass
@@ -258,16 +260,21 @@ def _control_points(node: Node, problem: Problem) -> tuple[GroundControlPoint, .
     return tuple(points)
 
 
-def read_gcp_tables(points: Path, marks: Path) -> _Found:
-    """Read control points from a table of surveyed points and a table of marks."""
-    system, lines, table, notes = read_positions(points, _POINTS)
-    places = [f"{shown(points)}: line {line}" for line in lines.values()]
+def read_gcp_tables(points: Path, marks: Path | None = None) -> _Found:
+    """Read control points from tables of points and of marks, or from Metashape's XML of both."""
+    if marks is None:
+        system, places, table, checks, pairs = _read_markers(points)
+        notes: list[str] = []
+    else:
+        system, lines, table, notes = read_positions(points, _POINTS)
+        places = {name: f"{shown(points)}: line {line}" for name, line in lines.items()}
+        checks, pairs = [], [*_read_marks(marks, lines)]
     if system is not None:
-        system.to_geodetic(table[:, :3], places)
-    measurements: dict[str, dict[str, Measurement]] = {name: {} for name in lines}
-    for place, image, name, *pixel in _read_marks(marks, lines):
-        if name not in lines:
-            meant = nearest(name, [*lines]) or f"; expected some of {few(map(shown, lines))}"
+        system.to_geodetic(table[:, :3], [*places.values()])
+    measurements: dict[str, dict[str, Measurement]] = {name: {} for name in places}
+    for place, image, name, *pixel in pairs:
+        if name not in places:
+            meant = nearest(name, [*places]) or f"; expected some of {few(map(shown, places))}"
             raise InputError(f"{place}: {shown(points)} has no point {brief(name)}{meant}")
         if image in measurements[name]:
             twice = f"a second one of {brief(name)} in {brief(image)}"
@@ -275,7 +282,7 @@ def read_gcp_tables(points: Path, marks: Path) -> _Found:
         px, py = (parse_number(place, *one) for one in zip(("px", "py"), pixel, strict=True))
         measurements[name][image] = Measurement(image, px, py)
     found = []
-    for place, name, (x, y, z, *both) in zip(places, lines, table.tolist(), strict=True):
+    for (name, place), (x, y, z, *both) in zip(places.items(), table.tolist(), strict=True):
         sigmas = [sigma for sigma in both if not np.isnan(sigma)]
         with at(place):
             point = GroundControlPoint(
@@ -283,12 +290,48 @@ def read_gcp_tables(points: Path, marks: Path) -> _Found:
                 position=(x, y, z),
                 measurements=tuple(measurements[name].values()),
                 sigma=Sigma(sigmas[0], sigmas[-1]) if sigmas else None,
+                role=CHECK if name in checks else "control",
                 reference_system=None if system is None else system.name,
             )
         found += [point] * bool(point.measurements)
     unmarked = [shown(name) for name, seen in measurements.items() if not seen]
     without = f"{plural(len(unmarked), 'point')} of {shown(points)} without marks: {few(unmarked)}."
     return tuple(found), (*notes, *[without] * bool(unmarked))
+
+
+def _read_markers(path: Path) -> _Markers:
+    """Read Metashape's XML; markers that are not enabled are check points."""
+    try:
+        chunk = ElementTree.parse(path).getroot().find("chunk")
+    except ElementTree.ParseError as error:
+        raise InputError(f"{shown(path)}: expected XML, found {error}") from None
+    labels, places, rows, checks, marks = {}, {}, [], [], []
+    for marker in () if chunk is None else chunk.iterfind("markers//marker"):
+        name, given = marker.get("label", ""), marker.find("reference")
+        if given is None or "x" not in given.attrib:
+            continue  # a tie point
+        labels[marker.get("id")] = name
+        place = places[name] = f"{shown(path)}: marker {name}"
+        both = given.get("sxyz", "nan")
+        sigmas = given.get("sxy", both), given.get("sz", both)
+        words = zip(_ROW, (*(given.get(axis, "nan") for axis in "xyz"), *sigmas), strict=True)
+        rows.append([parse_number(place, *word, unknown=True) for word in words])
+        checks += [name] * (given.get("enabled", "1") not in _TRUE)
+    if chunk is None or not rows:
+        raise InputError(
+            f"{shown(path)}: expected markers with coordinates (Export Markers), found 0"
+        )
+    cameras = {one.get("id"): one.get("label", "") for one in chunk.iterfind("cameras//camera")}
+    for seen in chunk.iterfind("frames/frame/markers/marker"):
+        name = labels.get(seen.get("marker_id"), "")
+        for mark in seen.iterfind("location") if name else ():
+            if mark.get("valid", "1") in _TRUE:
+                image = cameras.get(mark.get("camera_id"), "")
+                marks.append([places[name], image, name, mark.get("x", ""), mark.get("y", "")])
+    text = chunk.findtext("reference", "").strip()
+    code = _EPSG.search(text)
+    word = f"EPSG:{code[1]}" if code else LOCAL if text.startswith("LOCAL_CS") else text
+    return system_of(f"{shown(path)}: reference", word), places, np.array(rows), checks, marks
 
 
 def _read_marks(path: Path, points: Collection[str]) -> Iterator[list[str]]:
@@ -315,6 +358,8 @@ def given_control_points(gcps: Any, problem: Problem) -> _Found:
         path = as_path(gcps, "gcps")
         if "," in str(path) and not path.exists():
             return read_gcp_tables(*(as_path(one, "gcps") for one in str(path).split(",", 1)))
+        if path.suffix.lower() == ".xml":
+            return read_gcp_tables(path)
         return read_opensfm_gcps(path, problem) if is_opensfm(path) else read_gcp_list(path), ()
     try:
         points = tuple(gcps)

@@ -180,24 +180,11 @@ def case_notes(index: ImageIndex, names: Iterable[str]) -> list[str]:
     ]
 
 
-# OpenDroneMap's image geolocation file, ``geo.txt``.
+# OpenDroneMap's image geolocation file, ``geo.txt``, and tables; docs/positions.md describes both.
 #
-# The first line is the coordinate reference system, every other line an image::
-#
-#     EPSG:4326
-#     # image         x            y          z       yaw pitch roll  h-acc v-acc
-#     DJI_0028.JPG    -91.9942096  46.8425213 198.609
-#     DJI_0032.JPG    -91.9938293  46.8424584 198.609 0   0     0     0.02  0.03
-#
-# Numbers are identified by position, as in OpenDroneMap: accuracies follow the three angles, and an
-# incomplete group at the end of a line does not belong to the format. x is east or longitude, y
-# north or latitude; 0 and 0 mean a receiver without a fix, but not in a frame of its own (LOCAL).
-# Angles are checked and not used: the images determine the attitude better.
-#
-# A table, as Metashape, Pix4D, exiftool and spreadsheets write it, has titles of columns between
-# commas, semicolons or tabs in its first line, which may be a comment. A line above it may name the
-# reference system, as in geo.txt or in Metashape's comment; otherwise longitude and latitude are
-# those of WGS84. Rows without both are images without a position. Units of titles take precedence.
+# Numbers of geo.txt are identified by position, as in OpenDroneMap; an incomplete group at the end
+# of a line does not belong to the format. Angles are checked and not used: the images determine the
+# attitude better.
 #
 # Source: https://docs.opendronemap.org/geo/ and ``opendm/geo.py`` of OpenDroneMap.
 

@@ -135,12 +135,7 @@ class LocalFrame:
         return self.asdict()
 
 
-# Frame of an OpenSfM project, and its data in a moved frame.
-#
-# The coordinates of a reconstruction are east, north, up in metres about its ``reference_lla``
-# (latitude, longitude, altitude), by the same transformation as :class:`LocalFrame`.
-#
-# Source: opensfm/io.py, opensfm/geo.py of https://github.com/mapillary/OpenSfM.
+# Frame of an OpenSfM project (opensfm/io.py, opensfm/geo.py): ``reference_lla`` is the origin.
 
 
 def is_opensfm(path: Path) -> bool:
@@ -158,11 +153,8 @@ def frame_of(node: Node) -> LocalFrame:
         return LocalFrame(*values)
 
 
-# OpenSfM's data of a model that was moved to another frame.
-#
-# ``reference_lla`` of reconstruction.json is the origin of its coordinates, and ``gps_position`` of
-# a shot is a position in them. After a move both would be wrong: they are computed about the origin
-# of the new frame, or dropped if the new frame has no known origin.
+# ``reference_lla`` and each ``gps_position`` are wrong after a move: they are computed about the
+# origin of the new frame, or dropped if it has no known origin.
 
 
 def without_origin(problem: Problem) -> Problem:

@@ -1,24 +1,15 @@
 """Coordinate reference systems of files, their transformation to WGS84 by PROJ, and area of use.
 
 All coordinates are transformed to latitude, longitude and height on WGS84, and from there into a
-local frame (``bundle.georeference.local_frame``). They are never transformed from one projection to
-another, because projected coordinates are not a Euclidean space. A UTM map scales its central
-meridian by 0.9996, 40 cm in a kilometre, and rotates north by the convergence of meridians.
+local frame (docs/align.md). Heights of systems without a vertical axis (EPSG:32632, EPSG:4326) are
+used unchanged as metres above the WGS84 ellipsoid: those above the sea then shift all points of a
+survey by nearly the same undulation of the geoid, up to 100 m.
 
-Heights are treated separately. If a system has a vertical axis (EPSG:4979, EPSG:7423,
-EPSG:32632+5773), PROJ transforms it. Otherwise (EPSG:32632, EPSG:4326), the third number of a file
-is used unchanged as metres above the WGS84 ellipsoid. Heights above sea level then have an error:
-the geoid undulation, up to 100 m. It is nearly constant over a survey, so that it shifts all points
-equally.
-
-If most coordinates of a file are outside the system's area, the numbers usually have another
-meaning: swapped columns, degrees, or the zone of the other hemisphere. Each is tried.
-
-The area of use of a system comes from PROJ's database.
-
-Coordinates outside the area are rarely correct. There are exceptions: some national surveys use one
-UTM zone for a wider country (EPSG:25833 in Norway, up to 13 degrees outside). Such coordinates get
-a note. They are refused if another interpretation is within the area, or if they are too far away.
+If most coordinates of a file are outside the system's area of use (PROJ's database), the numbers
+usually have another meaning: swapped columns, degrees, or the zone of the other hemisphere. Each is
+tried. Some national surveys use one UTM zone for a wider country (EPSG:25833 in Norway, up to 13
+degrees outside): such coordinates get a note, and are refused if another interpretation is within
+the area, or if they are too far away.
 """
 
 from __future__ import annotations

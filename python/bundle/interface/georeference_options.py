@@ -109,8 +109,9 @@ class GeoreferenceOptions(Options):
     gcp: str | None = option(
         None,
         "--gcp",
-        "OpenDroneMap's gcp_list.txt, OpenSfM's ground_control_points.json or its folder, or two "
-        "tables (CSV), POINTS,MARKS: label, x, y, height; image, label, px, py",
+        "OpenDroneMap's gcp_list.txt, OpenSfM's ground_control_points.json or its folder, "
+        "Metashape's markers (.xml), or two tables (CSV), POINTS,MARKS: label, x, y, height; "
+        "image, label, px, py",
         metavar="FILE[,MARKS]",
         value="path",
         use=43,
