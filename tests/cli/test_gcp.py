@@ -118,6 +118,41 @@ def test_a_list_is_the_reference_of_a_comparison(run, made):
     assert code == 0 and out.startswith("A differs from 6 surveyed points")
 
 
+def test_a_georeferenced_model_is_judged_where_it_is(run, made):
+    """The errors of ``refine`` at its check points, which no alignment has made smaller."""
+    folder, scene = made
+    checks = [scene.gcps[1].name, scene.gcps[4].name]
+    listed = folder / "gcp_list.txt"
+    refine(run, folder, "--gcp", listed, "--check-points", ",".join(checks))
+    expected = {one["name"]: one["residual_enu"] for one in place_of(folder)["gcps"]}
+    lines = listed.read_text().splitlines(keepends=True)
+    marks = [line for line in lines[1:] if line.split()[6] in checks]
+    alone, marked = folder / "alone.txt", folder / "marked.txt"
+    alone.write_text("".join([lines[0], *marks]))
+    marked.write_text("".join([lines[0], *(line.replace("\n", " check\n") for line in marks)]))
+    for given, flags in ((listed, ["--align", "none"]), (alone, []), (marked, [])):
+        done = run("evaluate", folder / "out", "--reference", given, *flags, "--json", "-")
+        found = json.loads(done.out)
+        assert found["kind"] == "check" and found["num_shared"] == 2
+        for point in found["check_points"]:
+            np.testing.assert_allclose(point["error_enu"], expected[point["name"]], atol=1e-6)
+    controls = folder / "controls.txt"
+    controls.write_text("".join(line for line in lines if line not in marks))
+    done = run("evaluate", folder / "out", "--reference", controls, "--align", "none")
+    assert "too small" in done.out and "4 surveyed points" in done.out
+    for given, flags, words in (
+        (listed, ["--align", "none"], "for --align none"),
+        (marked, [], "for check points only"),
+        (listed, ["--align", "yaw"], "--align: expected one of similarity, none"),
+    ):
+        done = run("evaluate", folder / "model", "--reference", given, *flags)
+        assert done.code == 2 and words in done.err and done.err.count("error") == 1
+    away = folder / "away.txt"
+    away.write_text(marked.read_text().replace("EPSG:32632", "LOCAL").replace(".jpg", ".png"))
+    done = run("evaluate", folder / "out", "--reference", away)
+    assert done.code == 2 and "expected check points in 2 images of A" in done.err
+
+
 def test_beside_positions_of_images(run, made):
     folder, scene = made
     centers = np.add(scene.truth.projection_centers, (500000, 5000000, 100))

@@ -148,7 +148,7 @@ TRUTH = argument(
     metavar="B",
     type=reconstruction,
     required=True,
-    help="the truth or another model, in the same formats, or check points in ODM's gcp_list.txt; "
+    help="the truth or another model, in the same formats, or check points in a form of --gcp; "
     "errors are in its frame and its length unit",
 )
 ALIGNED_TO = argument(

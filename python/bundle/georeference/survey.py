@@ -49,7 +49,10 @@ class Frame:
     """
 
     def __init__(
-        self, points: tuple[GroundControlPoint, ...], positions: GpsPositions | None
+        self,
+        points: tuple[GroundControlPoint, ...],
+        positions: GpsPositions | None,
+        origin: LocalFrame | None = None,
     ) -> None:
         self.notes: tuple[str, ...] = positions.notes if positions is not None else ()
         self.origin: LocalFrame | None = None
@@ -82,7 +85,7 @@ class Frame:
         decisive = geodetic[[point.role == "control" for point in points]] if points else geodetic
         if not len(decisive):
             decisive = positions.geodetic if positions is not None else geodetic
-        self.origin = LocalFrame.about(decisive)
+        self.origin = origin or LocalFrame.about(decisive)
         self.reference_system = ", ".join(map(str, systems))
         self.control_points = self.origin.to_enu(geodetic)
         if positions is not None:

@@ -40,7 +40,7 @@ class EvaluateOptions(Options):
         None,
         "--format",
         "format of the reference; poses: a list with lines of name qw qx qy qz tx ty tz; gcp: "
-        "check points in ODM's gcp_list.txt",
+        "check points in any form of --gcp",
         choices=REFERENCE_FORMATS,
         metavar="FORMAT",
         unset="by its content",
@@ -80,7 +80,8 @@ class EvaluateOptions(Options):
         ALIGNMENTS[0],
         "--align",
         "alignment of A to the reference by the shared centres: similarity; rigid, at A's scale; "
-        "yaw, rotation about z and position only, for odometry with gravity; none",
+        "yaw, rotation about z and position only, for odometry with gravity; none: A stays, for "
+        "check points in the frame of its georeference.json",
         choices=ALIGNMENTS,
     )
     auc: str = option(

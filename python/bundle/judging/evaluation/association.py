@@ -1,18 +1,11 @@
 """Association of the poses of an estimate A with those of a reference B.
 
-Names: equal names denote the same image. If more names are equal without folders, or without
-folders and suffix, these shorter names are compared. A name that several images share at that level
-has no partner.
-
-Time stamps: the nearest stamp of B is the partner, if it is also the nearest in the other direction
-and differs by at most the tolerance. Names with numbers such as 1403636579763555584.png
-(nanoseconds) or 1305031102.175304.png (seconds) are time stamps if the other input has no names.
-Small whole numbers, as in frame_0012.jpg, count frames: the stamps of the other input must, too,
-with all numbers of one input among those of the other.
-
-Order, without names and stamps: line k of a KITTI file is frame k, and names that end in numbers,
-such as 000012.png, are frames. Otherwise, both inputs must have the same number of poses; images
-with names are sorted by them.
+Equal names denote the same image. If more names are equal without folders, or without folders and
+suffix, these shorter names are compared. A name that several images share at that level has no
+partner. The nearest time stamp of B is the partner, if it is also the nearest in the other
+direction and differs by at most the tolerance. Small whole numbers, as in frame_0012.jpg, count
+frames: the stamps of the other input must, too, with all numbers of one input among those of the
+other. Without names and stamps, poses correspond by order.
 
 Pairs are sorted by name (numbers by size) or by time: the order of the input changes no result.
 """

@@ -1,17 +1,16 @@
 """Errors of a model at surveyed check points.
 
-The model is aligned to the control points, and its cameras triangulate all targets
-(``georeference.alignment``).
-Targets that the file marks as check points had no influence on the alignment, and their errors are
-those of the model. Without such targets, each control point is left out in turn, and its error is
-the one at the point that was left out. Residuals of points that determine the alignment are smaller
-than the errors of the model; they are used only if there are too few points to leave one out.
+The model is aligned to the control points, and its cameras triangulate all targets. Errors of check
+points are those of the model. Without check points, each control point is left out in turn.
+Residuals of points that determine the alignment are too small; they are used only if there are too
+few points to leave one out. A georeferenced model may stay where it is: then all points count but
+the control points of its own georeference.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import asdict
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,39 +21,51 @@ from bundle.base.display import Display, Displayed
 from bundle.base.paths import is_path
 from bundle.base.records import dataclass
 from bundle.base.words import noun, number, plural
-from bundle.georeference.alignment import align
+from bundle.errors import InputError
+from bundle.georeference.alignment import FEWEST, align
 from bundle.georeference.alignment_result import Alignment, ControlPointError
 from bundle.georeference.control_point import GroundControlPoint
-from bundle.georeference.gcp_list import read_gcp_list
+from bundle.georeference.gcp_list import given_control_points
+from bundle.georeference.local_frame import LocalFrame
+from bundle.georeference.similarity import Similarity
+from bundle.georeference.survey import Frame
+from bundle.georeference.target_priors import TargetPriors
 from bundle.interface.finding import Finding
+from bundle.interface.option_fields import choice
 from bundle.interface.tabular import Tabular
+from bundle.io.georeference_file import georeference_of
 from bundle.io.pose_files import first_line
-from bundle.model.pose_table import ErrorStatistics
+from bundle.model.pose_table import ErrorStatistics, PoseTable
 from bundle.model.problem import Problem
 
 KINDS = {
-    "check": "check points, which had no influence on the alignment",
+    "check": "check points, which had no influence on the place of A",
     "left_out": "control points, each left out in turn",
     "fitted": "control points that determine the alignment, so that errors are too small",
 }
-BEGINNINGS = ("EPSG:", "WGS84", "+proj", "+PROJ")
+BEGINNINGS = ("EPSG:", "WGS84", "+proj", "+PROJ", "LOCAL", "<?xml")
 
 Array = NDArray[np.float64]
 
 
-def check_points_of(given: Any, format: str | None) -> tuple[GroundControlPoint, ...] | None:
-    """Return check points from a path or from control points; None for other references."""
+def check_points_of(
+    given: Any, format: str | None, model: Problem | PoseTable
+) -> tuple[GroundControlPoint, ...] | None:
+    """Return check points from paths or from control points; None for other references."""
     if isinstance(given, Sequence) and not isinstance(given, str) and len(given):
-        points = [one for one in given if isinstance(one, GroundControlPoint)]
-        return tuple(points) if len(points) == len(given) else None
-    if not is_path(given):
+        if not all(isinstance(one, GroundControlPoint) for one in given):
+            return None
+    elif not is_path(given):
         return None
-    if format == "gcp":
-        return read_gcp_list(given)
-    path = Path(given)
-    if format is None and path.is_file() and first_line(path)[1].startswith(BEGINNINGS):
-        return read_gcp_list(given)
-    return None
+    elif format != "gcp":
+        path = Path(given)
+        is_tables = not path.exists() and "," in path.name
+        is_list = path.is_file() and first_line(path)[1].startswith(BEGINNINGS)
+        if format is not None or not (is_tables or is_list):
+            return None
+    if not isinstance(model, Problem):
+        raise InputError("a: expected a model to compare with check points, found poses")
+    return given_control_points(given, model)[0]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -76,13 +87,23 @@ class CheckPointEvaluation(Displayed, Tabular):
     position: ErrorStatistics
 
     @classmethod
-    def of(cls, problem: Problem, points: tuple[GroundControlPoint, ...]) -> CheckPointEvaluation:
+    def of(
+        cls,
+        problem: Problem,
+        points: tuple[GroundControlPoint, ...],
+        given: Any = None,
+        alignment: str = "similarity",
+    ) -> CheckPointEvaluation:
         """Align a model to control points, and return its errors.
+
+        A georeferenced model, whose path is ``given``, stays where it is with ``alignment`` "none",
+        and if the points cannot align it.
 
         Raises:
             InputError: the points do not determine position, scale and attitude of the model.
         """
-        aligned = align(problem, gcps=points)
+        place = _georeference_to_keep(given, points, alignment)
+        aligned = align(problem, gcps=points) if place is None else _placed(problem, points, place)
         used = [point for point in aligned.control_points if point.role != "unused"]
         check = [point for point in used if point.role == "check"]
         kind, chosen = "check", check
@@ -146,3 +167,46 @@ class CheckPointEvaluation(Displayed, Tabular):
 
     def _display(self) -> Display:
         return Display(title=" ".join(self.headline))
+
+
+def _georeference_to_keep(
+    given: Any, points: tuple[GroundControlPoint, ...], alignment: str
+) -> dict[str, Any] | None:
+    is_kept = choice("align", alignment, ("similarity", "none")) == "none"
+    controls = sum(one.role == "control" for one in points)
+    if not is_kept and controls >= FEWEST:
+        return None
+    path = Path(given) if is_path(given) else None
+    place = georeference_of(path, is_folder=path.is_dir()) if path else None
+    if place is None and (is_kept or not controls):
+        raise InputError(
+            "a: expected a model with georeference.json, as align and refine write it, for "
+            f"{'align=none' if is_kept else 'check points only'}, found no such file"
+        )
+    return place
+
+
+def _placed(
+    problem: Problem, points: tuple[GroundControlPoint, ...], place: Mapping[str, Any]
+) -> Alignment:
+    """Return the errors of a model in the frame of its georeference.json."""
+    origin = LocalFrame(**place["origin"]) if place.get("origin") else None
+    if origin is None and any(one.reference_system for one in points):
+        raise InputError("b: expected check points in the Cartesian frame of A (LOCAL)")
+    frame = Frame(points, None, origin)
+    fitted = {one["name"] for one in place.get("gcps", ()) if one["role"] == "control"}
+    placed = tuple(
+        replace(
+            one,
+            position=tuple(at.tolist()),
+            reference_system=None,
+            role="control" if one.name in fitted else "check",
+        )
+        for one, at in zip(points, frame.control_points, strict=True)
+    )
+    errors = TargetPriors(placed, (), (), False).point_errors(problem)
+    lost = [f"{one.name} is not used: {one.reason}." for one in errors if one.reason]
+    if len(lost) == len(errors):
+        raise InputError(f"b: expected check points in 2 images of A, found 0 ({lost[0]})")
+    same, notes = Similarity(1.0, np.eye(3), np.zeros(3)), (*frame.notes, *lost)
+    return Alignment(problem, same, frame.reference_system, origin, errors, (), (), notes)

@@ -65,7 +65,7 @@ def evaluate(
     Args:
         a: a Problem, a PoseGraph, a PoseTable, a Trajectory, a pycolmap.Reconstruction, or a path:
             of a COLMAP model, a BAL file, a g2o file, or other poses (TUM, EuRoC, KITTI, a list).
-        b: the reference, in the same forms; or check points: the path of ODM's gcp_list.txt, or
+        b: the reference, in the same forms; or check points: a path as for ``bundle.align``, or
             ground control points.
         options: options; None: the defaults.
         **changes: options by name.
@@ -86,13 +86,11 @@ def evaluate(
     }
     chosen = chosen.replace(**formats)
     model = open_input(a, "a", chosen.input_format, chosen.input_pose_direction)
-    points = check_points_of(b, chosen.format)
-    if points is not None:
-        for name in chosen.changed().keys() - {"format", "input_format", "input_pose_direction"}:
+    points = check_points_of(b, chosen.format, model)
+    if points is not None and isinstance(model, Problem):
+        for name in chosen.changed().keys() - {"format", "input_format", "align"}:
             raise InputError(f"{name}: expected no value with check points, where it has no effect")
-        if not isinstance(model, Problem):
-            raise InputError("a: expected a model to compare with check points, found poses")
-        return CheckPointEvaluation.of(model, points)
+        return CheckPointEvaluation.of(model, points, a, chosen.align)
     other = open_input(b, "b", chosen.format, chosen.pose_direction)
     words = [_word(a, "A"), _word(b, "B")]
     if chosen.loss != "trivial" and not (isinstance(model, Problem) and isinstance(other, Problem)):

@@ -21,13 +21,11 @@ Residuals alone do not determine this scale: the loss downweights large ones, an
 make residuals small. If B is the truth, the mean of m_i^2 is about 1 if the covariance is right.
 Points, and images that B lacks, have no influence.
 
-The covariance depends on what the solve of A refined, which no file records: principal points and
-the sensors of rigs are constant by default, and A is much less certain if they were refined. A
-itself shows which: at a minimum over a parameter, a step along it does not lower the cost; for a
-constant parameter the expected decrease is half of sigma0^2. So if the movement exceeds the default
-uncertainty, a solve from A also refines these parameters. If it lowers the cost by less than 0.025
-sigma0^2, they were refined, and the covariance is taken with them; one of twenty models with a
-constant principal point is mistaken for such a one. Otherwise the verdict states its assumption.
+The covariance depends on what the solve of A refined, which no file records. At a minimum over a
+parameter, a step along it does not lower the cost; for a constant parameter the expected decrease
+is half of sigma0^2. So if the movement exceeds the default uncertainty, a solve from A also refines
+principal points and sensors. If it lowers the cost by less than 0.025 sigma0^2, they were refined;
+one of twenty models with a constant principal point is mistaken for such a one.
 
 Images of one frame of a rig have a constant relative pose, with C = 0; such pairs are ignored.
 """

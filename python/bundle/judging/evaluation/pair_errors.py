@@ -11,12 +11,7 @@ larger of both. With r(x) the share of pairs with e <= x, all literature reports
 
     AUC(tau) = 1 / tau * integral of r(x) dx from 0 to tau,
 
-but computes it in four ways:
-
-    trapezoid  linear between the sorted errors, pairs i < j: SuperGlue (Sarlin et al. 2020)
-    colmap     the same over ordered pairs, images missing in the estimate have 180 degrees: COLMAP
-    histogram  steps of one degree, pairs i < j: PoseDiffusion, VGGSfM, VGGT
-    integral   exact, the mean of max(0, 1 - e / tau), pairs i < j
+but computes it in four ways (docs/evaluate.md).
 
 The trapezoid needs no sorted errors: between the sorted errors e_k and e_k+1, linear interpolation
 adds (e_k+1 - e_k) / (2 n) to the area under the steps. The sum telescopes, so that

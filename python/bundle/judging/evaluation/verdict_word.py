@@ -1,28 +1,10 @@
-"""Verdict on a comparison: one word, headline, and causes of large differences.
+"""Verdict on a comparison: one word, headline, and causes of large differences (docs/evaluate.md).
 
 The word depends on the position error relative to the size of B (root mean square distance of its
-shared centres from their mean) and on the rotation error, both as root mean squares over images:
-
-    identical    positions within 1e-9 of the size and 1e-12 of the coordinates, rotations within
-                 1e-6 degrees
-    agrees       positions within 1 % of the size, and rotations within 1 degree
-    close        positions within 5 % of the size, and rotations within 5 degrees
-    contradicts  positions beyond 50 % of the size, or rotations beyond 45 degrees
-    differs      otherwise
-
-Causes are tried one by one. A cause is a finding if it removes at least 80 % of the error:
-
-    outlier_images  errors of the images that agree with the majority (``georeference.similarity``)
-    mirrored        A's centres with one coordinate negated, then aligned again
-    direction       A or B read as inverse poses, if it is a table of poses; half of the position
-                    error suffices, because rotations decide
-    axes            if positions are close: one rotation Q of the camera, R_B^T R_A = Q for all
-                    images, as between a camera and an IMU, or between the axes of OpenCV and
-                    OpenGL. Q is the eigenvector of sum q q^T of the quaternions of the errors
-                    (Markley et al. 2007). A mirrored path that lies in a plane has the same effect,
-                    with 180 degrees.
-
-If no cause is found, centres near a line are a finding: noise determines the rotation about it.
+shared centres from their mean) and on the rotation error, both as root mean squares over images.
+Causes are tried one by one; A or B are read as inverse poses, where half of the position error
+suffices, because rotations decide. Other axes are one rotation Q of the camera, R_B^T R_A = Q for
+all images: the eigenvector of sum q q^T of the quaternions of the errors (Markley et al. 2007).
 """
 
 from __future__ import annotations
@@ -50,14 +32,10 @@ AGREES, CLOSE, CONTRADICTS = (0.01, 1.0), (0.05, 5.0), (0.5, 45.0)
 """Limits of the position error relative to the size, and of the rotation error in degrees."""
 
 EXPLAINED = 0.2  # remaining share of an error below which its cause is a finding
-
 WORST_ANGLE = np.radians(1.0)
 """Uncertainty of the rotation about the line of the centres above which it is a finding."""
-
 SURE = 5.0  # sigmas of the rotation of the alignment beyond which a rotation has another cause
-
 THIN = 0.2  # ratio of width to length below which centres are near a line
-
 MOST_NAMES = 3
 
 Array = NDArray[np.float64]

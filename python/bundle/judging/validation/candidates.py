@@ -1,12 +1,7 @@
 """Candidates of a validation: camera model, sharing, loss, and refined parameters.
 
-Sharing divides the images into groups with one lens each:
-
-    each    every image has its own lens
-    focal   every image has its own focal length; images of one size share all else
-    size    images of one size share a lens; images of unknown size keep the cameras of the input
-    all     all images share a lens
-    input   as in the input
+Sharing divides the images into groups with one lens each (docs/which_lens.md); images of unknown
+size keep the cameras of the input.
 
 Sharings that give the same groups are one candidate, under the first name in the order each, size,
 all, input. Sensors of a rig are cameras, so that an input with rigs keeps its own sharing.

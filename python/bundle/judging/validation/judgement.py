@@ -333,27 +333,14 @@ def _command(fit: CandidateFit, fitting: Fitting, source: str, flags: str) -> st
     return f"{words} {flags}".strip()
 
 
-# Motion or a rolling shutter, found by what a shutter predicts.
+# Motion or a rolling shutter, found by what a shutter predicts (docs/which_lens.md).
 #
-# A lens per image absorbs part of a motion during the exposure, predicts better than one lens, and
-# moves the cameras; so does a shared lens with further terms if the motions do not average out.
-# Such gains are no evidence on the lens. Where the row test (:mod:`.row_test`) suspects motion, the
-# candidates with shared lenses are therefore fitted again with a rolling shutter, in all folds.
-#
-# - The shutter explains the residuals if the best shared lens with it predicts better by 1 % than
-#   the best without: an error of a lens that images share does not need a shutter. The row test has
-#   already shown, at 1e-4, that no lens without it describes the images. Held-out errors of a few
-#   images cannot: four images have 3 degrees of freedom.
-# - It is motion if, besides, one of the lenses with a shutter predicts as well as the best of all,
-#   lenses per image among them, by the rule of the decision (its standard errors and 1 %): lenses
-#   that differ would predict better.
-#
-# Where motion is found, by this or by the row test, a lens per image is vetoed. If the shutter
-# explains the residuals, the scores of the shared lenses are those with the shutter, which compare
-# lens with lens. But a shutter also absorbs a lens term that is missing in all images, such as fx /
-# fy. Motion that varies from image to image moves such a term by chance only, and the standard
-# error over the images contains this chance: a shared lens is vetoed, too, if without a shutter it
-# predicts worse than the best one by more than the quantile 0.9995 of the decision.
+# The row test has already shown, at 1e-4, that no lens without a shutter describes the images.
+# Held-out errors of a few images cannot: four images have 3 degrees of freedom. But a shutter also
+# absorbs a lens term that is missing in all images, such as fx / fy. Motion that varies from image
+# to image moves such a term by chance only, and the standard error over the images contains this
+# chance: a shared lens is vetoed, too, if without a shutter it predicts worse than the best one by
+# more than the quantile 0.9995 of the decision.
 #
 # Fits, positions and commands do not include it: a separate test compares its gain with the loss of
 # certainty (:func:`bundle.judging.findings.images.gain_of_shutter`).

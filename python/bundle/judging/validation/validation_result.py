@@ -44,11 +44,7 @@ from bundle.model.problem import Problem
 # one-standard-error rule of Breiman, Friedman, Olshen and Stone (1984). Among equal numbers of
 # parameters the lower score decides.
 #
-# Two exceptions depend on the cameras. A significant difference of less than t to a smaller lens is
-# relevant if the cameras of both fits are farther apart than m = 1 times their standard deviation:
-# the block bends, and hardly any residual shows it. A best candidate whose positions are more than
-# 3 times less certain than those of another must predict better by 3 t; otherwise the more certain
-# one is recommended.
+# Two exceptions depend on the cameras (docs/which_lens.md, with m = 1 standard deviation).
 #
 # ``tests/campaigns/judge.py`` measures the numbers z and t on scenes of known truth. Lower limits
 # choose larger lenses: with z = 1.5 and t = 0.5 %, three times as many scenes get a larger lens
