@@ -133,12 +133,35 @@ def test_info_and_convert(run, source, tmp_path):
     for error in ("log", "g2o"):
         expected = graphs.chi2_by_matrices(graph, error).sum()
         np.testing.assert_allclose(found["chi2"][error], expected, rtol=1e-9)
-    assert "Nothing looks wrong" in run("info", source).out
+    assert "Its poses do not fit its edges yet" in run("info", source).out
+    bundle.save(bundle.solve(graph).problem, tmp_path / "fits.g2o")
+    assert "Nothing looks wrong" in run("info", tmp_path / "fits.g2o").out
     done = run("convert", source, tmp_path / "z.g2o.gz", "--json", "-", "--quiet")
     assert done.code == 0 and json.loads(done.out)["lost"] == []
     np.testing.assert_array_equal(bundle.load(tmp_path / "z.g2o.gz").poses, graph.poses)
     mixed = run("info", source, source, "--json", "-", "--quiet")
     assert len(json.loads(mixed.out)["reports"]) == 2
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_a_trajectory_has_the_poses_at_the_times_of_their_ids(run, tmp_path, dimension):
+    graph = bundle.solve(graphs.loop(dimension, noise=0.01)).problem
+    order = np.random.default_rng(0).permutation(graph.num_poses)
+    ids = 7 + 3 * order
+    bundle.save(graph.replace(ids=ids), tmp_path / "x.g2o")
+    done = run("convert", tmp_path / "x.g2o", tmp_path / "x.tum", "--json", "-", "--quiet")
+    (lost,) = json.loads(done.out)["lost"]
+    assert lost.startswith("17 edges") and "seconds" in lost
+    assert json.loads(done.out)["output"]["format"] == "tum"
+    written = bundle.load_poses(tmp_path / "x.tum")
+    assert written.timestamps_ns.tolist() == (np.sort(ids) * 10**9).tolist()
+    found = bundle.evaluate(graph.replace(ids=ids), bundle.load_poses(tmp_path / "x.tum"))
+    assert found.verdict == "identical" and len(found.association) == 12
+    (lost,) = bundle.save(graph.replace(ids=ids + 10**18), tmp_path / "stamps.TUM")
+    stamps = bundle.load_poses(tmp_path / "stamps.TUM").timestamps_ns
+    assert "nanoseconds" in lost and stamps.tolist() == np.sort(ids + 10**18).tolist()
+    done = run("refine", tmp_path / "x.g2o", "-o", tmp_path / "y.tum", "--quiet")
+    assert done.code == 0 and bundle.load_poses(tmp_path / "y.tum").format == "tum"
 
 
 def test_a_report_never_replaces_a_graph(run, source, tmp_path):

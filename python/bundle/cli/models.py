@@ -127,14 +127,15 @@ def merge_models(run: Run) -> Report:
 
 def convert_pose_graph(run: Run) -> Report:
     """Write the pose graph INPUT with or without compression; compute missing poses."""
-    from bundle.io.g2o_files import check_g2o_target, save_g2o
+    from bundle.io.g2o_files import check_g2o_target, graph_format, save_g2o
     from bundle.reports.terminal.outputs import converted
 
     check_g2o_target(run.target)
     graph = run.load()
     _check_graph_replaced(run, graph)
     lost = run.write(run.target, partial(save_g2o, graph))
-    return converted(run.source, graph, {"path": run.target, "format": "g2o"}, lost)
+    output = {"path": run.target, "format": graph_format(run.target)}
+    return converted(run.source, graph, output, lost)
 
 
 def refine_pose_graph(run: Run) -> Report:
@@ -143,7 +144,7 @@ def refine_pose_graph(run: Run) -> Report:
     from bundle.cli.many_processes import note_alone
     from bundle.graphs.pose_graphs.solve_pose_graph import solve_pose_graph
     from bundle.interface.pose_graph_options import PoseGraphOptions
-    from bundle.io.g2o_files import check_g2o_target, save_g2o
+    from bundle.io.g2o_files import check_g2o_target, graph_format, save_g2o
     from bundle.reports.terminal.pose_graph_tables import refined_graph
 
     note_alone("refines the pose graph")
@@ -169,7 +170,7 @@ def refine_pose_graph(run: Run) -> Report:
         run.write(page, lambda _: write_graph_report(solved, page, name=str(run.source)))
     wall = run.wall_time(solved)
     run.end(0 if is_done else EXIT_NO_SOLUTION, solved.outcome)
-    written = {"path": run.target, "format": "g2o"} if is_saved else None
+    written = {"path": run.target, "format": graph_format(run.target)} if is_saved else None
     return refined_graph(run.source, solved, wall, written, waiting)
 
 

@@ -1,9 +1,11 @@
-"""Reading and writing of g2o files; ``cpp/core/io/g2o.h`` describes the format."""
+"""Reading and writing of pose graphs: ``cpp/core/io/g2o.h`` describes g2o; only poses as TUM."""
 
 from __future__ import annotations
 
 import os
 from typing import Any
+
+import numpy as np
 
 import bundle._core as _core
 from bundle.base.paths import as_path, compression_of
@@ -11,10 +13,13 @@ from bundle.base.words import plural
 from bundle.errors import shown
 from bundle.io.atomic import atomic_write as atomic
 from bundle.io.recognition import check_name
+from bundle.io.sequences.trajectory_files import save_tum
 from bundle.model.pose_graph_arrays import PoseGraph
+from bundle.model.pose_table import PoseTable
 from bundle.model.starts import start_without_poses
 
-_SUFFIXES = (".g2o", ".g2o.gz", ".g2o.bz2")
+_SUFFIXES = (".g2o", ".g2o.gz", ".g2o.bz2", ".tum")
+_SECONDS = 10**10  # ids below it are seconds, others nanoseconds
 
 
 def load_g2o(path: str | os.PathLike[str]) -> PoseGraph:
@@ -41,18 +46,32 @@ def save_g2o(graph: PoseGraph, path: str | os.PathLike[str]) -> tuple[str, ...]:
     """Write a pose graph; a name that ends in ".gz" or ".bz2" is compressed.
 
     An existing file is replaced only when the new one is complete on the disk. Numbers have the
-    fewest digits that read back unchanged. Returns (): the format loses no information.
+    fewest digits that read back unchanged. A name that ends in ".tum" gets only the poses, in the
+    order of their ids, which are the time stamps. Returns sentences on losses.
     """
     path = as_path(path)
+    if graph_format(path) == "tum":
+        order = np.argsort(graph.ids)
+        ids, poses = graph.ids[order], PoseTable.of_graph(graph).poses[order]
+        unit = 1 if np.abs(ids).max(initial=0) >= _SECONDS else 10**9
+        save_tum(path, ids * unit, poses)
+        edges = plural(graph.num_edges, "edge", grouped=True)
+        what = "nanoseconds" if unit == 1 else "seconds"
+        return (f"{edges} and information are left out; time stamps are the ids, as {what}.",)
     with atomic.replace_file(path) as temporary:
         _core.write_g2o(temporary, graph, compression_of(path))
     return ()
 
 
+def graph_format(path: object) -> str:
+    """Return the format of an output path: "g2o" or "tum"."""
+    return "tum" if str(path).lower().endswith(".tum") else "g2o"
+
+
 def check_g2o_target(path: str | os.PathLike[str]) -> None:
     """Raise the error that :func:`save_g2o` would raise."""
     path = as_path(path)
-    check_name(path, f"a pose graph ({', '.join(_SUFFIXES)})", own=".g2o", compressed=".g2o")
+    check_name(path, f"a pose graph ({', '.join(_SUFFIXES)})", own=".g2o .tum", compressed=".g2o")
     atomic.check_file(path)
 
 

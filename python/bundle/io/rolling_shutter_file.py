@@ -1,16 +1,10 @@
-"""rolling_shutter.json: the rolling shutters of a COLMAP model; times of images in their video.
-
-::
-
-    {"cameras": [{"camera_id": 1, "direction": "rows", "readout": 0.8}],
-     "images": [{"image_id": 1, "twist": [wx, wy, wz, vx, vy, vz]}]}
+"""rolling_shutter.json: the rolling shutters of a COLMAP model (docs/rolling_shutter.md).
 
 ``direction`` is "rows" (from top to bottom) or "columns" (from left to right); ``readout`` is a
 share of the time between two frames, or null if it is unknown. Cameras that are not listed have a
-global shutter. ``twist`` is the motion per height of the image in the camera's frame, in radians
-and the model's length unit (:mod:`bundle.model.rolling_shutter`); every image of a listed camera
-has one, or "images" is left out, and all twists are zero. Any image may have its time ``frame`` and
-``neighbours``, the ids of the images before and after it: a neighbour may have a global shutter.
+global shutter. ``twist`` is the motion per height of the image in the camera's frame; every image
+of a listed camera has one, or "images" is left out, and all twists are zero. ``neighbours`` are the
+ids of the images before and after it in its video, which may have a global shutter.
 
 COLMAP does not know the file. It is replaced and removed with its model.
 """

@@ -12,11 +12,9 @@ failure leaves either the old or the new content, never a mixture:
   replacement is rolled back. A killed process leaves a record; the next command that reads or
   writes there completes the replacement from it (``bundle.io.atomic.replacement``).
 
-A killed process may leave a temporary file; the next process that writes there removes it
-(``bundle.io.atomic.temporary``). If two processes write to the same path, the last one wins.
-Missing folders above the destination are created; an error removes them again. Symbolic links to
-the destination are followed, so a link stays a link. Owner and permissions are kept as far as the
-system allows.
+If two processes write to the same path, the last one wins. Missing folders above the destination
+are created; an error removes them again. Symbolic links to the destination are followed. Owner and
+permissions are kept as far as the system allows.
 """
 
 from __future__ import annotations

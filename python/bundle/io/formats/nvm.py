@@ -6,15 +6,7 @@ projection m of a world point X, x to the right and y down from the centre of th
     P = R (X - C),    p = (P_x, P_y) / P_z,    (1 + r |m / f|^2) m = f p:
 
 the distortion acts on the measurement. COLMAP has no such lens; with r = 0 it is SIMPLE_PINHOLE,
-otherwise RADIAL is fitted. The sizes of the images are not in the file. They are taken from the
-photographs, if those exist. Quaternions are normalised, as PBA does.
-
-COLMAP writes pixels from the upper left corner of the image and leaves the principal point out
-(``pixel_origin`` "corner"): m is then the pixel minus the principal point, which is taken to be the
-middle of the image or, where its size is unknown, the middle of all observations.
-
-Programs that write six digits lose a scene far from its origin, such as in UTM: a step s between
-two coordinates moves the pixels of points at the depth d by up to f s / d.
+otherwise RADIAL is fitted (docs/from_your_tool.md: sizes, COLMAP's own files, lost digits).
 
 R9T has R, row by row, and t = -R C in place of the quaternion and C. A space in the name of an
 image is written as ".

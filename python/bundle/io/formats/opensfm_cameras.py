@@ -16,10 +16,8 @@ types have p = theta / q (X, Y), with q = |(X, Y)| and theta = atan2(q, Z).
 The result is multiplied by the focal lengths, and the principal point is added. tangential =
 (2 p1 x y + p2 (r2 + 2 x^2), p1 (r2 + 2 y^2) + 2 p2 x y).
 
-All terms of fisheye62 and fisheye624 act on p. RAD_TAN_THIN_PRISM_FISHEYE (Project Aria's
-Fisheye624) has the same terms, but those after the radial polynomial act on its result. Both models
-are the same lens if it has only the polynomial, or only the other terms. THIN_PRISM_FISHEYE acts on
-p and has k1 to k4, p1, p2, s0 and s2. Any other lens is fitted by RAD_TAN_THIN_PRISM_FISHEYE.
+RAD_TAN_THIN_PRISM_FISHEYE (Project Aria's Fisheye624) has the terms of fisheye624, but those after
+the radial polynomial act on its result; docs/from_your_tool.md lists the lenses that are the same.
 
 Source: opensfm/src/geometry/camera_projections_functions.h, camera_distortions_functions.h.
 """

@@ -41,6 +41,7 @@ from bundle.reports.terminal.solve_data import (
 
 MOST_REJECTED = 20  # number of rejected edges shown
 MOST_EDGES = 5  # number of edges with the largest chi2 shown
+UNFIT = 10.0  # chi2 per degree of freedom above which poses do not fit their edges
 MOST_BAD = 10  # number of listed edges with invalid information
 
 _LINE = Column("line", lambda edge: edge.line or "-")
@@ -229,7 +230,10 @@ def described_graph(path: str, graph: PoseGraph) -> Report:
     return Report(
         command="info",
         input=about_input(path, graph),
-        headline=[_contents(graph, chi2, degrees), _suspicion(len(bad), bool(wrong))],
+        headline=[
+            _contents(graph, chi2, degrees),
+            _suspicion(len(bad), bool(wrong), (chi2[POSE_ERRORS[0]] or 0.0) / max(degrees, 1)),
+        ],
         warnings=[*_said(graph), *wrong],
         sections=[Section(facts=facts, is_detail=True)],
         data={
@@ -250,11 +254,16 @@ def _contents(graph: PoseGraph, chi2: dict[str, float | None], degrees: int) -> 
     return f"{contents_of(graph)}; chi2 now {number(now)}{share}."
 
 
-def _suspicion(num_bad: int, is_wrong: bool) -> str:
+def _suspicion(num_bad: int, is_wrong: bool, ratio: float) -> str:
+    """Return a sentence; ``ratio``: chi2 per degree of freedom, 0 if unknown."""
     if num_bad:
         edges = plural(num_bad, "edge has", "edges have", grouped=True)
         return f"{edges} no valid information matrix."
-    return "It looks wrong:" if is_wrong else "Nothing looks wrong."
+    if is_wrong:
+        return "It looks wrong:"
+    if ratio > UNFIT:
+        return "Its poses do not fit its edges yet: refine it (bundle refine)."
+    return "Nothing looks wrong."
 
 
 def _error(options: PoseGraphOptions) -> str:
