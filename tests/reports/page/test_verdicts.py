@@ -131,6 +131,18 @@ def test_a_suspect_control_point_needs_attention(told, solved):
     assert next(iter(found)) == "Georeference"  # the answer of a survey, before its reasons
 
 
+@pytest.mark.parametrize(("east", "mark"), [(0.3, "good"), (3.9, "good"), (4.4, "attention")])
+def test_one_point_far_beyond_its_sigma_needs_attention(told, solved, east, mark):
+    """The root mean square of all hides it; four sigmas are one good point in a thousand."""
+    point = {**RECORD["gcps"][0], "suspect": False, "sigma": [1.0, 1.0, 1.0]}
+    gcps = [
+        {**point, "name": f"p{k}", "residual_enu": [x, 0.0, 0.0]}
+        for k, x in enumerate([0.2, -east, 0.1, 0.0])
+    ]
+    found = told(solved.problem, georeference={**RECORD, "gcps": gcps})["Georeference"]
+    assert found["mark"] == mark and ("p1 beyond 4 sigmas" in found["number"]) == (east > 4)
+
+
 def test_collapsed_points_are_a_problem(told, solved):
     problem = solved.problem
     points = problem.points.copy()

@@ -1,20 +1,9 @@
 """Verdicts of a report: one line per question, with a mark and its number.
 
 A mark is "attention" if a finding is about the question, or if the number is beyond the first of
-two limits; "problem" beyond the second. Limits:
-
-* error: the median reprojection error, 1.5 and 4 px. Least squares on keypoints of good images
-  leaves 0.3 to 1 px. Medians tolerate outliers, which have a line of their own.
-* outliers: the share of standardized errors above 5 times the local noise, 5 and 20 %.
-* lens: the share of image cells with a significant mean residual, 20 and 60 %, where 1 % is
-  expected, if these means are also larger than 0.3 times the noise. Smaller ones do no harm.
-* focal length: its median standard deviation, 1 and 10 %.
-* positions: their median standard deviation, 3 and 10 % of the extent of the cameras.
-* held-out error: the ratio of its median to that of the fitted observations, 2 and 5.
-* tracks: points with less than 2 degrees of parallax, 25 and 60 %.
-* worst image: the ratio of its RMSE to the median of the images, 3. A single image is not a
-  problem.
-* georeference: the root mean square of check points or positions in their sigmas, 3 and 10.
+two limits; "problem" beyond the second. docs/report.md lists numbers and limits. Medians of errors
+tolerate outliers, which have a line of their own; systematic residuals below 0.3 times the noise do
+no harm; a single image is not a problem.
 """
 
 from __future__ import annotations
@@ -28,7 +17,7 @@ import numpy as np
 from bundle.analysis.statistics.description import Description
 from bundle.analysis.uncertainty.covariance_result import Certainty
 from bundle.base.records import dataclass
-from bundle.base.words import plural
+from bundle.base.words import few, plural
 from bundle.errors import shown
 from bundle.figures.marks import short
 from bundle.figures.placement_figures import Placement
@@ -45,6 +34,7 @@ from bundle.solving.result import Result
 
 MARKS = {"good": "✓", "attention": "!", "problem": "✕", "unknown": "?"}
 SEVERE = ("problem", "attention")
+FAR = 4.0  # length of the error of a surveyed point in sigmas that needs attention
 FLAT = 2.0  # parallax in degrees below which a point is uncertain in depth
 
 
@@ -276,18 +266,18 @@ def _place(given: Judged) -> Verdict | None:
     place = given.place
     if place is None:
         return None
-    checks = [one for one in place.targets if one.role == "check"]
-    if checks:
-        rms = float(place.rms("check")[4])
-        sigma = np.array([one.sigma for one in checks])
-        ratio = rms / float(np.sqrt(np.nanmean(sigma**2) * 3))
-        words = f"{plural(len(checks), 'check point')}, RMS {rms:.3g} m"
-    elif place.targets:
-        controls = [one for one in place.targets if one.role == "control"]
-        rms = float(place.rms("control")[4])
-        sigma = np.array([one.sigma for one in controls]).reshape(-1, 3)
-        ratio = rms / float(np.sqrt(np.nanmean(sigma**2) * 3)) if len(controls) else math.nan
-        words = f"{plural(len(controls), 'control point')}, RMS {rms:.3g} m; no check point"
+    kind = "check" if any(one.role == "check" for one in place.targets) else "control"
+    points = [one for one in place.targets if one.role == kind]
+    far: list[str] = []
+    if place.targets:
+        rms = float(place.rms(kind)[4])
+        sigma = np.array([one.sigma for one in points]).reshape(-1, 3)
+        ratio = rms / float(np.sqrt(np.nanmean(sigma**2) * 3)) if points else math.nan
+        words = f"{plural(len(points), f'{kind} point')}, RMS {rms:.3g} m"
+        words += "; no check point" if kind == "control" else ""
+        lengths = [float(np.sqrt(np.nansum((one.residual / one.sigma) ** 2))) for one in points]
+        far = [one.name for one, length in zip(points, lengths, strict=True) if length > FAR]
+        words += f"; {few(far)} beyond {FAR:g} sigmas" if far else ""
     else:
         used = [image.sigmas for image in place.images if image.used]
         known = np.array(used)[np.isfinite(used)]
@@ -298,7 +288,8 @@ def _place(given: Judged) -> Verdict | None:
     words += f", {plural(suspects, 'suspect point')}" if suspects else ""
     words += f", {unused} without influence" if unused else ""
     mark = _mark(ratio, 3.0, 10.0)
-    return Verdict("Georeference", "attention" if suspects and mark == "good" else mark, words)
+    is_worse = (suspects or far) and mark == "good"
+    return Verdict("Georeference", "attention" if is_worse else mark, words)
 
 
 QUESTIONS: tuple[tuple[Callable[[Judged], Verdict | None], str], ...] = (
