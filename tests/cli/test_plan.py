@@ -55,6 +55,9 @@ def test_control_points_and_bars_are_followed(run, model, tmp_path, monkeypatch)
             lines.append(f"{position} {x} {y} {name} gcp{key}")
     listed = tmp_path / "gcp_list.txt"
     listed.write_text("\n".join(lines))
+    listed.with_name("named.txt").write_text("\n".join(lines).replace(" gcp", " GCP_"))
+    done = run("plan", model, "--for", "distance GCP_1 GCP_2", "--gcp", "named.txt", "--quiet")
+    assert done.code == 0 and "distance GCP_1 GCP_2: " in done.out
     loss = ("--loss", "huber", "--loss-scale", "20")
     flags = ("--for", "distance 3 9", "--gcp", listed.name, *loss, "--quiet")
     for kind in ("gcp", "bar"):

@@ -115,7 +115,6 @@ class InfluenceOptions(Options):
         "camera's parameter such as f 1, or a ratio of two with ' / ' between them; A is a point "
         "id, the name of a control point or image:NAME",
         metavar="QUANTITY",
-        value="word",
     )
     without: str = option(
         WITHOUT[0],
@@ -139,7 +138,6 @@ class PlanOptions(Options):
         "the quantity, as in bundle influence: distance A B, height A B, angle A B C, "
         "volume A B C D, baseline I J, a camera's parameter such as f 1, or a ratio",
         metavar="QUANTITY",
-        value="word",
         use=3,
     )
     add: str = option(
