@@ -1,5 +1,6 @@
 """Dimensions of georeferenced blocks against those of the flight."""
 
+import json
 import math
 import re
 
@@ -8,10 +9,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from bundle import pictures
-from bundle.figures.placement_figures import PlacedTarget, Placement, block, overlap_figure
+from bundle.figures.placement_figures import Placement, block, overlap_figure
+from bundle.georeference.alignment_result import ControlPointError
 from bundle.georeference.similarity import Similarity, moved
 from bundle.reports.page.model_sections import placement_sections
 from bundle.reports.page.svg import drawing
+from bundle.reports.sections import dumps, plain
 from tests.georeference.flights import flight
 
 
@@ -111,8 +114,8 @@ def test_what_is_unknown_is_left_out():
 
 
 def target(name, role, residual, left_out):
-    triples = (np.array(one, float) for one in (residual, left_out, (0.02, 0.02, 0.02)))
-    return PlacedTarget(name, role, 3, *triples, 0.5, False, np.full(3, np.nan))
+    sigma = (0.02, 0.02, 0.02)
+    return ControlPointError(name, role, 3, residual, left_out, sigma, 0.5, (), False)
 
 
 def test_accuracy_comes_before_precision():
@@ -157,3 +160,20 @@ def test_a_shift_stands_beside_its_spread():
     assert table.rows[0][:4] == ["check points", "+0.0000 ± 0.0000", "+0.0000 ± 0.0000",
                                  f"+{np.mean(ups):.4f} ± {np.std(ups, ddof=1):.4f}"]  # fmt: skip
     assert table.rows[1][0] == "control points, each left out" and set(table.rows[1][1:4]) == {"-"}
+
+
+@pytest.mark.parametrize(
+    ("role", "suspect", "is_used"),
+    [("control", False, True), ("check", True, False), ("unused", False, False)],
+)
+def test_a_point_is_read_as_it_was_written(role, suspect, is_used):
+    nan = math.nan
+    point = ControlPointError(
+        "a", role, 2, (0.1, -0.2, nan), (nan,) * 3, (0.02, 0.03, nan), 0.5,
+        (("x.jpg", 0.3, -0.4), ("y.jpg", 1.0, 2.0)), suspect, "", 0.25, (5.0, 6.0, nan),
+    )  # fmt: skip
+    read = ControlPointError.of(json.loads(dumps({"of": plain(point.asdict())}))["of"])
+    assert repr(read) == repr(point)
+    assert read.used is is_used
+    without = {key: value for key, value in point.asdict().items() if key != "images"}
+    assert ControlPointError.of(without).num_images == 0

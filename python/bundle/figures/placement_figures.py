@@ -25,7 +25,12 @@ from bundle.figures.marks import (
     square,
 )
 from bundle.figures.residual_field import principal_point
-from bundle.georeference.alignment_result import root_mean_square
+from bundle.georeference.alignment_result import (
+    UNKNOWN,
+    ControlPointError,
+    ImageError,
+    root_mean_square,
+)
 from bundle.model.cameras import param_kinds, project
 from bundle.model.lenses.exact_image import pixel_rays
 from bundle.model.problem import Problem
@@ -92,14 +97,14 @@ def plan_figure(place: Placement, centers: Array) -> Figure | None:
 
     The (n, 3) centers of all images are drawn where no image has a measured position.
     """
-    groups: dict[str, list[PlacedImage | PlacedTarget]] = {
-        noun: [one for one in all_ if _is_known(one) and np.isfinite(one.position[:2]).all()]
+    groups: dict[str, list[ImageError | ControlPointError]] = {
+        noun: [one for one in all_ if _is_known(one) and np.isfinite(_in_model(one)).all()]
         for noun, all_ in (("images", place.images), ("points", place.targets))
     }
     if not any(groups.values()):
         return None
     others = centers[: 0 if groups["images"] else None, :2]
-    every = np.vstack([others, *(one.position[:2] for group in groups.values() for one in group)])
+    every = np.vstack([others, *(_in_model(one) for group in groups.values() for one in group)])
     x, y = square(every.min(axis=0), every.max(axis=0), PLAN, 0.1)
     reach = (y.high - y.low) / 2
     marks: list[Any] = [Dots(others, (GREY,) * len(others), radius=2.0)]
@@ -107,7 +112,7 @@ def plan_figure(place: Placement, centers: Array) -> Figure | None:
     for noun, group in groups.items():
         if not group:
             continue
-        at = np.array([one.position[:2] for one in group])
+        at = np.array([_in_model(one) for one in group])
         residuals = np.array([one.residual[:2] for one in group])
         lengths = np.hypot(*residuals.T)
         used = np.array([one.used for one in group])
@@ -143,64 +148,25 @@ def overlap_figure(dimensions: Block, centers: Array) -> Figure | None:
     )  # fmt: skip
 
 
-def _dots(group: Sequence[PlacedImage | PlacedTarget], at: Array, is_labelled: bool) -> Dots:
+def _dots(group: Sequence[ImageError | ControlPointError], at: Array, is_labelled: bool) -> Dots:
     names = (f"{one.name} {one.residual[2]:+.3f} m".removesuffix(" +nan m") for one in group)
     colours = tuple(ROLES.get(one.role, GREY) for one in group)
     return Dots(at, colours, tuple(names), is_labelled, radius=5.0 if is_labelled else 3.4)
 
 
-def _is_known(one: PlacedImage | PlacedTarget) -> bool:
+def _in_model(one: ImageError | ControlPointError) -> Array:
+    """Return the position in the model, (2,) east and north; that of a point is the survey's."""
+    east, north, _ = np.add(one.position, 0.0 if isinstance(one, ImageError) else one.residual)
+    return np.array([east, north])
+
+
+def _is_known(one: ImageError | ControlPointError) -> bool:
     return bool(np.isfinite(one.residual[:2]).all())
 
 
 def _moment(residuals: Array) -> Array:
     moment: Array = residuals.T @ residuals / len(residuals)
     return moment
-
-
-@dataclass(frozen=True, eq=False)
-class PlacedImage:
-    """Image with a measured position.
-
-    Position and residual (model minus measurement) are east, north, up [m], NaN if the model has no
-    such image. ``sigmas`` is the length of the residual in standard deviations; NaN if unknown.
-    """
-
-    name: str
-    position: NDArray[np.float64]
-    residual: NDArray[np.float64]
-    sigmas: float
-    used: bool
-
-    @property
-    def role(self) -> str:
-        """Role: "image", or "unused"."""
-        return "image" if self.used else "unused"
-
-
-@dataclass(frozen=True, eq=False)
-class PlacedTarget:
-    """Control or check point, or an unused one.
-
-    All are east, north, up [m], NaN if unknown: the residual (model minus survey), the residual of
-    a model that only the other points georeference, the sigma of the survey, and the position in
-    the model. ``pixels`` is the root mean square of its reprojection errors.
-    """
-
-    name: str
-    role: str
-    num_images: int
-    residual: NDArray[np.float64]
-    left_out: NDArray[np.float64]
-    sigma: NDArray[np.float64]
-    pixels: float
-    suspect: bool
-    position: NDArray[np.float64]
-
-    @property
-    def used(self) -> bool:
-        """True if its error counts: without a gross error, in two images or more."""
-        return self.role != "unused" and not self.suspect
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,8 +180,8 @@ class Placement:
     """
 
     reference_system: str | None
-    images: tuple[PlacedImage, ...]
-    targets: tuple[PlacedTarget, ...]
+    images: tuple[ImageError, ...]
+    targets: tuple[ControlPointError, ...]
 
     def errors(self, kind: str) -> NDArray[np.float64]:
         """Return (n, 3) errors: east, north, up [m]; NaN where unknown.
@@ -226,7 +192,7 @@ class Placement:
         if kind == "gps":
             rows = [image.residual for image in self.images if image.used]
         elif kind == "left out":
-            rows = [target.left_out for target in self.targets if target.role == "control"]
+            rows = [target.leave_one_out for target in self.targets if target.role == "control"]
         else:
             rows = [target.residual for target in self.targets if target.role == kind]
         return np.array(rows, float).reshape(-1, 3)
@@ -361,36 +327,13 @@ def placement(problem: Problem, record: Mapping[str, Any]) -> Placement:
     Raises:
         InputError: the record has another form.
     """
-    centers = problem.projection_centers
     index = {name: place for place, name in enumerate(problem.image_names)}
+    centers = np.vstack([problem.projection_centers, UNKNOWN])
     try:
         images = tuple(
-            PlacedImage(
-                name=str(entry["image"]),
-                position=centers[index[entry["image"]]]
-                if entry["image"] in index
-                else np.full(3, math.nan),
-                residual=_triple(entry["residual_enu"]),
-                sigmas=_number(entry.get("sigmas")),
-                used=bool(entry["used"]),
-            )
-            for entry in record["gps"]
+            ImageError.of(entry, centers[index.get(entry["image"], -1)]) for entry in record["gps"]
         )
-        targets = tuple(
-            PlacedTarget(
-                name=str(entry["name"]),
-                role=str(entry["role"]),
-                num_images=len(entry.get("images", ())),
-                residual=_triple(entry["residual_enu"]),
-                left_out=_triple(entry.get("residual_leave_one_out_enu", [None] * 3)),
-                sigma=_triple(entry["sigma"]),
-                pixels=_number(entry["residual_px"]),
-                suspect=bool(entry["suspect"]),
-                position=_triple(entry.get("position_enu", [None] * 3))
-                + _triple(entry["residual_enu"]),
-            )
-            for entry in record["gcps"]
-        )
+        targets = tuple(map(ControlPointError.of, record["gcps"]))
         system = record["reference_system"]
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise InputError(
@@ -398,14 +341,3 @@ def placement(problem: Problem, record: Mapping[str, Any]) -> Placement:
             f"{type(error).__name__} at {error}"
         ) from None
     return Placement(None if system is None else str(system), images, targets)
-
-
-def _triple(values: Sequence[float | None]) -> NDArray[np.float64]:
-    triple = np.array([_number(value) for value in values])
-    if triple.shape != (3,):
-        raise ValueError(f"{len(triple)} coordinates")
-    return triple
-
-
-def _number(value: float | None) -> float:
-    return math.nan if value is None else float(value)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -21,6 +21,7 @@ from bundle.model.problem import Problem
 
 Triple = tuple[float, float, float]
 
+UNKNOWN: Triple = (float("nan"),) * 3
 DETECTABLE = 4.6  # sigmas of an error that the test of a point finds with a probability of 80 %
 
 
@@ -55,7 +56,30 @@ class ControlPointError:
     suspect: bool
     reason: str = ""
     redundancy: float = float("nan")
-    position: Triple = (float("nan"),) * 3
+    position: Triple = UNKNOWN
+
+    @staticmethod
+    def of(entry: Mapping[str, Any]) -> ControlPointError:
+        """Return the point of an entry of ``georeference.json``; see :meth:`asdict`."""
+        images = [(one["image"], *one["residual_px"]) for one in entry.get("images", ())]
+        return ControlPointError(
+            name=str(entry["name"]),
+            role=str(entry["role"]),
+            num_images=len(images),
+            residual=_triple(entry["residual_enu"]),
+            leave_one_out=_triple(entry.get("residual_leave_one_out_enu", UNKNOWN)),
+            sigma=_triple(entry["sigma"]),
+            pixels=_number(entry["residual_px"]),
+            images=tuple((str(name), _number(x), _number(y)) for name, x, y in images),
+            suspect=bool(entry["suspect"]),
+            redundancy=_number(entry.get("redundancy")),
+            position=_triple(entry.get("position_enu", UNKNOWN)),
+        )
+
+    @property
+    def used(self) -> bool:
+        """True if its error counts: without a gross error, in two images or more."""
+        return self.role != "unused" and not self.suspect
 
     @property
     def is_unchecked(self) -> bool:
@@ -98,12 +122,30 @@ class ImageError:
         used: False without a prior, or if it had no influence, for example because of a robust
             loss.
         sigmas: length of the residual in standard deviations; nan if unknown.
+        position: (3,) position in the model; nan if unknown.
     """
 
     name: str
     residual: Triple
     used: bool
     sigmas: float = float("nan")
+    position: Triple = UNKNOWN
+
+    @staticmethod
+    def of(entry: Mapping[str, Any], position: NDArray[np.float64]) -> ImageError:
+        """Return the image of an entry of ``georeference.json`` at a position in the model."""
+        return ImageError(
+            name=str(entry["image"]),
+            residual=_triple(entry["residual_enu"]),
+            used=bool(entry["used"]),
+            sigmas=_number(entry.get("sigmas")),
+            position=as_triple(position),
+        )
+
+    @property
+    def role(self) -> str:
+        """Role: "image", or "unused"."""
+        return "image" if self.used else "unused"
 
 
 @dataclass(frozen=True, repr=False)
@@ -198,6 +240,15 @@ def as_triple(values: NDArray[np.float64]) -> Triple:
     """Return the three numbers of an array."""
     east, north, up = values.tolist()
     return east, north, up
+
+
+def _triple(values: Sequence[float | None]) -> Triple:
+    east, north, up = map(_number, values)
+    return east, north, up
+
+
+def _number(value: float | None) -> float:
+    return float("nan") if value is None else float(value)
 
 
 def root_mean_square(residuals: Iterable[Triple]) -> Triple:

@@ -22,7 +22,7 @@ def target(name, residual, **changes):
         "residual_px": 0.5,
         "sigma": [0.02, 0.03, None],
         "suspect": False,
-        "images": [{}, {}],
+        "images": [{"image": f"image{k}.jpg", "residual_px": [0.3, -0.4]} for k in (1, 2)],
         **changes,
     }
 

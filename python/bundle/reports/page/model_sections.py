@@ -208,8 +208,8 @@ def _targets(place: Placement) -> Section:
             "left out [m]", "RMSE [px]"]  # fmt: skip
     rows = [
         [target.name, "suspect" if target.suspect else target.role, f"{target.num_images}",
-         *map(_metres, target.residual), "/".join(map(number, target.sigma[::2].tolist())),
-         _metres(_length(target.left_out)), pixels(target.pixels)]
+         *map(_metres, target.residual), "/".join(map(number, target.sigma[::2])),
+         _metres(_length(target.leave_one_out)), pixels(target.pixels)]
         for target in place.targets
     ]  # fmt: skip
     words = "Left out: length of the error when only the other points place the model."
@@ -234,9 +234,9 @@ def _positions(place: Placement) -> Section:
     return Section(title=title, tables=[table], is_detail=True)
 
 
-def _length(values: NDArray[np.float64]) -> float:
-    known = values[np.isfinite(values)]
-    return float(np.linalg.norm(known)) if len(known) else math.nan
+def _length(values: Sequence[float]) -> float:
+    known = [value for value in values if math.isfinite(value)]
+    return math.hypot(*known) if known else math.nan
 
 
 def _metres(value: float) -> str:

@@ -275,7 +275,8 @@ def _place(given: Judged) -> Verdict | None:
         ratio = rms / float(np.sqrt(np.nanmean(sigma**2) * 3)) if points else math.nan
         words = f"{plural(len(points), f'{kind} point')}, RMS {rms:.3g} m"
         words += "; no check point" if kind == "control" else ""
-        lengths = [float(np.sqrt(np.nansum((one.residual / one.sigma) ** 2))) for one in points]
+        residual = np.array([one.residual for one in points]).reshape(-1, 3)
+        lengths = np.sqrt(np.nansum((residual / sigma) ** 2, axis=1))
         far = [one.name for one, length in zip(points, lengths, strict=True) if length > FAR]
         words += f"; {few(far)} beyond {FAR:g} sigmas" if far else ""
     else:
