@@ -299,6 +299,8 @@ class CovarianceComputation {
   void FindWorst(const ReliabilityOptions& wanted, ReliabilityOutput* found) const;
   std::vector<int> PointsBeside(const ReliabilityOutput& found) const;
   void FindEffects(BlockValues inverse, ReliabilityOutput* found);
+  void MovePoints(int first, const Eigen::MatrixXd& x, const Eigen::MatrixXd& own,
+                  const Eigen::MatrixXd& s, ReliabilityOutput* found);
   void SubtractEliminated(const PointBlocks& blocks, const Vector3& b, Eigen::MatrixXd* columns,
                           int k) const;
   // influence.cpp

@@ -18,6 +18,9 @@ namespace {
 /// Eigenvalues below this share of the largest one are rounding errors.
 constexpr double kNoVariance = 1e-12;
 
+/// Movements in one pass over the points, beside the seven columns of a gauge.
+constexpr int kAtOnce = Kernels::kMostMoved - kSimilarities;
+
 /// The least eigenvalue of I - h, and its direction.
 struct Weakest {
   double redundancy;
@@ -25,7 +28,7 @@ struct Weakest {
 };
 
 Weakest FindWeakest(double h00, double h01, double h11) {
-  const double half = 0.5 * (h00 - h11), root = std::hypot(half, h01);
+  const double half = 0.5 * (h00 - h11), root = std::sqrt(half * half + h01 * h01);
   // Of the two forms of the eigenvector, the one without cancellation.
   double x = half + root, y = h01;
   if (half < 0) {
@@ -52,21 +55,6 @@ Eigen::MatrixXd PseudoInverse(const Eigen::MatrixXd& covariance) {
       of.values.unaryExpr([least](double v) { return v > least ? 1 / v : 0; });
   const Eigen::MatrixXd scaled = scale.asDiagonal() * of.vectors;
   return Multiply(scaled * inverse.asDiagonal(), scaled.transpose());
-}
-
-/// to -= Y^T x for `size` rows of Y and of x, which are `width` registers wide, as is each of three
-/// rows of `to`.
-BUNDLE_FOR_TWO_PROCESSORS
-void SubtractTransposed(const double* y, int size, const double* x, int width, double* to) {
-  const Four* const rows = reinterpret_cast<const Four*>(x);
-  Four* const sums = reinterpret_cast<Four*>(to);
-  for (int w = 0; w < width; ++w) {
-    Four sum[3] = {sums[w], sums[width + w], sums[2 * width + w]};
-    for (int r = 0; r < size; ++r) {
-      for (int c = 0; c < 3; ++c) sum[c] -= y[3 * r + c] * rows[width * r + w];
-    }
-    for (int c = 0; c < 3; ++c) sums[width * c + w] = sum[c];
-  }
 }
 
 /// x^T A x of the columns x of three rows, `width` registers wide, for a symmetric A.
@@ -161,48 +149,101 @@ void CovarianceComputation::FindEffects(BlockValues inverse, ReliabilityOutput* 
       effect.image_sigmas = sigmas;
     }
   }
-  // The columns of an unknown side by side, four in a register.
-  const int width = (count + 3) / 4;
-  std::vector<double> by_unknown(4 * size_t(width) * n);
-  for (int row = 0; row < n; ++row) {
-    for (int k = 0; k < count; ++k) by_unknown[4 * size_t(width) * row + k] = x(row, k);
-  }
   std::swap(system_.values(), inverse);
-  const std::vector<int> points = PointsBeside(*found);
-  std::vector<PaddedRows> padded(system_.num_threads());
-  std::vector<std::vector<double>> room(system_.num_threads());
+  for (int first = 0; first < count; first += kAtOnce) {
+    const int size = std::min(kAtOnce, count - first);
+    MovePoints(first, x.middleCols(first, size), own.middleCols(first, size),
+               s.middleCols(first, size), found);
+  }
+}
+
+/// Judges the movements of points with the effects from `first` on. One pass gives Y_p^T x and the
+/// points' part V_p^-1 N_p - Y_p^T y of Y = G N (free_gauge.h), which transforms the covariances
+/// that the leverages have left. Points of which there are rows only are transformed by blocks.
+void CovarianceComputation::MovePoints(int first, const Eigen::MatrixXd& x,
+                                       const Eigen::MatrixXd& own, const Eigen::MatrixXd& s,
+                                       ReliabilityOutput* found) {
+  const auto n = static_cast<Eigen::Index>(system_.num_unknowns()), count = x.cols();
+  const Eigen::Index degrees = s.rows();
+  const auto width = static_cast<int>((count + degrees + 3) / 4);
+  Matrix by_unknown = Matrix::Zero(n, 4 * width);
+  by_unknown.leftCols(count) = x;
+  if (degrees > 0) {
+    Matrix rows_n(n, degrees), rows_y(n, degrees);
+    constraints_->RowsOfUnknowns(0, static_cast<int>(n), rows_n.data(), rows_y.data());
+    by_unknown.middleCols(count, degrees) = rows_y;
+  }
   std::vector<std::vector<ExternalEffect>> effects(system_.num_threads(), found->worst);
-  system_.ForPoints(system_.num_threads(), points,
+  std::vector<std::vector<double>> room(system_.num_threads(),
+                                        std::vector<double>(4 * size_t(width)));
+  using Columns = Eigen::Matrix<double, 3, Eigen::Dynamic, Eigen::RowMajor, 3, Kernels::kMostMoved>;
+  // `moved`: -Y_p^T of all columns; `covariance`: by G unless `is_transformed`.
+  const auto judge = [&](int p, const Matrix3& inverse, Columns moved, Matrix3 covariance,
+                         bool is_transformed, int thread) {
+    for (Eigen::Index k = 0; k < count; ++k) {
+      if (view().observation_point[found->worst[first + k].observation] == p) {
+        moved.col(k) += own.col(k);
+      }
+    }
+    if (degrees > 0) {
+      const Columns of_n = gauge_->OfPoint(p);
+      moved.leftCols(count) -= of_n.lazyProduct(s);
+      const Columns of_y = inverse.lazyProduct(of_n) + moved.middleCols(count, degrees);
+      if (!is_transformed) {
+        constraints_->Transform(3, of_n.data(), of_y.data(), 3, of_n.data(), of_y.data(),
+                                covariance.data());
+      }
+    }
+    const Matrix3 information = covariance.inverse();
+    double* const squares = room[thread].data();
+    FindSquares(information.data(), moved.data(), width, squares);
+    for (Eigen::Index k = 0; k < count; ++k) {
+      const double moved_by = std::sqrt(squares[k]);
+      ExternalEffect& effect = effects[thread][first + k];
+      if (!(moved_by > effect.point_sigmas ||
+            (moved_by == effect.point_sigmas && p < effect.point)))
+        continue;
+      effect.point = p;
+      effect.point_sigmas = moved_by;
+    }
+  };
+  std::vector<uint8_t> is_in_lanes(view().num_points);
+  std::vector<int> by_rows;
+  for (const int p : PointsBeside(*found)) {
+    is_in_lanes[p] = std::isnan(output_.points[9 * size_t(p)]) ? 0 : 1;
+    if (is_in_lanes[p] == 0) by_rows.push_back(p);
+  }
+  system_.FindMovements(
+      by_unknown.data(), width, is_in_lanes,
+      [&](int p, const double* inverse, const double* rows, int thread) {
+        judge(p, Eigen::Map<const Matrix3>(inverse), -Eigen::Map<const Columns>(rows, 3, 4 * width),
+              Eigen::Map<const Matrix3>(&output_.points[9 * size_t(p)]), false, thread);
+      });
+  std::vector<PaddedRows> padded(system_.num_threads());
+  system_.ForPoints(system_.num_threads(), by_rows,
                     [&](int p, const PointBlocks& blocks, const PointAssembler&, int thread) {
                       if (blocks.num_null > 0) return;
-                      const Matrix3 information = OfPoint(p, blocks, &padded[thread]).inverse();
-                      room[thread].assign(4 * 4 * size_t(width), 0.0);
-                      double* const squares = &room[thread][3 * 4 * size_t(width)];
-                      using Columns = Eigen::Matrix<double, 3, Eigen::Dynamic, Eigen::RowMajor>;
-                      Eigen::Map<Columns> of(room[thread].data(), 3, 4 * width);
-                      for (int k = 0; k < count; ++k) {
-                        if (view().observation_point[found->worst[k].observation] == p)
-                          of.col(k) = own.col(k);
-                      }
+                      Columns moved = Columns::Zero(3, 4 * width);
                       for (size_t b = 0; b < blocks.blocks.size(); ++b) {
                         const CameraBlock& block = layout().blocks()[blocks.blocks[b]];
-                        SubtractTransposed(&blocks.y[3 * size_t(blocks.begin[b])], block.size,
-                                           &by_unknown[4 * size_t(width) * block.offset], width,
-                                           of.data());
+                        using Rows = Eigen::Matrix<double, Eigen::Dynamic, 3, Eigen::RowMajor>;
+                        moved -= Eigen::Map<const Rows>(&blocks.y[3 * size_t(blocks.begin[b])],
+                                                        block.size, 3)
+                                     .transpose()
+                                     .lazyProduct(by_unknown.middleRows(block.offset, block.size));
                       }
-                      if (degrees > 0) of.leftCols(count) -= gauge_->OfPoint(p).lazyProduct(s);
-                      FindSquares(information.data(), of.data(), width, squares);
-                      for (int k = 0; k < count; ++k) {
-                        const double moved_by = std::sqrt(squares[k]);
-                        ExternalEffect& effect = effects[thread][k];
-                        if (!(moved_by > effect.point_sigmas)) continue;
-                        effect.point = p;
-                        effect.point_sigmas = moved_by;
-                      }
+                      judge(p, Eigen::Map<const Matrix3>(blocks.inverse), moved,
+                            OfPoint(p, blocks, &padded[thread]), true, thread);
                     });
-  for (const std::vector<ExternalEffect>& of_thread : effects) {  // of ascending points
-    for (int k = 0; k < count; ++k) {
-      if (of_thread[k].point_sigmas > found->worst[k].point_sigmas) found->worst[k] = of_thread[k];
+  for (const std::vector<ExternalEffect>& of_thread : effects) {
+    for (Eigen::Index k = 0; k < count; ++k) {
+      const ExternalEffect& one = of_thread[first + k];
+      ExternalEffect& most = found->worst[first + k];
+      if (one.point_sigmas > most.point_sigmas ||
+          (one.point_sigmas == most.point_sigmas && one.point >= 0 && one.point < most.point)) {
+        most.point = one.point;
+        most.point_sigmas = one.point_sigmas;
+      }
     }
   }
 }

@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstddef>
+#include <limits>
 #include <type_traits>
 #include <vector>
 
@@ -253,7 +254,8 @@ void ForLeverages(const ReducedSystem& system, const LongMatrix& inverse,
   for (const int p : points) has_rows[p] = 1;
   if (points.size() < system.free_points().size()) {
     system.FindLeverages(
-        wanted.without_h, wanted.adjoint, [&](int64_t i, const ObservationLeverage& found) {
+        wanted.without_h, wanted.adjoint, wanted.covariances,
+        [&](int64_t i, const ObservationLeverage& found) {
           if (has_rows[system.problem().observation_point[i]] != 0) return;
           double rho[3];
           system.evaluator().LossOf(found.residual, rho);
@@ -265,6 +267,10 @@ void ForLeverages(const ReducedSystem& system, const LongMatrix& inverse,
           std::copy_n(found.along, 2, of.along);
           of_observation(of);
         });
+    for (const int p : points) {
+      if (wanted.covariances == nullptr) break;
+      std::fill_n(wanted.covariances + 9 * int64_t{p}, 9, std::numeric_limits<double>::quiet_NaN());
+    }
   }
   VisitLeverages<double>(system, inverse, points, of_observation, of_point, wanted.without_h);
 }

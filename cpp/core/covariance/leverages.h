@@ -79,6 +79,8 @@ struct LeverageOptions {
   /// Free points that `of_point` visits, each before its observations, all of which have rows.
   std::vector<int> points = {};
   const double* adjoint = nullptr;  ///< a by unknown; zero for points
+  /// Receives the covariances of points without rows, 9 numbers each, by C as it is; nullptr: none.
+  double* covariances = nullptr;
 };
 
 /// Visits the observations of free points and then those of constant points, on all threads.

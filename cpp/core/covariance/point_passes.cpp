@@ -109,6 +109,9 @@ struct PointPasses::Room {
   double* memory = nullptr;
   double* blocks = nullptr;
   std::vector<int64_t> begin;
+  std::vector<double> of_points;  ///< results of a kernel
+  std::vector<ObservationLeverage> of_observations;
+  int thread = 0;
 };
 
 template <typename Visit>
@@ -118,8 +121,9 @@ void PointPasses::ForChunks(const BlockStructure& structure, const BlockValues* 
   const EliminationInput& input = schur_.input();
   const auto num_chunks = static_cast<int>(setup.plan.chunks.size());
   std::atomic<int> next{0};
-  RunOnThreads(num_threads_, [&](int64_t) {
+  RunOnThreads(num_threads_, [&](int64_t thread) {
     Room room;
+    room.thread = static_cast<int>(thread);
     room.memory =
         Aligned(setup.kernels.memory_doubles(input) + setup.kernels.scatter_doubles(input),
                 &room.of_memory);
@@ -171,42 +175,86 @@ void PointPasses::FindCovariances(const BlockStructure& structure, const BlockVa
   }
   ForChunks(structure, &values, false, [&](const Chunk& chunk, int last_point, Room* room) {
     const int64_t count = last_point - chunk.first_point;
-    std::vector<double> found(9 * count);
+    room->of_points.resize(9 * count);
     setup.kernels.point_covariances(schur_.input(), schur_.records(), chunk, moves, room->blocks,
-                                    room->begin.data(), room->memory, found.data());
-    for (int64_t k = 0; k < count; ++k) {
-      std::copy_n(&found[9 * k], 9, to + 9 * int64_t{setup.plan.point[chunk.first_point + k]});
+                                    room->begin.data(), room->memory, room->of_points.data());
+    CopyToPoints(chunk, count, room->of_points, to);
+  });
+}
+
+/// Nine numbers per point.
+void PointPasses::CopyToPoints(const Chunk& chunk, int64_t count, const std::vector<double>& from,
+                               double* to) const {
+  for (int64_t k = 0; k < count; ++k) {
+    std::copy_n(&from[9 * k], 9,
+                to + 9 * int64_t{schur_.setup().plan.point[chunk.first_point + k]});
+  }
+}
+
+/// Columns by unknown, `width` numbers in a row, by columns of the parts.
+std::vector<double> PointPasses::ByPart(const double* by_unknown, int width) const {
+  const size_t stride = size_t(schur_.input().part_columns) * width;
+  std::vector<double> by_part(blocks_.size() * stride);
+  for (size_t part = 0; part < blocks_.size(); ++part) {
+    for (const ColumnBlock& block : blocks_[part]) {
+      const double* from = by_unknown + schur_.setup().layout.blocks()[block.block].offset * width;
+      for (int k = 0; k < block.size; ++k, from += width) {
+        const auto add = [&](size_t column, double factor) {
+          double* const to = &by_part[part * stride + column * width];
+          for (int m = 0; m < width; ++m) to[m] += factor * from[m];
+        };
+        if (block.map.empty()) add(block.column[k], 1);
+        for (size_t c = 0; c < block.map.size() / block.size; ++c) {
+          add(c, block.map[c * block.size + k]);
+        }
+      }
+    }
+  }
+  return by_part;
+}
+
+void PointPasses::FindMovements(const double* by_unknown, int num_quads,
+                                const std::vector<uint8_t>& is_wanted,
+                                const MovementVisitor& visit) const {
+  const SchurSetup& setup = schur_.setup();
+  const std::vector<double> steps = ByPart(by_unknown, 4 * num_quads);
+  const int64_t size = 9 + 12 * int64_t{num_quads};
+  ForChunks({}, nullptr, false, [&](const Chunk& chunk, int last_point, Room* room) {
+    const int* const points = setup.plan.point.data();
+    if (std::none_of(points + chunk.first_point, points + last_point,
+                     [&](int p) { return is_wanted[p] != 0; })) {
+      return;
+    }
+    room->of_points.resize(size * (last_point - chunk.first_point));
+    setup.kernels.point_movements(schur_.input(), schur_.records(), chunk, steps.data(), num_quads,
+                                  room->memory, room->of_points.data());
+    const double* found = room->of_points.data();
+    for (int k = chunk.first_point; k < last_point; ++k, found += size) {
+      if (is_wanted[points[k]] != 0) visit(points[k], found, found + 9, room->thread);
     }
   });
 }
 
 void PointPasses::FindLeverages(const BlockStructure& structure, const BlockValues* values,
-                                const double* adjoint, const LeverageVisitor& visit) const {
+                                const double* adjoint, double* covariances,
+                                const LeverageVisitor& visit) const {
   const SchurSetup& setup = schur_.setup();
   const EliminationPlan& plan = setup.plan;
-  const int stride = schur_.input().part_columns;
-  std::vector<double> by_part(adjoint == nullptr ? 0 : blocks_.size() * stride);
-  for (size_t part = 0; part < blocks_.size() && adjoint != nullptr; ++part) {
-    for (const ColumnBlock& block : blocks_[part]) {
-      const double* const from = adjoint + setup.layout.blocks()[block.block].offset;
-      double* const to = &by_part[part * stride];
-      for (int k = 0; k < block.size; ++k) {
-        if (block.map.empty()) to[block.column[k]] += from[k];
-        for (size_t c = 0; c < block.map.size() / block.size; ++c) {
-          to[c] += block.map[c * block.size + k] * from[k];
-        }
-      }
-    }
-  }
+  const std::vector<double> by_part =
+      adjoint == nullptr ? std::vector<double>() : ByPart(adjoint, 1);
   const std::vector<HeldResidual>& held = schur_.held();
   const auto is_before = [](const HeldResidual& one, int64_t i) { return one.observation < i; };
   ForChunks(structure, values, true, [&](const Chunk& chunk, int last_point, Room* room) {
     const int64_t first = plan.first[chunk.first_point], last = plan.first[last_point];
-    std::vector<ObservationLeverage> found(last - first);
+    const int64_t num_points = last_point - chunk.first_point;
+    room->of_observations.resize(std::max<size_t>(room->of_observations.size(), last - first));
+    if (covariances != nullptr) room->of_points.resize(9 * num_points);
+    ObservationLeverage* const found = room->of_observations.data();
     const LeverageInput given = {values == nullptr ? nullptr : room->blocks, room->begin.data(),
                                  adjoint == nullptr ? nullptr : by_part.data()};
     setup.kernels.point_leverages(schur_.input(), schur_.records(), chunk, given, room->memory,
-                                  found.data());
+                                  found, covariances == nullptr ? nullptr : room->of_points.data());
+    if (covariances != nullptr) CopyToPoints(chunk, num_points, room->of_points, covariances);
     auto next = std::lower_bound(held.begin(), held.end(), first, is_before);
     for (int64_t i = first; i < last; ++i) {
       if (next != held.end() && next->observation == i) {

@@ -1,8 +1,8 @@
 #pragma once
 
 /// The passes over free points for covariances, by the kernels of the elimination
-/// (schur/kernels/survey_points.h, point_covariances.h, point_leverages.h). They process several
-/// observations at a time; PointAssembler processes one at a time.
+/// (schur/kernels/survey_points.h, point_covariances.h, point_leverages.h, point_movements.h). They
+/// process several observations at a time; PointAssembler processes one at a time.
 
 #include <cstdint>
 #include <functional>
@@ -42,9 +42,19 @@ class PointPasses {
   using LeverageVisitor =
       std::function<void(int64_t observation, const ObservationLeverage& found)>;
   /// Visits the observations that count, of free points, but not of points with very many. `values`
-  /// nullptr: without h; `adjoint`: by unknown, nullptr: zeros.
+  /// nullptr: without h; `adjoint`: by unknown, nullptr: zeros. `covariances` of these points as in
+  /// FindCovariances, nullptr: not needed.
   void FindLeverages(const BlockStructure& structure, const BlockValues* values,
-                     const double* adjoint, const LeverageVisitor& visit) const;
+                     const double* adjoint, double* covariances,
+                     const LeverageVisitor& visit) const;
+
+  /// Takes V^-1 of a point (9 numbers) and Y^T X, three rows of whole quads; called on all threads.
+  using MovementVisitor =
+      std::function<void(int point, const double* inverse, const double* rows, int thread)>;
+  /// Visits the marked free points with observations, but not those with very many. `by_unknown`:
+  /// X, `num_quads` quads per unknown, at most Kernels::kMostMoved numbers.
+  void FindMovements(const double* by_unknown, int num_quads, const std::vector<uint8_t>& is_wanted,
+                     const MovementVisitor& visit) const;
 
  private:
   /// A block of the layout in the columns of a part.
@@ -69,6 +79,9 @@ class PointPasses {
   /// Adds the covariance of two parts' columns, NumColumns(a) rows of Width(b).
   void FillPair(const BlockStructure& structure, const BlockValues& values, int a, int b,
                 double* to) const;
+  void CopyToPoints(const Chunk& chunk, int64_t count, const std::vector<double>& from,
+                    double* to) const;
+  std::vector<double> ByPart(const double* by_unknown, int width) const;
   /// Memory of a thread, reused from chunk to chunk.
   struct Room;
   /// Fills the blocks of each chunk with free points, and calls visit(chunk, last free point,

@@ -172,6 +172,12 @@ void ReducedSystem::TakeFactor(const double* lower) {
   std::copy_n(lower, values().size(), values().begin());
 }
 
+void ReducedSystem::ExchangeForFactor(BlockValues* factor) {
+  if (schur_ == nullptr) return;
+  std::swap_ranges(factor->begin(), factor->end(), values().begin());
+  solver_->RestoreFactor();
+}
+
 LinearSolution ReducedSystem::Solve(const double* rhs, int num_rhs, double* x) {
   if (schur_ == nullptr) return {};
   return solver_->Solve(rhs, num_rhs, 0, x);
@@ -301,11 +307,18 @@ void ReducedSystem::FindPointCovariances(const FreeGauge* gauge, double* to) con
 }
 
 void ReducedSystem::FindLeverages(
-    bool is_without, const double* adjoint,
+    bool is_without, const double* adjoint, double* covariances,
     const std::function<void(int64_t, const ObservationLeverage&)>& visit) const {
   if (schur_ == nullptr) return;
   PointPasses(*schur_, num_threads_)
-      .FindLeverages(structure_, is_without ? nullptr : &values(), adjoint, visit);
+      .FindLeverages(structure_, is_without ? nullptr : &values(), adjoint, covariances, visit);
+}
+
+void ReducedSystem::FindMovements(
+    const double* by_unknown, int num_quads, const std::vector<uint8_t>& is_wanted,
+    const std::function<void(int, const double*, const double*, int)>& visit) const {
+  if (schur_ == nullptr) return;
+  PointPasses(*schur_, num_threads_).FindMovements(by_unknown, num_quads, is_wanted, visit);
 }
 
 bool ReducedSystem::HasBlock(int row, int column) const {

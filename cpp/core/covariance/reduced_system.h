@@ -116,6 +116,8 @@ class ReducedSystem {
   LinearSolution Factorize();
   /// Uses L, n x n and column-major, as the factor of a dense S.
   void TakeFactor(const double* lower);
+  /// Exchanges S^-1 and a copy of the factor, so that Solve is allowed again after Invert.
+  void ExchangeForFactor(BlockValues* factor);
   /// X = S^-1 B, unknowns x num_rhs, column-major.
   LinearSolution Solve(const double* rhs, int num_rhs, double* x);
   /// Solves the normal equations for all unknowns.
@@ -158,8 +160,12 @@ class ReducedSystem {
   /// PointPasses::FindCovariances, with blocks in the structure of S.
   void FindPointCovariances(const FreeGauge* gauge, double* to) const;
   /// PointPasses::FindLeverages, by the values of the system unless `is_without`.
-  void FindLeverages(bool is_without, const double* adjoint,
+  void FindLeverages(bool is_without, const double* adjoint, double* covariances,
                      const std::function<void(int64_t, const ObservationLeverage&)>& visit) const;
+  /// PointPasses::FindMovements
+  void FindMovements(
+      const double* by_unknown, int num_quads, const std::vector<uint8_t>& is_wanted,
+      const std::function<void(int, const double*, const double*, int)>& visit) const;
   /// Rows of a factor's Jacobian w.r.t. the free variables: three columns per point, then unknowns.
   struct FactorRows {
     int factor = 0;  ///< its index

@@ -23,8 +23,8 @@ void CovarianceComputation::FindReliability(const ReliabilityOptions& wanted,
   if (is_small_) system_.EliminateByRows();
   HoldGauge();
   CountResiduals();
-  BlockValues held = wanted.num_worst > 0 ? system_.values() : BlockValues();
   Factorize();
+  BlockValues factor = wanted.num_worst > 0 ? system_.values() : BlockValues();
   FindDirections();
   const LongMatrix inverse = LongInverse();
   InvertAndCheck();
@@ -36,14 +36,8 @@ void CovarianceComputation::FindReliability(const ReliabilityOptions& wanted,
       constraints_->TransformBlocks(system_.structure(), &system_.values());
     }
     FindImages();
-    BlockValues blocks_of_inverse = std::move(system_.values());
-    system_.SetSystem(std::move(held));
-    Check(system_.Factorize());
-    if (is_small_) {
-      const Eigen::MatrixXd rounded = lower_.cast<double>();
-      system_.TakeFactor(rounded.data());
-    }
-    FindEffects(std::move(blocks_of_inverse), found);
+    system_.ExchangeForFactor(&factor);
+    FindEffects(std::move(factor), found);
   }
   for (const NullPoint& null : system_.null_points()) output_.null_points.push_back(null.point);
   output_.warnings = system_.warnings();
@@ -63,6 +57,10 @@ void CovarianceComputation::FindLeverages(const LongMatrix& inverse,
   });
   LeverageOptions options;
   for (const auto& [point, covariance] : of_points) options.points.push_back(point);
+  if (wanted.num_worst > 0) {
+    output_.points.assign(9 * size_t(view().num_points), kUnknown);
+    options.covariances = output_.points.data();
+  }
   ForLeverages(
       system_, inverse,
       [&](const Leverage& of) {

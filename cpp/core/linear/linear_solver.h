@@ -75,6 +75,9 @@ class LinearSolver {
     return DoInvertBlocks();
   }
 
+  /// Allows Solve again after InvertBlocks. The caller has put the factor back into the values.
+  void RestoreFactor() { is_factorized_ = true; }
+
   /// Removes all data that depend on values of earlier systems (clusters of blocks, for instance),
   /// so that it solves like a new solver. Keeps data that follow from the structure.
   virtual void ForgetValues() {}

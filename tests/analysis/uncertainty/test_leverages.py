@@ -96,10 +96,10 @@ def prepared_with(problem, options, information):
     return prepare(SolveRequest(problem=problem, options=options, factors=factors, align=False))
 
 
-def reliability_of(prepared):
+def reliability_of(prepared, num_worst=0, least=NOT_CHECKABLE, long_sums=False):
     layout = prepared.layout
     given = (prepared.start, layout.options.asdict(), layout.limits, layout.core_factors())
-    return _core.reliability(*given, NOT_CHECKABLE, 0, False)
+    return _core.reliability(*given, least, num_worst, long_sums)
 
 
 @pytest.mark.parametrize("case", CASES)
@@ -121,6 +121,35 @@ def test_leverages_agree_with_those_row_by_row(case):
     assert found["num_parameters"] - found["gauge_degrees"] == pytest.approx(
         found["leverages"][used][:, [0, 2]].sum() + of_priors, rel=1e-8
     )
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_movements_agree_with_those_row_by_row(case):
+    """Movements by more errors than one pass takes, in a world that priors hold."""
+    problem, options = CASES[case]
+    found = reliability_of(prepared_with(problem, options, BY_PRIORS), 50)["worst"]
+    free = np.flatnonzero(~np.isin(problem.point_ids, options.get("fixed_point_ids", ())))
+    of_all = prepared_with(problem, options, dict.fromkeys(free, 1e-12) | BY_PRIORS)
+    compare_movements(found, reliability_of(of_all, 50)["worst"])
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_movements_in_a_free_world_agree_with_those_in_long_doubles(seed):
+    """Sums in long doubles are row by row, and their covariances transformed as blocks of S."""
+    problem = make_problem(num_images=6, num_points=30, perturbation=1e-3, seed=seed)
+    options = SolveOptions().replace(num_threads=1 + seed % 2)
+    prepared = prepare(SolveRequest(problem=gaps(problem), options=options))
+    found = reliability_of(prepared, 25)["worst"]
+    compare_movements(found, reliability_of(prepared, 25, long_sums=True)["worst"])
+
+
+def compare_movements(found, expected):
+    assert [one[0] for one in found] == [one[0] for one in expected]
+    assert len(found) >= 20 and {one[1] for one in found} - {-1}
+    assert [one[1] for one in found] == [one[1] for one in expected]
+    for at in (2, 4):  # images of one rig may move by the same
+        sigmas = [one[at] for one in expected]
+        np.testing.assert_allclose([one[at] for one in found], sigmas, rtol=1e-6)
 
 
 @pytest.mark.parametrize("case", CASES)

@@ -9,7 +9,7 @@
 ///   multiply_schur.h    products with S that is not formed
 ///   back_substitute.h   substitutes back and evaluates what follows
 ///   survey_points.h     sums over points, for covariances,   point_covariances.h   of points
-///   point_leverages.h   leverages of observations
+///   point_leverages.h   leverages of observations,   point_movements.h   movements of points
 ///   point_block.h       the 3x3 blocks of points
 ///   strip.h             the walk through a chunk, and residuals several at a time
 ///   project_lanes.h     camera models and losses,   wide_row.h, parallel/pack.h   registers
@@ -25,6 +25,7 @@
 #include "core/schur/kernels/multiply_schur.h"
 #include "core/schur/kernels/point_covariances.h"
 #include "core/schur/kernels/point_leverages.h"
+#include "core/schur/kernels/point_movements.h"
 #include "core/schur/kernels/survey_points.h"
 
 namespace bundle::BUNDLE_ISA {
@@ -40,8 +41,8 @@ inline int64_t ScatterDoubles(const EliminationInput& input) {
 }
 
 extern constexpr Kernels kKernels = {
-    BUNDLE_ISA_NAME, &MemoryDoubles, &ScatterDoubles,   &Eliminate,     &EvaluateNewtonStep,
-    &MultiplySchur,  &AddBlock,      &MapBlock,         &Products,      &Cost,
-    &Slope,          &SurveyPoints,  &PointCovariances, &PointLeverages};
+    BUNDLE_ISA_NAME, &MemoryDoubles, &ScatterDoubles,   &Eliminate,      &EvaluateNewtonStep,
+    &MultiplySchur,  &AddBlock,      &MapBlock,         &Products,       &Cost,
+    &Slope,          &SurveyPoints,  &PointCovariances, &PointLeverages, &PointMovements};
 
 }  // namespace bundle::BUNDLE_ISA

@@ -216,7 +216,7 @@ struct Kernels {
   const char* name;
 
   int64_t (*memory_doubles)(const EliminationInput& input);
-  /// Number of further doubles that point_covariances and point_leverages need.
+  /// Number of further doubles that the three passes on points below need.
   int64_t (*scatter_doubles)(const EliminationInput& input);
 
   /// Linearises and eliminates. `squared_scale` (3 per point) is written if `first`, else read.
@@ -273,9 +273,18 @@ struct Kernels {
                             const int64_t* block_begin, double* memory, double* covariances);
 
   /// Leverages of the observations of a chunk's free points (point_leverages.h). Leaves out points
-  /// that are spread over several chunks.
+  /// that are spread over several chunks. `covariances` of the points as in point_covariances,
+  /// without constraints; nullptr: not needed.
   void (*point_leverages)(const EliminationInput& input, const StateRecords& x, const Chunk& chunk,
-                          const LeverageInput& given, double* memory, ObservationLeverage* found);
+                          const LeverageInput& given, double* memory, ObservationLeverage* found,
+                          double* covariances);
+
+  /// V^-1 of a chunk's free points (9 numbers), and Y^T X of steps X of the camera parameters,
+  /// three rows of `num_quads` quads, at most kMostMoved numbers (point_movements.h). `steps`:
+  /// likewise EliminationInput::part_columns rows per part. Leaves out points as above.
+  static constexpr int kMostMoved = 28;
+  void (*point_movements)(const EliminationInput& input, const StateRecords& x, const Chunk& chunk,
+                          const double* steps, int num_quads, double* memory, double* found);
 };
 
 /// Kernels for the best instruction set of this machine.

@@ -13,6 +13,8 @@
 /// visited block by block of C; each adds to both of its entries, so that C_ab is needed in both
 /// orders. A_i C A_i^T has the blocks of one image, and observations are visited image by image.
 ///
+/// I + Z^T X is the covariance of the point in units of L^-1 (point_covariances.h).
+///
 /// An adjoint a of the camera parameters gives the rows (J~ a)_i = A_i a - Y_i Z^T a, without a
 /// part of the points' own.
 
@@ -245,7 +247,8 @@ inline void WriteResiduals(const EliminationInput& input, const StateRecords& x,
 }
 
 inline void PointLeverages(const EliminationInput& input, const StateRecords& x, const Chunk& chunk,
-                           const LeverageInput& given, double* memory, ObservationLeverage* found) {
+                           const LeverageInput& given, double* memory, ObservationLeverage* found,
+                           double* covariances) {
   if (chunk.last_row > 0) return;
   const EliminationPlan& plan = *input.plan;
   const int64_t* const begin = plan.first.data();
@@ -263,6 +266,9 @@ inline void PointLeverages(const EliminationInput& input, const StateRecords& x,
     const TileRecords records(input, memory, first_point);
     FormTile(input, x, chunk, first_point, last_point, records, memory, tile_memory,
              [&](int p, const PointBlock& block) {
+               for (int k = 0; k < 3; ++k) {
+                 tile_memory.columns[3 * (p - first_point) + k] = block.column[k];
+               }
                for (int64_t i = begin[p] + CountRefined(input, begin[p], begin[p + 1]);
                     i < begin[p + 1]; ++i) {
                  WhitenHead(block, records.Of(i));
@@ -275,6 +281,12 @@ inline void PointLeverages(const EliminationInput& input, const StateRecords& x,
       const int num_refined = CountRefined(input, begin[p], begin[p + 1]);
       SharedByPoint* const of = shared + (p - first_point);
       *of = ShareOfPoint(input, chunk, begin[p], num_refined, given, memory, products);
+      if (covariances != nullptr) {
+        PointBlock block;
+        for (int k = 0; k < 3; ++k)
+          block.column[k] = tile_memory.columns[3 * (p - first_point) + k];
+        Unwhiten(block, of->inner, covariances + 9 * int64_t{p - chunk.first_point});
+      }
       for (int64_t i = begin[p] + num_refined; i < begin[p + 1]; ++i) {
         constexpr double kNone[6] = {};
         *result(i) = {};
