@@ -22,14 +22,23 @@ constexpr double kNotComputed = std::numeric_limits<double>::quiet_NaN();
 /// Redundancy that is zero but for rounding: without the measurement, an unknown is undetermined.
 constexpr double kNoRedundancy = 1e-9;
 
+/// Redundancy above which the inverse takes no eigenvalues.
+constexpr double kClearRedundancy = 1e-3;
+
 /// Derivatives of the quantity along an unknown are zero below this share of its sigma.
 constexpr double kNoChange = 1e-6;
 
 /// (J~ a)^T (I - h)^+ r~ of an observation.
 double WithoutObservation(const Eigen::Matrix2d& h, const Eigen::Vector2d& along,
                           const Eigen::Vector2d& residual, double sigma) {
-  Eigen::JacobiRotation<double> turn;
   const double off = 0.5 * (h(0, 1) + h(1, 0));
+  const double r00 = 1 - h(0, 0), r11 = 1 - h(1, 1), determinant = r00 * r11 - off * off;
+  if (determinant > kClearRedundancy * (r00 + r11)) {  // so that both eigenvalues are above
+    return (along[0] * (r11 * residual[0] + off * residual[1]) +
+            along[1] * (off * residual[0] + r00 * residual[1])) /
+           determinant;
+  }
+  Eigen::JacobiRotation<double> turn;
   turn.makeJacobi(h(0, 0), off, h(1, 1));
   const double moved = off == 0 ? 0 : turn.s() / turn.c() * off;
   const double redundancies[2] = {1 - h(0, 0) + moved, 1 - h(1, 1) - moved};

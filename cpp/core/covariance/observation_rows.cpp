@@ -181,8 +181,9 @@ bool ObservationEvaluator::Evaluate(int64_t observation, ObservationRows* rows,
   for (double& value : rows->point) value *= weight;
   rows->bend = rho[2] == 0 || rho[1] == 0 ? 0 : 2 * rho[2] / (rho[1] * rho[1]);
   const int num_params = problem_.camera_models[camera]->num_params;
-  for (int k = 0; by_params != nullptr && k < 2 * num_params; ++k) {
-    by_params[k] = weight * local[kMaxLocal * (k / num_params) + kPoseSize + k % num_params];
+  for (int row = 0; by_params != nullptr && row < 2; ++row, by_params += num_params) {
+    const double* const from = local + kMaxLocal * row + kPoseSize;
+    for (int k = 0; k < num_params; ++k) by_params[k] = weight * from[k];
   }
   rows->num_blocks = 0;
   for (const LocalMap& map : maps_[image]) {

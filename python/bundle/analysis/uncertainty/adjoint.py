@@ -462,11 +462,11 @@ class Adjoint(Displayed):
     def _derivatives(self, rows: Mapping[str, Any], of_cameras: _Floats) -> dict[str, Any]:
         system, start, n = self._system, self._prepared.start, self.problem.num_observations
         along, r, bend = rows["along"], rows["residuals"], rows["bends"]
-        product = (along * r).sum(axis=1)
+        product = np.einsum("ij,ij->i", along, r)
         spread = np.ones(len(r)) if start.observation_sigma is None else start.observation_sigma
         root = np.sqrt(rows["weights"]) / spread
         pixels = root[:, None] * (along + (bend * product)[:, None] * r)
-        sigmas = 2 / spread * (1 + 0.5 * bend * (r**2).sum(axis=1)) * product
+        sigmas = 2 / spread * (1 + 0.5 * bend * np.einsum("ij,ij->i", r, r)) * product
         is_held, slope = system.core.held.astype(bool), rows["by_params"]
         held = np.where(is_held, of_cameras, slope) - slope  # NaN with it
         for factor in filter(_couples_parameters, self.factors):

@@ -285,7 +285,7 @@ def _influence(
     sigma = float(np.sqrt(out["variance"]))
     spread = 1.0 if start.observation_sigma is None else start.observation_sigma
     weight = np.where(out["weights"] > 0, out["weights"], np.nan)
-    share = (out["along"] ** 2).sum(axis=1) / out["variance"]
+    share = np.einsum("ij,ij->i", out["along"], out["along"]) / out["variance"]
     share[~(out["weights"] > 0)] = np.nan
     by_pixel = out["along"] * (np.sqrt(weight) / spread)[:, None]
     value, n, first = quantity.value, given.num_observations, out["without"]
@@ -297,8 +297,10 @@ def _influence(
 
     is_by_image = without == "images"
     of_images = _without_images(prepared, quantity, out if is_by_image else {})
-    ordered = np.sort(share[np.isfinite(share)])[::-1]
-    hangs_on = int(np.searchsorted(np.cumsum(ordered), 0.5 * ordered.sum()) + 1)
+    counted = share[np.isfinite(share)]
+    half = 0.5 * counted.sum()
+    most = np.sort(counted[counted * len(counted) >= half])[::-1]  # the others are less than half
+    hangs_on = int(np.searchsorted(np.cumsum(most), half) + 1)
     values = of_images if is_by_image else values_without(without)
     return Influence(
         on=quantity.text,
@@ -310,8 +312,8 @@ def _influence(
         share=freeze(share[:n]),
         share_of_factors=float(np.nansum(out["factor_share"]) / out["variance"]),
         without_image=of_images,
-        hangs_on=min(hangs_on, len(ordered)),
-        num_observations=len(ordered),
+        hangs_on=min(hangs_on, len(counted)),
+        num_observations=len(counted),
         without=without,
         changes=_changes(prepared, without, values, share, value, sigma),
         notes=notes_of(prepared, out),

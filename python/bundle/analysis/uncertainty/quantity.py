@@ -78,12 +78,8 @@ def _plain(words: Sequence[str], problem: Problem, markers: Mapping[str, int]) -
     owners = [_place(word, problem, markers, name == "baseline") for word in places]
     if len(set(owners)) < len(owners):
         raise InputError(f"on: expected different places, found {brief(' '.join(words))}")
-    at = np.array(
-        [
-            problem.projection_centers[row] if is_image else problem.points[row]
-            for is_image, row in owners
-        ]
-    )
+    centers = problem.projection_centers if any(one for one, _ in owners) else problem.points
+    at = np.array([(centers if is_image else problem.points)[row] for is_image, row in owners])
     value, by_place = _FUNCTIONS["distance" if name == "baseline" else name](at)
     if not np.isfinite(by_place).all():
         raise InputError(f"on: expected places apart, found {brief(' '.join(words))} at one place")
