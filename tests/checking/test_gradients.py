@@ -297,6 +297,12 @@ def test_points_without_a_value_are_skipped():
     assert set(dataclasses.asdict(nothing.gradient_checker).values()) == {0}
 
 
+def test_a_small_error_is_seen_in_the_values():
+    values = [np.array([[1234567.5]])]
+    report = check_few(lambda b: (1234567.0 * b[0], values), [[1.0]])
+    assert report.verdict == "wrong" and "1234567.5" in str(report) and "1234567 " in str(report)
+
+
 def test_a_jacobian_that_is_not_finite():
     report = check_few(lambda b: (b[0], [np.array([[np.nan]])]), [[1.0]])
     assert report.kinds == {"not_finite"}
@@ -317,6 +323,13 @@ def good(blocks):
             "0: expected shape (2, 2)",
         ),
         (lambda b: (b[0][:1], [np.ones((2, 1))]), [[1, 2]], None, {}, "transposed?"),
+        (
+            lambda b: (b[0][:2], [np.ones((2, 6))]),
+            [[0, 0, 0, 1, 0, 0, 0]],
+            ["se3"],
+            {},
+            "expected shape (2, 7), found (2, 6); tangent='gtsam' takes tangent coordinates",
+        ),
         (lambda b: (b[0], []), [[1, 2]], None, {}, "expected 1 Jacobian,"),
         (lambda b: b[0].sum(), [[1, 2]], None, {}, "expected (residual, list of Jacobians)"),
         (lambda b: (b[0][:0], [np.eye(2)]), [[1, 2]], None, {}, "at least one residual"),

@@ -1,8 +1,4 @@
-"""Signatures of mistakes in columns: zeros, constant factors, swapped or transposed blocks.
-
-Single columns may be zero, or have a wrong sign, a factor or a missing term. Several columns may be
-in a wrong order, transposed, or miss a product.
-"""
+"""Signatures of mistakes in columns: zeros, constant factors, swapped or transposed blocks."""
 
 from __future__ import annotations
 
@@ -15,7 +11,6 @@ from bundle.checking.evidence import EXPLAINED, Evidence
 from bundle.checking.jacobian_deviation import Array
 
 DEGREE = np.pi / 180
-
 NEGLIGIBLE = 1e-12
 
 

@@ -143,7 +143,9 @@ class UserFunction:
             if matrix.ndim == 1 and self.num_residuals == 1:
                 matrix = matrix.reshape(1, -1)
             if matrix.shape != expected:
-                hint = " (transposed?)" if matrix.shape == expected[::-1] else ""
+                is_tangent = size in (4, 7) and matrix.shape == (self.num_residuals, size - 1)
+                hint = " (transposed?)" * (matrix.shape == expected[::-1])
+                hint += "; tangent='gtsam' takes tangent coordinates" * is_tangent
                 raise InputError(f"{place}: expected shape {expected}, found {matrix.shape}{hint}")
             matrices.append(matrix)
         return matrices

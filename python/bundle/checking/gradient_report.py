@@ -45,8 +45,7 @@ class Offender:
     residual: int  # index of the row
     analytic: float  # value to check
     reference: float  # correct value
-    # relative error, safe near zero (``JacobianDeviation.scale``), minus the uncertainty of the
-    # reference
+    # relative, safe near zero (``JacobianDeviation.scale``), minus the reference's uncertainty
     error: float
     # the place for programs, by keys: image_id, image_name, camera_id, model, point_id, or sample
     details: Mapping[str, Any] = field(default_factory=dict)
@@ -228,8 +227,7 @@ def worst_entries(offenders: Sequence[Offender]) -> Columns:
             offender.parameter,
             offender.place,
             f"{offender.residual}",
-            f"{offender.analytic:.6g}",
-            f"{offender.reference:.6g}",
+            *_values(offender),
             _error(offender.error),
         )
         for offender in offenders
@@ -237,6 +235,11 @@ def worst_entries(offenders: Sequence[Offender]) -> Columns:
     ]
     head = ("worst", "where", "row", "analytic", "should be", "error")
     return columns(head, rows, left=2)
+
+
+def _values(one: Offender) -> tuple[str, ...]:  # with the digits that tell them apart
+    digits = 6 if f"{one.analytic:.6g}" != f"{one.reference:.6g}" else 12
+    return tuple(f"{value:.{digits}g}" for value in (one.analytic, one.reference))
 
 
 def _histogram(histogram: Sequence[tuple[float, float, int]]) -> Columns:
