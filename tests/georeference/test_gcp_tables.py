@@ -87,6 +87,11 @@ def test_separators_decimal_commas_and_the_order_of_lines(tmp_path, separator, c
     assert unordered(found) == unordered(listed(tmp_path))
 
 
+def test_german_titles(tmp_path):
+    points = point_lines(";", ",", "Punktnummer,Rechtswert,Hochwert,Höhe")
+    assert tables(tmp_path, points, mark_lines())[0] == listed(tmp_path)
+
+
 def test_accuracies_are_sigmas(tmp_path):
     points = point_lines(head="label,easting,northing,height,h acc,v acc")
     points[2:] = [line + ",0.02,0.05" for line in points[2:]]

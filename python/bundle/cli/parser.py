@@ -321,9 +321,11 @@ def _as_words(action: argparse.Action, flag: str, value: Any, place: str) -> lis
 ELSEWHERE = {
     "--loss": "--robust --robust-kernel --kernel --loss-function",
     "--gps-sigma": "--accuracy --gps-accuracy",
+    "--gcp": "--gcps --markers --control-points --ground-control --ground-control-points",
     "--gcp-sigma": "--gcp-accuracy --marker-accuracy",
     "--fix-cameras": "--fix-intrinsics",
     "--share-cameras": "--share-intrinsics --shared-intrinsics --single-camera --share",
+    "--share": "--share-intrinsics --shared-intrinsics --single-camera --share-cameras",  # validate
     "--html": "--report --page",
     "--camera-model": "--lens --lens-model --distortion-model",
     "--rounds": "--filter --filter-outliers --outliers",

@@ -71,7 +71,7 @@ _BOTH = "; of tables give both: POINTS,MARKS"
 _MARKS = {
     "image": "image imagename camera cameraname cameralabel photo photoname filename file",
     "point": "point pointname pointlabel marker markername markerlabel gcp gcpname gcplabel target "
-    "targetname label name",
+    "targetname punktnummer punkt label name",
     "px": "px pixelx xpixel xpx imagex ximage imageu u column x",
     "py": "py pixely ypixel ypx imagey yimage imagev v row y",
 }

@@ -190,9 +190,9 @@ def case_notes(index: ImageIndex, names: Iterable[str]) -> list[str]:
 
 TITLES = {
     "image": "image imagename sourcefile label filename name file photo",
-    "x": "longitude xlongitude gpslongitude lon lng long easting xeasting xeast east x",
-    "y": "latitude ylatitude gpslatitude lat northing ynorthing ynorth north y",
-    "z": "ellipsoidalheight altitude zaltitude gpsaltitude alt height elevation z",
+    "x": "longitude xlongitude gpslongitude lon lng long easting xeasting xeast east rechtswert x",
+    "y": "latitude ylatitude gpslatitude lat northing ynorthing ynorth north hochwert y",
+    "z": "ellipsoidalheight altitude zaltitude gpsaltitude alt height elevation höhe hoehe z",
     **{angle: angle for angle in ("yaw", "pitch", "roll")},
     "horizontal accuracy": "horizontalaccuracy accuracyhorizontal accuracyhorz hacc accuracyxy "
     "hrms sigmah sigmaxy sigmax sde accuracyxyz accuracy sigma",
@@ -240,7 +240,7 @@ def read_positions(
     ``known``: as ``TITLES``. Numbers: (n, 5) x, y, z in units of the system, two accuracies [m].
     """
     what, name = next(iter(known)), shown(path)
-    wanted = f"; or titles of columns such as {what}, longitude, latitude, height"
+    wanted = f" above the lines; or titles of columns such as {what}, longitude, latitude, height"
     titled = _table(path, known)
     system, lines, titles, notes = titled or (*read_lines(path, 0, wanted), [*known], [])
     seen: dict[str, int] = {}

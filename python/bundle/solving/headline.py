@@ -115,7 +115,7 @@ def _distance(result: Result) -> list[str]:
     if not _is_far(result):
         return []
     left = rounded(result.summary.largest_camera_step_in_sigmas or 0.0)
-    return [f"The minimum is about {left} standard deviations of the cameras away."]
+    return [f"The minimum is about {left} standard deviations of the cameras away: refine again."]
 
 
 def _stillness(result: Result) -> str:

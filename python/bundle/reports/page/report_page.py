@@ -397,7 +397,7 @@ def report_findings(
 
 def report(
     source: Source | Result | PoseGraph | PoseGraphResult | FactorGraph,
-    path: str | os.PathLike[str],
+    path: str | os.PathLike[str] = "report.html",
     *,
     result: GraphResult | None = None,
     name: str = "",
