@@ -184,6 +184,7 @@ class Round:
     num_observations_below_min_angle: int = 0  # removed with points of a small triangulation angle
     max_error: float = 0.0  # largest error that the filter keeps [px]
     min_angle: float = 0.0  # smallest triangulation angle that the filter keeps [degrees]
+    initial_factor_cost: float = 0.0  # part of `initial_cost` of the factors beside observations
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -218,6 +219,17 @@ class RoundRecords:
             num_steps = 0
         num_steps += sum(done.num_iterations for done in rounds)
         return f"{plural(len(rounds), 'round')}, {plural(num_steps, 'step')}"
+
+    @property
+    def initial_factor_cost(self) -> float | None:
+        """Cost of the factors at the start of the first round; None without rounds."""
+        return self.rounds[0].initial_factor_cost if self.rounds else None
+
+    @property
+    def deleted_for_error(self) -> tuple[int, float]:
+        """Number of observations that rounds deleted for their errors, and the limit in pixels."""
+        far = sum(done.num_observations_beyond_max_error for done in self.rounds)
+        return far, self.rounds[-1].max_error if self.rounds else 0.0
 
     @property
     def causes(self) -> str:

@@ -31,6 +31,8 @@ SMALLEST_DECREASE = 1e-4
 FARTHEST = 0.3
 """Distance of the cameras from a minimum, in standard deviations (minimize/sigma_rule.h)."""
 
+FEW = 0.005  # share of the observations below which nobody asks why rounds deleted them
+
 SMALLEST_MOVEMENT = 1e-3  # relative movement at a minimum
 
 EDITS = {
@@ -165,7 +167,23 @@ def _deletions(result: Result) -> list[str]:
     causes = f" ({result.causes})" if result.causes else ""
     before, after = result.reprojection_error_before, result.kept.before
     alone = f"RMSE {_change(before.rmse, after.rmse)} px at the input"
-    return [f"Deleted {listed}{causes}: this alone changes {alone}."]
+    sentences = [f"Deleted {listed}{causes}: this alone changes {alone}."]
+    if _fitted_the_input(result):
+        sentences.append(
+            "Most of them fitted the input: a rule, a measurement or a constant parameter of this "
+            "run may be wrong instead."
+        )
+    return sentences
+
+
+def _fitted_the_input(result: Result) -> bool:
+    """Return True if the RMSE at the input of what rounds deleted is half of their limit."""
+    all_of, kept = result.reprojection_error_before, result.kept.before
+    count = all_of.num_observations - kept.num_observations
+    squares = all_of.num_observations * all_of.rmse**2 - kept.num_observations * kept.rmse**2
+    far, limit = result.deleted_for_error
+    few = max(FEW * all_of.num_observations, 0.5 * count)
+    return far > few and squares < count * (0.5 * limit) ** 2
 
 
 def _held_out(result: Result) -> list[str]:
@@ -221,12 +239,16 @@ def _pulls(result: Result) -> list[str]:
     kept = result.kept
     if not _rises(kept) or (kept.inliers is not None and kept.inliers.num_outliers):
         return []
-    before, after = float(result.factor_costs_before.sum()), float(result.factor_costs_after.sum())
+    before, after = result.initial_factor_cost, float(result.factor_costs_after.sum())
+    if before is None:
+        before = float(result.factor_costs_before.sum())
     if not after < before:
         return []
     count = result.summary.num_factors
     factors = plural(count, "factor", grouped=True)
-    if count <= len(result.priors):  # a factor of each that is used, and no others
+    if count and not (result.priors or result.factors) and result.constraints:
+        factors = "the rules"
+    elif count <= len(result.priors):  # a factor of each that is used, and no others
         from bundle.georeference.measurements import kinds_of  # few runs need it
 
         factors = " and ".join(row.noun for row in kinds_of(result.priors))

@@ -4,17 +4,10 @@ from __future__ import annotations
 
 from types import SimpleNamespace
 
-import pytest
-
 import bundle
 from bundle.base.tables import render
 from bundle.reports.terminal.screen import laid_out
-from bundle.reports.terminal.solve_data import (
-    FAR,
-    MOST_ROWS,
-    constraint_sections,
-    contradicted_rule,
-)
+from bundle.reports.terminal.solve_data import MOST_ROWS, constraint_sections
 
 
 def prior(pull):
@@ -40,19 +33,6 @@ def test_rules_of_bounds_say_that_none_is_active():
     (section,) = constraint_sections([rule])
     assert section.facts == [("bounds", "no parameter ends on one")]
     assert constraint_sections([]) == []
-
-
-@pytest.mark.parametrize("pulls", [[], [1.0, -FAR], [FAR + 0.1, 2.0, -FAR - 1], [-FAR - 0.1]])
-def test_the_rule_of_the_strongest_pull_is_named_if_it_is_far(pulls):
-    rules = [SimpleNamespace(rule=f"rule {pull}", priors=[prior(pull)]) for pull in pulls]
-    rules.append(SimpleNamespace(rule="fixed", priors=[]))
-    for end in ("CONVERGENCE", "NO_CONVERGENCE"):
-        summary = SimpleNamespace(termination_type=end)
-        said = contradicted_rule(SimpleNamespace(constraints=rules, summary=summary))
-        is_named = end == "CONVERGENCE" and max(map(abs, pulls), default=0) > FAR
-        assert len(said) == is_named
-        if said:
-            assert f"'rule {max(pulls, key=abs)}'" in said[0]
 
 
 def test_a_wrong_rule_is_named_in_the_first_lines(tmp_path, capsys):

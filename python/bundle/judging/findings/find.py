@@ -12,6 +12,7 @@ from bundle.analysis.diagnosis.track_table import TrackTable, weak_joint
 from bundle.errors import InputError
 from bundle.interface.finding import Finding
 from bundle.interface.options import SolveOptions
+from bundle.judging.findings.contradicted_rules import contradicted_rules
 from bundle.judging.findings.duplicates import duplicate_points
 from bundle.judging.findings.focal_lengths import (
     PRIOR,
@@ -41,7 +42,7 @@ from bundle.model.cameras import camera_models
 from bundle.model.problem import Problem
 
 IMPORTANCE = (
-    *("shifted_pixels", "not_refined", "outliers", "lens_model", "weak_joint"),
+    *("shifted_pixels", "not_refined", "rules", "outliers", "lens_model", "weak_joint"),
     *("undetermined_intrinsics", "motion"),
     *("gps_offset", "positions", "attitudes", "scale_drift", "focal_drift", "shared_lens"),
     *("image_residuals", "duplicate_points"),
@@ -156,6 +157,10 @@ def _findings(measured: Measured) -> Iterator[Finding | None]:
     if start is not None:
         yield start
         return  # other tests need a minimum
+    wrong, free_of_rules = contradicted_rules(measured)
+    if wrong is not None and (free_of_rules is None or not any(_repairs(free_of_rules)[0])):
+        yield wrong
+        return  # a wrong rule bends the model
     far = outliers(measured)
     is_tensed = offset is None and is_tense(measured)  # an offset bends the model
     is_bent = is_tensed or turned is not None

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import shlex
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 from bundle.base.records import dataclass
 from bundle.interface.camera_edit_options import RuleOptions
@@ -47,6 +47,16 @@ class NextCommand:
         ]
         words = tuple(word for one in (*kept, *advised) for word in one)
         return NextCommand(self.source, self.target, words)
+
+    def without(self, flag: str, is_dropped: Callable[[str], bool]) -> NextCommand:
+        """Return a NextCommand for a run without some occurrences of a flag, by their values."""
+        kept = [
+            one
+            for one in _occurrences(self.given)
+            if one[0] != flag or not is_dropped(" ".join(one[1:]))
+        ]
+        words = tuple(word for one in kept for word in one)
+        return dataclasses.replace(self, given=words)
 
     def with_flags_of(self, command: str) -> NextCommand:
         """Return a NextCommand for a run that also has the flags of a command."""

@@ -45,7 +45,11 @@ def is_affordable(measured: Measured) -> bool:
 
 
 def solved(
-    measured: Measured, start: Problem, options: SolveOptions, priors: Sequence[Any]
+    measured: Measured,
+    start: Problem,
+    options: SolveOptions,
+    priors: Sequence[Any],
+    gauge: str = "auto",
 ) -> Result:
     """Return the result of a start in the frame of a model, with its rules.
 
@@ -58,7 +62,7 @@ def solved(
 
     request = SolveRequest(
         problem=start,
-        options=options.replace(gauge="auto", check_solution=False),
+        options=options.replace(gauge=gauge, check_solution=False),
         priors=priors,
         align=False,
         constraints=measured.constraints,

@@ -29,7 +29,6 @@ from bundle.reports.terminal.solve_data import (
     WallTime,
     before_and_after,
     constraint_sections,
-    contradicted_rule,
     environment_data,
     factor_fact,
     loops_section,
@@ -74,7 +73,7 @@ def refinement(
     """Return the report on one solve; ``output`` is None if nothing was written."""
     sigmas = readout_sigma or {}
     summary, changes = solved.summary, camera_changes(solved)
-    warnings = (*(edits.warnings if edits else ()), *contradicted_rule(solved), *summary.warnings)
+    warnings = (*(edits.warnings if edits else ()), *summary.warnings)
     first, last = ([], []) if inertial is None else inertial.headline
     details = [
         Section(facts=_facts(path, problem, solved, edits)),

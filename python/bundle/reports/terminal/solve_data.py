@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from bundle.base.own_process import Waiting
 from bundle.base.records import dataclass
 from bundle.base.words import change, few, format_size, number, pixels, plural, seconds
-from bundle.errors import brief, shown
+from bundle.errors import shown
 from bundle.interface.environment import Environment
 from bundle.interface.options import SolveOptions
 from bundle.interface.pose_graph_options import PoseGraphOptions
@@ -159,7 +159,6 @@ def _stage(name: str, time: float, total: float) -> tuple[str, str, str, str]:
 
 
 MOST_ROWS = 8  # number of listed priors, bounds and ties
-FAR = 5.0  # pull above which a warning names the rule of a prior
 
 
 BOUNDS = (
@@ -187,20 +186,6 @@ def constraint_sections(rules: Sequence[RuleEnd]) -> list[Section]:
         *_listed(TIES, list(ties), 1, "other tie", ""),
     ]
     return [replace(part, is_joined=index > 0) for index, part in enumerate(parts)]
-
-
-def contradicted_rule(solved: Result) -> Sequence[str]:
-    """Return a warning if the result, a minimum, is far from the prior of a rule."""
-    pulls = [(abs(prior.pull), rule, prior) for rule in solved.constraints for prior in rule.priors]
-    if not pulls or solved.summary.termination_type != "CONVERGENCE":
-        return ()
-    pull, rule, prior = max(pulls, key=lambda one: one[0])
-    if pull <= FAR:
-        return ()
-    return (
-        f"The observations contradict the rule {brief(rule.rule)}: {prior.subject} {prior.id} "
-        f"({prior.parameter}) ends {number(pull)} sigmas from it.",
-    )
 
 
 def _listed(

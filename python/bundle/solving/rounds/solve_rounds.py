@@ -306,4 +306,5 @@ def _round_of(number: int, result: Result, filtered: Filtered, limits: RoundOpti
         num_observations_below_min_angle=filtered.num_observations_below_min_angle,
         max_error=limits.max_error,
         min_angle=limits.min_angle,
+        initial_factor_cost=float(result.factor_costs_before.sum()),
     )
