@@ -73,12 +73,15 @@ def test_other_words_for_a_command_belong_to_one_command():
     assert not set(words) & set(COMMANDS)
 
 
-def test_other_words_for_a_flag_are_no_flags_of_its_commands():
-    commands = command_parser().commands().values()
-    for flags in ({*command.flags()} for command in commands):
-        words = " ".join(said for flag, said in parser.ELSEWHERE.items() if flag in flags).split()
-        assert len({*words} - flags) == len(words)
-    assert {*parser.ELSEWHERE} <= {flag for command in commands for flag in command.flags()}
+def test_other_words_for_a_flag_are_no_flags_of_its_command():
+    known: set[str] = set()
+    for command in ("refine", "validate"):  # they have all flags of the table
+        flags = {*command_parser().commands()[command].flags()}
+        own = {flag: said for flag, said in parser.ELSEWHERE.items() if flag in flags}
+        words = " ".join(own.values()).split()
+        assert len({*words} - flags) == len(words) > 5
+        known |= {*own}
+    assert known == {*parser.ELSEWHERE}
 
 
 def test_after_two_dashes_everything_is_a_name(run):
