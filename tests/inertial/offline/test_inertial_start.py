@@ -161,6 +161,16 @@ def test_wild_rotations_do_not_move_a_clock_offset():
     assert found.seconds == pytest.approx(0.02, abs=1e-3)
 
 
+def test_heavy_tails_let_steps_converge_slowly():
+    """Weights follow the residuals: here each step is a third of the last one."""
+    between, motions_at, rates_at = turning(0.03)
+    errors = 0.01 * np.random.default_rng(5).standard_t(1.2, size=(len(between), 3))
+    turned = between @ Rotation.from_rotvec(errors).as_matrix()
+    found = clock_offset(turned, motions_at, rates_at)
+    assert 1e-4 < found.sigma < 5e-3
+    assert found.seconds == pytest.approx(0.03, abs=3 * found.sigma)
+
+
 def test_the_sigma_of_a_clock_offset_is_that_of_its_errors():
     errors = []
     for seed in range(30):

@@ -172,7 +172,7 @@ def quietest_ratio(stamps: NDArray[np.int64], gyro: Array, accel: Array, noise: 
 # a constant rate does not. Between two and five sigmas, an adjustment with the offset and one
 # without it decide by their costs, to which the forces contribute.
 
-STEPS = 10
+STEPS = 40
 MOST = 0.1  # largest offset in seconds: the model is linear in it
 SMALL_STEP = 1e-7
 DOUBTFUL, CLEAR = 2.0, 5.0  # sigmas from which an offset is tried, and counts: errors correlate
