@@ -12,7 +12,7 @@ import pytest
 
 from bundle.cli.main import main
 from bundle.inertial.vio.odometry import run_odometry
-from bundle.inertial.vio.sequence_images import ImuSlices
+from bundle.inertial.vio.sequence_images import ImuSlices, beyond_range
 from bundle.inertial.vio.trajectory_comparison import compare_trajectories
 from bundle.io.sequences.sequence_folder import save_sequence
 from bundle.model.sequence.calibration import ImuNoise
@@ -90,7 +90,7 @@ def test_doubt_is_part_of_the_covariance() -> None:
 
 @pytest.mark.parametrize("seconds", [1.9, 2.5])
 @pytest.mark.parametrize("sensor", ["gyro", "accel"])
-def test_clipped_samples_keep_their_values_and_rates_their_doubt(sensor, seconds) -> None:
+def test_clipped_samples_go_on_and_rates_keep_their_doubt(sensor, seconds) -> None:
     """Images measure rotations, too; without forces the scale gets lost."""
     count = round(200 * seconds)
     stamps = 5_000_000 * np.arange(2001)
@@ -100,9 +100,12 @@ def test_clipped_samples_keep_their_values_and_rates_their_doubt(sensor, seconds
     values[sensor] = np.minimum(values[sensor], 8.0)
     slices = ImuSlices(stamps, values["gyro"], values["accel"], "zero_order_hold")
     inside = slices.between(int(stamps[720]), int(stamps[760]))
-    np.testing.assert_array_equal(getattr(inside, sensor), values[sensor][720:760])
+    hidden = getattr(inside, sensor) - values[sensor][720:760]
+    is_bridged = sensor == "gyro" or seconds < 2
+    assert (hidden[:, [0, 2]] == 0).all() and ((hidden[:, 1] > 1).all() == is_bridged)
+    assert is_bridged or not hidden.any()
     own, other = inside.doubt if sensor == "gyro" else inside.doubt[::-1]
-    assert (own > 0, other) == (sensor == "gyro" or seconds < 2, 0.0)
+    assert (own > 0, other) == (is_bridged, 0.0)
 
 
 @pytest.mark.parametrize(("seconds", "is_bridged"), [(2.0, True), (2.01, False)])
@@ -129,16 +132,32 @@ def test_a_bad_stretch_is_a_gap_of_its_sensor(seconds: float, is_bridged: bool) 
     assert spike.doubt == (0.0, pytest.approx(size**2 / 3 * 0.01**2))
 
 
-def test_clipped_samples_stay_but_are_doubted() -> None:
+@pytest.mark.parametrize("sign", [1, -1])
+def test_clipped_samples_go_on_and_are_doubted(sign: int) -> None:
+    """Waves of 0.6 and 1.3 Hz: of their mean beyond the range, a quarter remains."""
     rng = np.random.default_rng(0)
     stamps = 5_000_000 * np.arange(1000)
-    gyro = np.sin(2e-2 * np.arange(1000)[:, None] * [1, 2, 3]) + rng.normal(0, 0.01, (1000, 3))
-    clipped = np.minimum(gyro, 0.8)
+    true = sign * np.sin(2e-2 * np.arange(1000)[:, None] * [1, 2, 3])
+    gyro = true + rng.normal(0, 0.01, (1000, 3))
+    range_ends = np.array([0.5, 0.5, 9.0])
+    clipped = np.clip(gyro, -9.0, range_ends) if sign > 0 else np.clip(gyro, -range_ends, 9.0)
     slices = ImuSlices(stamps, clipped, rng.normal(0, 1, (1000, 3)), "zero_order_hold")
-    rows = np.flatnonzero((clipped == 0.8).any(axis=1))
-    there = slices.between(int(stamps[rows[0]]), int(stamps[rows[0] + 20]))
-    np.testing.assert_array_equal(there.gyro, clipped[rows[0] : rows[0] + 20])
+    there = slices.between(0, int(stamps[-1]))
+    cut = np.abs(clipped[:-1]) == 0.5
+    assert cut.sum() > 600
+    before, after = (
+        float(sign * (true[:-1] - one)[cut].mean()) for one in (clipped[:-1], there.gyro)
+    )
+    assert before > 0.3 and abs(after) < 0.25 * before
+    np.testing.assert_array_equal(there.gyro[~cut], clipped[:-1][~cut])
     assert there.doubt[0] > 0 and there.doubt[1] == 0
+
+
+def test_a_run_at_the_end_of_the_samples_or_of_one_sample_has_no_slopes() -> None:
+    values = np.array([[1.0, 0, 0]] * 4 + [[0.0, 0, 0]] * 4 + [[1.0, 0, 0]] + [[0.5, 0, 0]] * 3)
+    values[:, 1] = np.arange(12.0)
+    clipped = values[:, 0] == 1
+    assert not beyond_range(5_000_000 * np.arange(12), values, clipped).any()
 
 
 @pytest.mark.parametrize(("at", "milliseconds"), [(2.2, 75), (4.0, 1000)])

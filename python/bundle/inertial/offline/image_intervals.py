@@ -37,14 +37,7 @@ which an adjustment determines an offset of the clocks."""
 class ImageIntervals:
     """Intervals between images, at any offset of the clocks.
 
-    Args:
-        samples: samples of the IMU.
-        stamps: (n,) times of images, ascending, within the samples.
-        kind: "instant" or "interval".
-
-    Attributes:
-        kind: the same.
-        rule: rule of preintegration.
+    ``stamps``: (n,) times of images, ascending, within the samples; ``kind``: of the samples.
     """
 
     def __init__(

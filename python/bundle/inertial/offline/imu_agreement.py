@@ -39,8 +39,7 @@ Array = NDArray[np.float64]
 FREEDOM, MOST_FREEDOM = 6, 15
 FALSE_ALARM = 1e-3  # probability of a false alarm in a run
 LARGE_NOISE = 5.0  # calibrated over measured noise that is an error: samples never have less
-JITTER, JITTER_SHARE = 1.5e-3, 0.5
-"""Seconds, and share of the residuals' variance, from which times of single images are wrong."""
+JITTER, JITTER_SHARE = 1.5e-3, 0.5  # s, share of the residuals' variance, from which times err
 DRIFT, DRIFT_SIGMAS = 4e-3, 5.0  # seconds over the video, and sigmas, from which clocks drift
 
 

@@ -49,8 +49,7 @@ Array = NDArray[np.float64]
 SEGMENT = 4.0  # least duration of a segment in seconds
 LEAST_IMAGES = 5  # least number of images of a segment: six numbers are its own
 ACCEL_BIAS_SIGMA = 0.2  # standard deviation of the prior on the accelerometer's bias, m/s^2
-POSITION_SIGMA = 0.02
-"""Assumed standard deviation of a position over a segment, m; weighs the prior."""
+POSITION_SIGMA = 0.02  # assumed standard deviation of a position over a segment, m; for the prior
 STEPS, SPHERE_STEPS = 8, 6
 
 

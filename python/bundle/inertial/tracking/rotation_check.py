@@ -124,13 +124,8 @@ def share_unexplained(recording: Recording, turns: list[Turn]) -> float:
 class RotationPairs:
     """Rotation vectors of image pairs by the tracks, and by samples at a shift of time.
 
-    Rotations by the tracks below ``least_turn`` [rad] are ignored.
-
-    Attributes:
-        spans: (n, 2) stamps of the pairs on the IMU's clock, ns.
-        camera: (n, 3) rotation vectors by the tracks.
-        information: (n, 3, 3) on each.
-        lens: (3, 3) rotation of camera_from_imu.
+    ``spans``: (n, 2) stamps on the IMU's clock, ns; ``camera``: (n, 3) by the tracks, those below
+    ``least_turn`` [rad] are ignored; ``information``: on each; ``lens``: that of camera_from_imu.
     """
 
     def __init__(

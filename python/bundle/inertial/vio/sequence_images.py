@@ -8,8 +8,10 @@ of their standard deviation around the gap (twice its length on each side). A ga
 uncertainty of s T to a rotation and of s T to a velocity.
 
 Without its bad samples (:mod:`bundle.model.sequence.sequence_findings`) a sensor has a gap, too.
-For a spike, s is at least its size: it may be an impact. Clipped samples keep their values. So do
-stretches of more than two seconds, without an uncertainty unless they are clipped rates.
+For a spike, s is at least its size: it may be an impact. Errors of clipped samples have one sign,
+and their mean would remain in bias and scale: the smoothest curve continues a clipped axis, a cubic
+with the slopes before and after. Stretches of more than two seconds are not changed, without an
+uncertainty unless they are clipped rates.
 """
 
 from __future__ import annotations
@@ -23,11 +25,12 @@ from bundle.errors import InputError
 from bundle.inertial.vio.landmark_table import FrameTracks, sight_numbers
 from bundle.inertial.vio.window_frame import ImuInterval
 from bundle.model.sequence.sequence import Sequence
-from bundle.model.sequence.sequence_findings import GAP, bad_stretches, is_bridged
+from bundle.model.sequence.sequence_findings import GAP, bad_stretches, is_bridged, runs_of
 
 Array = np.ndarray[Any, Any]
 
 AROUND = 2  # lengths of a gap on each side of it
+SLOPE_SHARE = 8  # length of a clipped run over that of the slopes beside it: noise averages out
 
 
 class ImuSlices:
@@ -49,15 +52,18 @@ class ImuSlices:
         cleaned = []
         for sensor, values in enumerate((gyro, accel)):
             good = np.ones(len(stamps), bool)
+            clipped = np.zeros(len(stamps), bool)
             ends = [(int(gap), int(gap) + 1, 0.0) for gap in self._gaps]
             for each in stretches:
                 first, last = max(each.first - 1, 0), min(each.last + 1, len(stamps) - 1)
                 if each.sensor == ("gyro", "accel")[sensor] and is_bridged(each, stamps):
                     ends.append((first, last, each.size))
                     good[each.first : each.last + 1] = not each.is_replaced
+                    clipped[each.first : each.last + 1] = not each.is_replaced
             if not good.all() and good.any():
                 columns = [np.interp(stamps, stamps[good], axis[good]) for axis in values.T]
                 values = np.column_stack(columns)
+            values = values + beyond_range(stamps, values, clipped)
             holes += [
                 (int(stamps[first]), int(stamps[last]), sensor, self._variance(values, *each))
                 for each in ends
@@ -123,16 +129,30 @@ class ImuSlices:
         return between
 
 
+def beyond_range(stamps: Array, values: Array, clipped: Array) -> Array:
+    """Return the part of samples (n, 3) that the sensor cuts off, where rows are clipped."""
+    hidden, seconds = np.zeros_like(values), 1e-9 * (stamps - stamps[0])
+    for k, axis in enumerate(values.T):
+        for end in (axis.min(), axis.max()):
+            for first, last in runs_of((axis == end) & clipped).tolist():
+                near = max((last - first) // SLOPE_SHARE, 1)
+                before, after = first - near, last + near
+                if first == last or before < 0 or after >= len(axis):
+                    continue
+                rise = (end - axis[before]) / (seconds[first] - seconds[before])
+                fall = (end - axis[after]) / (seconds[after] - seconds[last])
+                time = seconds[last] - seconds[first]
+                s = (seconds[first : last + 1] - seconds[first]) / time
+                hidden[first : last + 1, k] = time * s * (1 - s) * (rise * (1 - s) + fall * s)
+    return hidden
+
+
 class SequenceImages:
     """Images by their index in :meth:`Sequence.frames`.
 
-    Attributes:
-        stamps: (n,) int64 ns on the IMU's clock.
-        covered: (n,) True for images within the samples.
-        begin: (n + 1,) first observation of each.
-        ids, xy: track numbers and normalised coordinates of all observations; numbers follow the
-            order of first appearance and ascend within an image.
-        track_ids: ids of the same tracks in the sequence.
+    ``stamps``: (n,) ns on the IMU's clock; ``covered``: within the samples; ``begin``: (n + 1,)
+    first observation of each; ``ids``, ``xy``: track numbers, by first appearance and ascending
+    within an image, and normalised coordinates; ``track_ids``: ids of these tracks in the sequence.
     """
 
     def __init__(self, sequence: Sequence, rule: str = "zero_order_hold") -> None:

@@ -91,15 +91,9 @@ FAR_BIAS = 12.0  # sigmas of a bias that changes: the path is off by as many of 
 
 
 class WindowRun:
-    """Window, and the states of its images at the time of their solves.
+    """Window that has started, and the states of its images at the time of their solves.
 
-    Attributes:
-        images: images of the sequence.
-        window: window that has started.
-        start: "static" or "moving": method of initialisation.
-        next_image: first image after the start.
-        stamps, states: stamps and states of the start's keyframes, then of each image.
-        lost: reason once tracking is lost; "" before.
+    ``start`` is "static" or "moving"; ``lost`` the reason once tracking is lost, "" before.
     """
 
     def __init__(self, sequence: Sequence, options: WindowOptions) -> None:

@@ -312,14 +312,14 @@ def is_bridged(stretch: BadStretch, stamps: NDArray[np.int64]) -> bool:
     return (stretch.kind, stretch.sensor) == ("saturated", "gyro") or is_short(stretch, stamps)
 
 
-def _runs(flags: Array) -> Array:
+def runs_of(flags: Array) -> Array:
     """Return the first and last index of each run of true flags (k, 2)."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
     return edges.reshape(-1, 2) - [0, 1]
 
 
 def _frozen(values: Array) -> list[tuple[int, int]]:
-    runs = _runs((values[1:] == values[:-1]).all(axis=1))
+    runs = runs_of((values[1:] == values[:-1]).all(axis=1))
     runs[:, 1] += 1  # of samples, not of steps
     length = runs[:, 1] - runs[:, 0] + 1
     others = len(values) - int(length.sum())  # samples that do not repeat
@@ -337,7 +337,7 @@ def _repeated(values: Array) -> list[tuple[int, int]]:
     share = float((counts * (counts - 1.0)).sum()) / max(len(values), 1) ** 2
     before = np.zeros(len(values), np.int64)  # distance to the last equal sample
     before[order[1:][is_equal]] = np.diff(order)[is_equal]
-    runs = _runs((before[1:] == before[:-1]) & (before[1:] >= FROZEN_RUN))
+    runs = runs_of((before[1:] == before[:-1]) & (before[1:] >= FROZEN_RUN))
     runs[:, 1] += 1
     length = runs[:, 1] - runs[:, 0] + 1.0
     if (length > before[runs[:, 1]]).any():
@@ -356,9 +356,9 @@ def _saturated(values: Array, good: Array) -> list[tuple[int, int]]:
             if counts[end] < max(SATURATED_RUN, PILE * counts[before]):
                 continue
             there = (axis == levels[end]) & good
-            if (np.diff(_runs(there)) + 1 >= SATURATED_RUN).any():
+            if (np.diff(runs_of(there)) + 1 >= SATURATED_RUN).any():
                 clipped |= there
-    return [(int(a), int(b)) for a, b in _runs(clipped)]
+    return [(int(a), int(b)) for a, b in runs_of(clipped)]
 
 
 def _spikes(values: Array, good: Array, least: float) -> list[tuple[int, int, float]]:
@@ -372,4 +372,4 @@ def _spikes(values: Array, good: Array, least: float) -> list[tuple[int, int, fl
     usual = float(np.quantile(distance, 0.99))
     bound = np.maximum(SPIKE_SPREAD * np.linalg.norm(high - low, axis=1), SPIKE_USUAL * usual)
     far = (distance > np.maximum(bound, least)) & good
-    return [(int(a), int(b), float(distance[a : b + 1].max())) for a, b in _runs(far)]
+    return [(int(a), int(b), float(distance[a : b + 1].max())) for a, b in runs_of(far)]
