@@ -63,6 +63,18 @@ def test_the_wrong_one_of_several_rules_is_named_and_its_flag_goes(refined, scen
     assert rules(refined, [right, f"camera 1: k prior {k} sigma 0.001"]) is None
 
 
+def test_a_rule_of_a_file_is_named_with_its_place(tmp_path, capsys, refined):
+    from bundle.cli.main import main
+
+    bundle.save(refined, tmp_path / "model")
+    (tmp_path / "rules.txt").write_text("# lens\ncamera 1: k prior 0.3 sigma 0.001\n")
+    words = ["refine", str(tmp_path / "model"), "-o", str(tmp_path / "out"), "--json", "-"]
+    assert main([*words, "--constraints", str(tmp_path / "rules.txt")]) == 0
+    found = json.loads(capsys.readouterr().out)["findings"][0]
+    assert (found["kind"], found["command"]) == ("rules", "")
+    assert "rules.txt:2)" in found["sentence"]
+
+
 def test_an_estimated_plane_through_points_of_a_hill_is_named(refined):
     off = refined.points[:50] - refined.points[:50].mean(axis=0)
     spread = np.linalg.svd(off, compute_uv=False)[2] / np.sqrt(50)

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 
 from bundle.base.tails import chi2_limit
 from bundle.base.words import number, rounded
-from bundle.errors import InputError, brief
+from bundle.errors import InputError, brief, shown
 from bundle.interface.finding import Finding
 from bundle.judging.findings.measured import Measured
 from bundle.judging.findings.repaired import FREE_TOLERANCE, MOST_FREE_STEPS, is_affordable, solved
@@ -90,9 +90,11 @@ def _farthest(
     where = f"{prior.subject} {prior.id} ({prior.parameter}) ends {number(pull)} sigmas from it"
     rules = [rule for rule in rules_of(measured.constraints) if str(rule) == end.rule]
     command = measured.command.without("--set", lambda text: parse_rule(text, "") in rules)
+    is_flag = command != measured.command
+    name = f"the rule {brief(end.rule)}{'' if is_flag else f' ({shown(end.place)})'}"
     return Finding(
         kind="rules",
-        sentence=f"The observations contradict the rule {brief(end.rule)}: {how}{where}{share}.",
-        command="" if command == measured.command else command.refine(),
+        sentence=f"The observations contradict {name}: {how}{where}{share}.",
+        command=command.refine() if is_flag else "",
         evidence={"rule": end.rule, "place": end.place, "pull": pull},
     )
