@@ -108,9 +108,10 @@ def test_weights_may_multiply_the_jacobians_only(factor, kind, num_wrong, has_no
 def test_transposed_blocks(width, is_square):
     right = np.random.default_rng(1).normal(size=(4, 3, width))
     found = evidence(right.transpose(0, 2, 1).reshape(right.shape), right)
-    column_signatures._find_transposed(found, is_square=not is_square)
+    searches = [column_signatures.column_major, column_signatures.transposed]
+    searches[not is_square](found)
     assert found.findings == []
-    column_signatures._find_transposed(found, is_square=is_square)
+    searches[is_square](found)
     assert [one.kind for one in found.findings] == ["transposed"]
     assert ("in memory" in found.findings[0].sentence) != is_square
 
@@ -182,6 +183,14 @@ def test_a_row_of_rounding_has_no_factor(size, ratio):
     found = column_signatures._ratios(reference * [2.0, 5.0], reference, 0)
     assert found == pytest.approx([2.0, ratio], rel=1e-9)
     assert column_signatures._ratios(0 * reference, 0 * reference, 0).tolist() == [1.0, 1.0]
+
+
+@pytest.mark.parametrize(("factor", "has_note"), [(1.0005, False), (1.002, True)])
+def test_swapped_rows_with_other_weights(factor, has_note):
+    right = np.random.default_rng(0).normal(size=(4, 3, 2))
+    found = evidence(right[:, [1, 0, 2]] * [[1.0], [factor], [1.0]], right)
+    row_signatures.rows(found)
+    assert ("before the weights" in found.findings[0].sentence) == has_note
 
 
 def test_a_row_that_is_there_twice_is_no_order():

@@ -109,6 +109,11 @@ def test_what_is_doubted_and_what_is_not():
     assert doubt_of(right, bundle.solve(right, **TIGHT).problem.poses) == ""
     wrong = with_wrong_closures(right, 1)
     assert "above 17.73" in doubt_of(wrong, bundle.solve(wrong, **TIGHT).problem.poses)
+    for count, said in ((1, "1 edge has"), (2, "2 edges have")):
+        chi2 = np.zeros(right.num_edges)
+        chi2[np.flatnonzero(right.is_closure)[:count]] = 20.0
+        doubt = find_doubt(right, "log", right.is_closure, chi2, ONE_IN_2000[right.tangent_size])
+        assert doubt.startswith(f"{said} a chi2 above")
     weak = weak_walk(2, 5)
     poses = bundle.solve(weak, **TIGHT).problem.poses
     assert "degrees of freedom" in doubt_of(weak, poses)

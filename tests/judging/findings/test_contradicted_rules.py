@@ -63,6 +63,34 @@ def test_the_wrong_one_of_several_rules_is_named_and_its_flag_goes(refined, scen
     assert rules(refined, [right, f"camera 1: k prior {k} sigma 0.001"]) is None
 
 
+@pytest.mark.parametrize(("sigmas", "is_named"), [(3.5, False), (9.0, True)])
+def test_the_test_is_relative_to_the_noise_of_the_pixels(sigmas, is_named):
+    made = bundle.synthesize(
+        num_images=8, num_points=80, scene="orbit", seed=5, pixel_noise=3.0, image_size=(1280, 960)
+    )
+    free = bundle.solve(made.problem, function_tolerance=1e-12)
+    focal = float(free.problem.camera_params[0, 0])
+    sigma = float(np.sqrt(bundle.covariance(free, scale="sigma0").camera(1)[0, 0]))
+    found = rules(free.problem, [f"camera 1: f prior {focal + sigmas * sigma} sigma {sigma / 50}"])
+    assert (found is not None) == is_named
+
+
+def test_without_rules_that_nothing_replaces_only_a_pull_is_judged(refined, monkeypatch):
+    def undetermined(*_):
+        raise bundle.InputError("undetermined")
+
+    monkeypatch.setattr(contradicted_rules, "solved", undetermined)
+    found = rules(refined, ["camera 1: k prior 0.3 sigma 0.001"])
+    assert found.evidence["pull"] > contradicted_rules.FAR
+    assert "without" not in found.sentence
+
+
+def test_relative_rules_hold_at_the_start(refined):
+    start = refined.replace(camera_params=refined.camera_params * [1.4, 1, 1, 1])
+    assert rules(start, ["camera 1: f prior 0.5 %"]) is not None
+    assert rules(refined, ["camera 1: f prior 0.5 %"]) is None
+
+
 def test_a_rule_of_a_file_is_named_with_its_place(tmp_path, capsys, refined):
     from bundle.cli.main import main
 

@@ -214,9 +214,11 @@ def test_reports_without_digests_environment_and_structure(reports):
     old = reports["graph"].with_name("bare.json")
     old.write_text(json.dumps(content))
     assert causes(old, old) == []
-    assert causes(old, edited(old, ("input.num_edges", 702), ("summary.final_cost", times(9)))) == [
-        "data"
-    ]
+    new = edited(old, ("input.num_edges", 702), ("summary.final_cost", times(9)))
+    (cause,) = bundle.triage(old, new).causes
+    assert cause.cause == "data"
+    assert cause.evidence["num_edges"]["new"] == 702
+    assert f"edges {cause.evidence['num_edges']['old']} -> 702" in cause.sentence
 
 
 @pytest.mark.parametrize(("text", "words"), [
