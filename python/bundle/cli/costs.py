@@ -143,14 +143,14 @@ def _counting(run: Run, noun: str) -> Callable[[int], None]:
 
 
 def _ended(run: Run, found: GradientReport | FactorCheck, report: Report) -> Report:
-    if run.arguments.html is not None:
-        from bundle.reports.page.result_pages import write_check  # only for a page
-
-        write_check(found, run.arguments.html, str(run.source))
+    run.page("reports.page.result_pages:write_check", found, str(run.source))
     if not found.ok:
         undecided = found.verdict == "undecided"
         run.end(EXIT_UNDECIDED if undecided else EXIT_NO_SOLUTION, report.headline[0])
     return report
+
+
+INSPECTION_PAGE = "reports.page.inspection_page:write_inspection"
 
 
 def inspect_model(run: Run) -> Report:
@@ -172,17 +172,8 @@ def inspect_model(run: Run) -> Report:
     with naming_flags(ranks="--ranks", network="--network"):
         ranks = predict_ranks(problem, inspection, options, counts=counts, network=network)
     known = {"name": str(run.source), "ranks": ranks, "network": network}
-    _write_inspection(run, inspection, problem, options, **known)
+    run.page(INSPECTION_PAGE, inspection, problem, options, **known)
     return inspected(run.source, problem, inspection, options, PATTERN, ranks, network, run.wall)
-
-
-def _write_inspection(run: Run, inspection: Any, *about: Any, **known: Any) -> None:
-    if run.arguments.html is not None:
-        from bundle.reports.page.inspection_page import write_inspection  # only for a page
-
-        if about:
-            run.progress.stage(f"writing {shown(run.arguments.html)}")
-        write_inspection(inspection, run.arguments.html, *about, **known)
 
 
 def inspect_shape(run: Run) -> Report:
@@ -223,7 +214,7 @@ def inspect_graph_file(run: Run) -> Report:
     run.given(RankOptions)
     _refuse(arguments, ("ranks", *SolveOptions.names()), "with INPUT")
     graph = _eliminate(run.given(GraphFileOptions))
-    _write_inspection(run, graph)
+    run.page(INSPECTION_PAGE, graph)
     return inspected_steps(arguments.graph, graph, run.wall)
 
 
@@ -265,11 +256,7 @@ def inspect_pose_graph(run: Run) -> Report:
     graph = run.load()
     run.progress.stage("inspecting")
     found = inspect(graph, num_threads=threads, recalibrate=arguments.recalibrate)
-    if arguments.html is not None:
-        from bundle.reports.page.graph_page import write_graph_structure
-
-        run.progress.stage(f"writing {shown(arguments.html)}")
-        write_graph_structure(found, graph, arguments.html, name=str(run.source))
+    run.page("reports.page.graph_page:write_graph_structure", found, graph, name=str(run.source))
     return inspected_graph(run.source, graph, found, run.wall)
 
 

@@ -163,11 +163,7 @@ def refine_pose_graph(run: Run) -> Report:
     if is_saved:
         with run.timing("save"):
             run.write(run.target, partial(save_g2o, solved.problem))
-    page = run.arguments.html
-    if page is not None:
-        from bundle.reports.page.graph_report import write_graph_report  # only for --html
-
-        run.write(page, lambda _: write_graph_report(solved, page, name=str(run.source)))
+    run.page("reports.page.graph_report:write_graph_report", solved, name=str(run.source))
     wall = run.wall_time(solved)
     run.end(0 if is_done else EXIT_NO_SOLUTION, solved.outcome)
     written = {"path": run.target, "format": graph_format(run.target)} if is_saved else None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from functools import partial
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING
@@ -62,8 +61,17 @@ def refine(run: Refinement) -> Report:
             raise
         _measure(run)
         run.findings = judge(run)
-        if run.arguments.html is not None:
-            run.write(run.arguments.html, partial(_write_page, run))
+        run.page(
+            "reports.page.report_page:write_report",
+            run.found,
+            images=run.georeference.images,
+            priors=run.priors,
+            constraints=run.constraints,
+            georeference=place_of(run.measured),
+            measured=run.measured,
+            findings=run.findings,
+            name=run.source,
+        )
     report = refinement(
         run.source,
         run.input,
@@ -374,20 +382,3 @@ def readout_sigmas(run: Refinement) -> dict[int, float]:
         priors=run.priors,
         constraints=run.constraints,
     ).readout_sigmas
-
-
-def _write_page(run: Refinement, path: str) -> None:
-    """Write the report page; most runs do not need its imports."""
-    from bundle.reports.page.report_page import write_report
-
-    write_report(
-        run.found,
-        path,
-        images=run.georeference.images,
-        priors=run.priors,
-        constraints=run.constraints,
-        georeference=place_of(run.measured),
-        measured=run.measured,
-        findings=run.findings,
-        name=run.source,
-    )

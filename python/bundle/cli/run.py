@@ -278,6 +278,12 @@ class Run:
         self.progress.stage(f"writing {shown(path)}")
         return save(path)
 
+    def page(self, writer: str, found: Any, *more: Any, **known: Any) -> None:
+        """Write the page on a result by a function with this name, if the command line asks."""
+        path = self.arguments.html
+        if path is not None:
+            self.write(path, lambda _: resolve(writer)(found, path, *more, **known))
+
     def end(self, code: int, complaint: str = "") -> None:
         """Set the exit code, and the line on standard error if standard output has only JSON."""
         self.code, self.complaint = code, complaint

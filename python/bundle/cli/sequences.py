@@ -161,11 +161,13 @@ def run_vio(run: Run) -> Report:
         save_tum(arguments.publish, loops.published.timestamps_ns, loops.published.states)
     if arguments.telemetry is not None:
         atomic.write_text(as_path(arguments.telemetry), telemetry_lines(result))
-    if arguments.html is not None:
-        from bundle.reports.page.result_pages import write_odometry  # for --html only
-
-        progress.stage(f"writing {shown(arguments.html)}")
-        write_odometry(result, arguments.html, truth=truth, error=error, name=Path(source).name)
+    run.page(
+        "reports.page.result_pages:write_odometry",
+        result,
+        truth=truth,
+        error=error,
+        name=Path(source).name,
+    )
     format = sequence_format(source)
     told = (source, format, sequence, result, error, target, run.wall, findings, waiting)
     report = odometry_report(*told, given.tracking)

@@ -90,7 +90,7 @@ MOST_DRAWN = 20_000  # largest number of poses whose matrix and factors are draw
 
 
 def write_graph_structure(
-    found: FactorGraphInspection, graph: PoseGraph, path: str | os.PathLike[str], *, name: str = ""
+    found: FactorGraphInspection, path: str | os.PathLike[str], graph: PoseGraph, *, name: str = ""
 ) -> None:
     """Write the page of an inspected pose graph."""
     pattern = free_pattern(graph)
