@@ -176,7 +176,8 @@ void CovarianceComputation::FindInfluence(const InfluenceOptions& gradient, Dele
     found->without[p] = WithoutPoint(leverages.OfCameras(), along, residual);
   };
   LeverageOptions of_leverages;
-  of_leverages.without_h = wanted == Deletions::kNone;
+  of_leverages.without_h = wanted != Deletions::kObservations;
+  of_leverages.of_points = wanted == Deletions::kPoints;
   of_leverages.adjoint = a.data();
   of_leverages.points = std::move(points);
   system_.ForFactors([&](const ReducedSystem::FactorRows& rows) {

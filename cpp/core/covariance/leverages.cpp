@@ -48,6 +48,23 @@ void AddPair(BlockOfInverse<double> block, int rows, int columns, bool is_diagon
   }
 }
 
+/// to += J C, for two rows of J and `size` rows of C, which are `width` wide as those of `to`.
+BUNDLE_FOR_TWO_PROCESSORS
+void AddRows(const double* jacobian, int size, const double* c, int width, double* to) {
+  for (int r = 0; r < size; ++r, c += width) {
+    const double first = jacobian[r], second = jacobian[size + r];
+    for (int k = 0; k < width; ++k) to[k] += first * c[k];
+    for (int k = 0; k < width; ++k) to[width + k] += second * c[k];
+  }
+}
+
+void AddRows(const double* jacobian, int size, const long double* c, int width, long double* to) {
+  for (int r = 0; r < size; ++r, c += width) {
+    for (int k = 0; k < width; ++k) to[k] += jacobian[r] * c[k];
+    for (int k = 0; k < width; ++k) to[width + k] += jacobian[size + r] * c[k];
+  }
+}
+
 /// Leverages of the observations of one point, or of none, from blocks of C.
 template <typename Scalar>
 class Leverages final : public PointLeverages {
@@ -101,16 +118,35 @@ class Leverages final : public PointLeverages {
            by_cameras_.template cast<double>();
   }
 
+  /// A_x C first, by all unknowns of the point, then the blocks of y.
   Eigen::MatrixXd OfCameras() const override {
-    const int m = assembler_->num_rows();
+    const int m = assembler_->num_rows(), size = blocks_->begin.back();
     const auto row = [this](int i) -> const ObservationRows& { return assembler_->row(i); };
+    std::vector<Scalar> c, ac(2 * size_t(size));
     std::vector<Row3> acy(m);
     for (int i = 0; i < m; ++i) acy[i] = TimesCy(row(i));
     Eigen::MatrixXd all = Eigen::MatrixXd::Zero(2 * m, 2 * m);
     for (int i = 0; i < m; ++i) {
+      const ObservationRows& x = row(i);
+      std::fill(ac.begin(), ac.end(), Scalar(0));
+      for (int a = 0; a < x.num_blocks; ++a) {
+        FillRows(IndexOf(x.block[a]), &c);
+        AddRows(x.jacobian[a], x.size[a], c.data(), size, ac.data());
+      }
       for (int j = 0; j <= i; ++j) {
-        all.block<2, 2>(2 * i, 2 * j) =
-            OfRows(row(i), acy[i], row(j), acy[j]).template cast<double>();
+        const ObservationRows& y = row(j);
+        Block2 sum = Block2::Zero();
+        for (int b = 0; b < y.num_blocks; ++b) {
+          const Scalar* const from = &ac[FirstOf(y.block[b])];
+          for (int k = 0; k < 4; ++k) {
+            const double* const jacobian = y.jacobian[b] + k % 2 * y.size[b];
+            for (int r = 0; r < y.size[b]; ++r) {
+              sum(k / 2, k % 2) += from[k / 2 * size + r] * jacobian[r];
+            }
+          }
+        }
+        sum += PartOfPoint(x, acy[i], y, acy[j]);
+        all.block<2, 2>(2 * i, 2 * j) = sum.template cast<double>();
       }
     }
     return all;
@@ -121,7 +157,8 @@ class Leverages final : public PointLeverages {
     const Row3 b = ByPoint(rows), acy = TimesCy(rows);
     const Row3 own =
         b.lazyProduct(Eigen::Map<const Eigen::Matrix3d>(blocks_->inverse).template cast<Scalar>());
-    const Block2 h = OfRows(rows, acy, rows, acy) + own.lazyProduct(b.transpose());
+    const Block2 h =
+        OfCameras(rows, rows) + PartOfPoint(rows, acy, rows, acy) + own.lazyProduct(b.transpose());
     return h.template cast<double>();
   }
 
@@ -135,13 +172,38 @@ class Leverages final : public PointLeverages {
         .template cast<Scalar>();
   }
 
+  size_t IndexOf(int block) const {
+    return std::lower_bound(blocks_->blocks.begin(), blocks_->blocks.end(), block) -
+           blocks_->blocks.begin();
+  }
+  /// First of a block's unknowns among those of the point.
+  int FirstOf(int block) const { return blocks_->begin[IndexOf(block)]; }
+
+  /// Rows of C of the point's block `a`, by all unknowns of the point.
+  void FillRows(size_t a, std::vector<Scalar>* c) const {
+    const int i = blocks_->blocks[a], size = blocks_->begin.back();
+    const int rows = blocks_->begin[a + 1] - blocks_->begin[a];
+    c->resize(size_t(rows) * size);
+    for (size_t b = 0; b < blocks_->blocks.size(); ++b) {
+      const int j = blocks_->blocks[b], first = blocks_->begin[b];
+      const int columns = blocks_->begin[b + 1] - first;
+      const bool is_below = kIsWhole || i >= j, is_half = !kIsWhole && i == j;
+      const BlockOfInverse<Scalar> block = is_below ? BlockOf(i, j) : BlockOf(j, i);
+      for (int r = 0; r < rows; ++r) {
+        Scalar* const to = c->data() + size_t(r) * size + first;
+        for (int k = 0; k < columns; ++k) {
+          const bool as_it_is = is_half ? r >= k : is_below;
+          to[k] = block.values[as_it_is ? k * block.stride + r : r * block.stride + k];
+        }
+      }
+    }
+  }
+
   /// A C Y
   Row3 TimesCy(const ObservationRows& rows) const {
     Row3 acy = Row3::Zero();
     for (int k = 0; k < rows.num_blocks; ++k) {
-      const auto at =
-          std::lower_bound(blocks_->blocks.begin(), blocks_->blocks.end(), rows.block[k]);
-      const Scalar* cy = &cy_[4 * size_t(blocks_->begin[at - blocks_->blocks.begin()])];
+      const Scalar* cy = &cy_[4 * size_t(FirstOf(rows.block[k]))];
       for (int r = 0; r < rows.size[k]; ++r, cy += 4) {
         for (int row = 0; row < 2; ++row) {
           const Scalar factor = rows.jacobian[k][row * rows.size[k] + r];
@@ -152,12 +214,12 @@ class Leverages final : public PointLeverages {
     return acy;
   }
 
-  /// T_x C T_y^T of two observations of the point, multiplied out
-  Block2 OfRows(const ObservationRows& x, const Row3& acy_x, const ObservationRows& y,
-                const Row3& acy_y) const {
+  /// T_x C T_y^T - A_x C A_y^T of two observations of the point, multiplied out
+  Block2 PartOfPoint(const ObservationRows& x, const Row3& acy_x, const ObservationRows& y,
+                     const Row3& acy_y) const {
     const Row3 bx = ByPoint(x), by = ByPoint(y);
     const Row3 along = bx.lazyProduct(by_cameras_) - acy_x;
-    return OfCameras(x, y) + along.lazyProduct(by.transpose()) - bx.lazyProduct(acy_y.transpose());
+    return along.lazyProduct(by.transpose()) - bx.lazyProduct(acy_y.transpose());
   }
 
   /// Use of both triangles, for an inverse in long doubles: each column solves the equations up to
@@ -213,18 +275,18 @@ class Leverages final : public PointLeverages {
 template <typename Scalar>
 void VisitLeverages(const ReducedSystem& system, const LongMatrix& inverse,
                     const std::vector<int>& points, const LeverageVisitor& of_observation,
-                    const PointLeverageVisitor& of_point, bool without_h) {
+                    const PointLeverageVisitor& of_point, const LeverageOptions& wanted) {
   const auto take = [&](const ObservationRows& rows, const auto& leverage) {
     Leverage of = {rows.observation, {}, rows.weight, rows.bend, Matrix2d::Zero(), {}, &rows};
     std::copy_n(rows.residual, 2, of.residual);
-    if (!without_h) of.h = leverage();
+    if (!wanted.without_h) of.h = leverage();
     of_observation(of);
   };
   std::vector<Leverages<Scalar>> of_thread(system.num_threads(), {system, inverse});
   system.ForPoints(system.num_threads(), points,
                    [&](int p, const PointBlocks& blocks, const PointAssembler& rows, int thread) {
                      Leverages<Scalar>& leverages = of_thread[thread];
-                     if (!without_h) leverages.TakePoint(blocks, rows);
+                     if (!wanted.without_h || wanted.of_points) leverages.TakePoint(blocks, rows);
                      if (of_point) of_point(p, blocks, rows, leverages);
                      for (int i = 0; i < rows.num_rows(); ++i) {
                        take(rows.row(i), [&] { return leverages.OfPoint(rows.row(i)); });
@@ -243,7 +305,7 @@ void ForLeverages(const ReducedSystem& system, const LongMatrix& inverse,
                   const LeverageOptions& wanted) {
   if (inverse.size() > 0) {
     VisitLeverages<long double>(system, inverse, system.free_points(), of_observation, of_point,
-                                wanted.without_h);
+                                wanted);
     return;
   }
   std::vector<int> points = system.unclear_points();
@@ -272,7 +334,7 @@ void ForLeverages(const ReducedSystem& system, const LongMatrix& inverse,
       std::fill_n(wanted.covariances + 9 * int64_t{p}, 9, std::numeric_limits<double>::quiet_NaN());
     }
   }
-  VisitLeverages<double>(system, inverse, points, of_observation, of_point, wanted.without_h);
+  VisitLeverages<double>(system, inverse, points, of_observation, of_point, wanted);
 }
 
 }  // namespace bundle

@@ -76,6 +76,7 @@ using PointLeverageVisitor = std::function<void(int point, const PointBlocks&,
 /// Options of ForLeverages.
 struct LeverageOptions {
   bool without_h = false;
+  bool of_points = false;  ///< PointLeverages are defined, even without h
   /// Free points that `of_point` visits, each before its observations, all of which have rows.
   std::vector<int> points = {};
   const double* adjoint = nullptr;  ///< a by unknown; zero for points

@@ -41,12 +41,13 @@ inline void PointMovements(const EliminationInput& input, const StateRecords& x,
                                 input.part_rows[part], steps + width * input.part_columns * part,
                                 rows);
                           });
-               for (int64_t k = 0; k < width; ++k) {
-                 const double column[3] = {rows[k], rows[width + k], rows[2 * width + k]};
-                 for (int a = 0; a < 3; ++a) {
-                   double sum = 0;
-                   for (int r = a; r < 3; ++r) sum += block.column[a][r] * column[r];
-                   rows[width * a + k] = sum;
+               for (int a = 0; a < 3; ++a) {  // rows below are not yet transformed
+                 double* const row = rows + width * a;
+                 for (int64_t k = 0; k < width; ++k) row[k] *= block.column[a][a];
+                 for (int r = a + 1; r < 3; ++r) {
+                   const double factor = block.column[a][r];
+                   const double* const below = rows + width * r;
+                   for (int64_t k = 0; k < width; ++k) row[k] += factor * below[k];
                  }
                }
              });
