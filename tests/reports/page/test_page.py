@@ -13,12 +13,17 @@ import pytest
 import bundle
 from bundle.figures.marks import linear, logarithmic, short
 from bundle.reports.page.elimination_player import place
-from bundle.reports.page.page import as_json, png, tag, write_page
+from bundle.reports.page.page import as_json, png, prose, tag, write_page
 from bundle.reports.page.table import declared
 from bundle.reports.sections import Table
 from tests.reports.page.reader import Page, check_self_contained
 
 HOSTILE = "</script><script>alert(1)</script><!-- & \u2028 \" ' \\"
+
+
+def test_lines_do_not_break_within_an_arrow_or_an_option():
+    option = '<span class="option">{}</span>'.format
+    assert prose("1 -> 2 by --gcp") == f"1 {option('-&gt;')} 2 by {option('--gcp')}"
 
 
 def test_json_cannot_end_its_script():

@@ -60,8 +60,8 @@ def heading(title: str, name: str = "") -> str:
 
 
 def prose(words: str) -> str:
-    """Return words as markup; lines do not break within an option such as ``--max-error``."""
-    return re.sub(r"--[a-z][\w-]*", r'<span class="option">\g<0></span>', escape(words))
+    """Return words as markup; lines do not break within ``->`` or an option as ``--max-error``."""
+    return re.sub(r"--[a-z][\w-]*|-&gt;", r'<span class="option">\g<0></span>', escape(words))
 
 
 def lead(sentences: Sequence[str]) -> str:
