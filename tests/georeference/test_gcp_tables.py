@@ -140,6 +140,8 @@ def test_metashapes_markers_are_those_of_the_list(tmp_path):
     assert (sigmas["north"].role, sigmas["7"].role) == ("control", "check")
     for word, role in (("true", "control"), ("1", "control"), ("0", "check")):
         assert markers(tmp_path, f'enabled="{word}"')["north"].role == role
+    lost = markers(tmp_path, change=('label="a b"', 'label=""'))
+    assert [mark.image for mark in lost["north"].measurements] == ["camera 4", "c.JPG"]
     flat = markers(tmp_path, change=('z="100.25"', ""), system='LOCAL_CS["Local (m)"]')
     assert np.isnan(flat["north"].position[2]) and flat["7"].reference_system is None
 
@@ -151,6 +153,7 @@ def test_metashapes_markers_are_those_of_the_list(tmp_path):
         (("reference x=", "reference u="), "expected markers with coordinates"),
         (("chunk", "project"), "expected markers with coordinates"),
         (('x="481367.1"', 'x="east"'), "marker north: x: expected a number or nan, found 'east'"),
+        (('label="7"', 'label="north"'), "marker north: expected one marker of each label"),
         (('x="12.5"', 'x=""'), "marker north: px: expected a number, found ''"),
         (
             ('camera_id="9" pinned', 'camera_id="4" pinned'),

@@ -311,7 +311,10 @@ def _read_markers(path: Path) -> _Markers:
         if given is None or "x" not in given.attrib:
             continue  # a tie point
         labels[marker.get("id")] = name
-        place = places[name] = f"{shown(path)}: marker {name}"
+        place = f"{shown(path)}: marker {name}"
+        if name in places:
+            raise InputError(f"{place}: expected one marker of each label, found two")
+        places[name] = place
         both = given.get("sxyz", "nan")
         sigmas = given.get("sxy", both), given.get("sz", both)
         words = zip(_ROW, (*(given.get(axis, "nan") for axis in "xyz"), *sigmas), strict=True)
@@ -326,7 +329,7 @@ def _read_markers(path: Path) -> _Markers:
         name = labels.get(seen.get("marker_id"), "")
         for mark in seen.iterfind("location") if name else ():
             if mark.get("valid", "1") in _TRUE:
-                image = cameras.get(mark.get("camera_id"), "")
+                image = cameras.get(mark.get("camera_id")) or f"camera {mark.get('camera_id')}"
                 marks.append([places[name], image, name, mark.get("x", ""), mark.get("y", "")])
     text = chunk.findtext("reference", "").strip()
     code = _EPSG.search(text)
