@@ -48,6 +48,7 @@ def test_the_movement_is_a_share_of_the_distances_from_the_mean():
     found = ForceScale.of(quadratic((1.0, -4.0, 1.0), (20.0, 25.0, 5.0)), 1.0, 1.0)
     assert found.ratio == pytest.approx(1.04)
     assert found.sigma == pytest.approx(50**-0.5)
+    assert found.gain == pytest.approx(2.0**2 / 50)
     assert found.movement == pytest.approx(0.5 * 0.04)
 
 

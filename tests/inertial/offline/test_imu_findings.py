@@ -132,8 +132,28 @@ def test_a_wrong_scale_of_forces_if_nothing_else_is_wrong():
     assert found.evidence == {"ratio": 1.1, "ratio_sigma": 0.02, "movement": 0.047}
     assert "1.100 +- 0.02 times" in found.sentence and "by 4.7 %" in found.sentence
     assert kinds(forces=pytest.fail, offset=ClockOffset(0.02, 1e-3)) == ["imu_clocks"]
-    first, second = imu_findings(known(chi2=2400.0, forces=forces))
+    alone = known(chi2=2400.0, forces=lambda: forces()._replace(gain=1210.0))
+    first, second = imu_findings(alone)
     assert (first.evidence["cause"], second.kind) == ("accel_scale", "accel_scale")
+
+
+def test_a_scale_of_forces_that_explains_less_than_half_of_a_contradiction_is_not_its_cause():
+    (first,) = imu_findings(
+        known(chi2=2400.0, forces=lambda: ForceScale(1.1, 0.02, 0.047, gain=1190.0))
+    )
+    assert first.evidence["cause"] == "unknown"
+
+
+@pytest.mark.parametrize(
+    ("degrees", "sigma", "cause"),
+    [(2.0, 0.45, "camera_from_imu"), (2.0, 0.55, "unknown"), (0.9, 0.2, "unknown")],
+)
+def test_a_turn_of_four_sigmas_is_a_likely_cause_of_a_contradiction(degrees, sigma, cause):
+    rotations = turned(degrees)._replace(sigma=np.full(3, np.radians(sigma)))
+    assert kinds(rotations=rotations) == []
+    first = imu_findings(known(chi2=2400.0, rotations=rotations))[0]
+    assert first.evidence["cause"] == cause
+    assert ("is probably turned by 2 deg" in first.sentence) == (cause != "unknown")
 
 
 def test_the_next_command_of_a_contradiction():

@@ -30,8 +30,7 @@ RULES = {"instant": "midpoint", "interval": "zero_order_hold"}
 Means that are taken for samples are late by half a period: the errors of the motions are then many
 times their sigmas."""
 CLEAR = 8.0
-"""Difference of log-likelihoods from which the rotations determine the kind of samples, and from
-which an adjustment determines an offset of the clocks."""
+"""Difference of log-likelihoods that determines the kind of samples, or an offset of the clocks."""
 
 
 class ImageIntervals:

@@ -20,13 +20,15 @@ from bundle.inertial.offline.imu_agreement import (
     ClockOffset,
 )
 from bundle.inertial.offline.path_tests import ArmError, ForceScale
-from bundle.inertial.offline.rotation_map import RotationMap
+from bundle.inertial.offline.rotation_map import ANGLE, TURNED, RotationMap
 from bundle.model.rigid_motions import quaternion_from_matrix, rotation_matrices
 from bundle.model.sequence.sequence_findings import LONGEST_BRIDGE, UNDERSTATED, BadStretch
 
 Array = NDArray[np.float64]
 
 OUTLIERS = 4.0  # variance factor under a quadratic loss from which outliers rule the cost
+EXPLAINED = 0.5  # share of a contradiction that a scale of forces, its cause, explains: 0.7 or more
+LIKELY = 4.0  # sigmas of a turn of at least a degree that is likely if images and IMU contradict
 LONG_ARM = 3.0  # distance in metres between camera and IMU from which millimetres are likely
 
 
@@ -111,6 +113,12 @@ def _contradiction(known: Evidence, others: Sequence[ImuFinding]) -> ImuFinding 
         kind, cause = "arm", f"camera_from_imu has an arm of {arm:.3g} m: is it in millimetres?"
     if not cause and named:
         kind, cause = named[0], CAUSES[named[0]]
+    turn = known.rotations
+    if not cause and max(ANGLE, LIKELY * turn.angle_sigma) < turn.angle < TURNED:
+        kind, cause = (
+            "camera_from_imu",
+            f"camera_from_imu is probably turned by {turn.angle:.2g} deg",
+        )
     flags: tuple[str, ...] = ("--loss", "cauchy") if kind == "outliers" else ()
     if not cause:
         kind, cause = "unknown", CAUSES["unknown"]
@@ -142,8 +150,9 @@ def _contradiction(known: Evidence, others: Sequence[ImuFinding]) -> ImuFinding 
 
 
 def _forces(known: Evidence) -> ImuFinding | None:
-    found = known.forces()
-    if not found.is_wrong:
+    found, agreement = known.forces(), known.agreement
+    part = found.gain / (max(agreement.images_variance, 1.0) * agreement.chi2)
+    if not found.is_wrong or (agreement.is_contradicted and part < EXPLAINED):
         return None
     return ImuFinding(
         "accel_scale",

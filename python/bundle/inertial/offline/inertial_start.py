@@ -239,10 +239,8 @@ def _velocities(
 # back to z up, L Q is a turn about z. The minimum of the adjustment does not depend on this start.
 
 LEAST_POSITIONS = 2
-MOST_SCALE_SIGMA = 0.5
-"""Relative standard deviation of the first scale, beyond which the motion does not determine it."""
-MOST_METRIC_SCALE = 2.0
-"""Factor of a first scale, up or down, within which a rig may be in metres: the start is rough."""
+MOST_SCALE_SIGMA = 0.5  # relative sigma of the first scale, up to which the motion determines it
+MOST_METRIC_SCALE = 2.0  # factor of a first scale within which a rig may be in metres: it is rough
 
 
 def upright_start(

@@ -38,9 +38,7 @@ Array = NDArray[np.float64]
 POSITION_SIGMA = 1e-3  # metres: p
 ARM_SIGMA = 1.0  # metres: a weak prior on d, for paths that do not turn
 FALSE_ALARM = 1e-4  # probability of a false alarm in a run
-DISPERSION = 2.0
-"""Mean of the chi2 of right arms over its expectation in 30 simulated flights: errors of positions
-are not white."""
+DISPERSION = 2.0  # mean chi2 of right arms over its expectation in 30 flights: errors correlate
 LEAST = 0.02  # metres: smaller errors are ignored
 
 
@@ -157,6 +155,7 @@ class ForceScale(NamedTuple):
     ratio: float = 1.0  # f
     sigma: float = math.inf  # its standard deviation
     movement: float = 0.0  # rms movement of positions by f over their rms distance
+    gain: float = 0.0  # decrease of twice the cost by f
 
     @staticmethod
     def of(
@@ -175,7 +174,8 @@ class ForceScale(NamedTuple):
         offsets = mid.positions - mid.positions.mean(axis=0)
         moved = (high.positions - low.positions) * error / (2 * STEP)
         movement = float(np.linalg.norm(moved - moved.mean(axis=0)) / np.linalg.norm(offsets))
-        return ForceScale(1 + error, math.sqrt(spread) / curvature, movement)
+        gain = slope**2 / curvature
+        return ForceScale(1 + error, math.sqrt(spread) / curvature, movement, gain)
 
     @property
     def is_wrong(self) -> bool:

@@ -39,12 +39,9 @@ Array = NDArray[np.float64]
 
 STEPS = 20
 DETERMINED = 0.1  # standard deviation of a column up to which the map reveals an error of axes
-EXPLAINED = 0.5
-"""Residual with the map, relative to that without it, below which the map is an explanation."""
-TURNED, NEAR = 15.0, 12.0
-"""Angle in degrees from which axes are wrong, and from a named error within which it has a name."""
-SIGMAS, ANGLE, SCALE = 5.0, 1.0, 0.02
-"""An error counts from this number of sigmas, degrees, and relative scale on."""
+EXPLAINED = 0.5  # residual with the map over that without it, below which it is an explanation
+TURNED, NEAR = 15.0, 12.0  # degrees from which axes are wrong; within which a named error is one
+SIGMAS, ANGLE, SCALE = 5.0, 1.0, 0.02  # sigmas, degrees, relative scale from which an error counts
 
 
 class RotationMap(NamedTuple):
