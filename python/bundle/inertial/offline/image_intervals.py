@@ -26,9 +26,8 @@ from bundle.model.sequence.sequence import check_imu, other_unit
 Array = NDArray[np.float64]
 
 RULES = {"instant": "midpoint", "interval": "zero_order_hold"}
-"""Rule of preintegration for samples at their stamps, and for means over the interval that follows.
-Means that are taken for samples are late by half a period: the errors of the motions are then many
-times their sigmas."""
+"""Rule of preintegration for samples at their stamps, and for means over the interval that follows:
+taken for samples, these are late by half a period, and motions off by many sigmas."""
 CLEAR = 8.0
 """Difference of log-likelihoods that determines the kind of samples, or an offset of the clocks."""
 

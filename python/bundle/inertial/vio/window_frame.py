@@ -27,9 +27,7 @@ class ImuInterval:
 
     With midpoint there are n + 1 rows of rates and forces: a sample at each end of a duration.
 
-    Attributes:
-        doubt: additional variances of a rotation (rad^2) and of a velocity (m^2/s^2), per axis, due
-            to gaps in the recording.
+    ``doubt``: more variance of a rotation (rad^2) and a velocity (m^2/s^2), per axis, due to gaps.
     """
 
     gyro: Array
