@@ -61,4 +61,13 @@ FillOrdering FindFillOrdering(const BlockStructure& structure) {
   return best;
 }
 
+FillOrdering TryMinimumFill(const BlockStructure& structure, FillOrdering known) {
+  const std::vector<int> sizes = BlockSizes(structure);
+  const BlockPatternView pattern = ViewPattern(structure, sizes);
+  if (!IsFastByFill(pattern)) return known;
+  constexpr OrderingMethod kMethod = OrderingMethod::kMinimumFill;
+  FillOrdering found = Analyze(pattern, OrderingName(kMethod), FindOrder(pattern, kMethod));
+  return found.flops < known.flops ? found : known;
+}
+
 }  // namespace bundle

@@ -22,7 +22,7 @@ struct LinearSolution {
 
 /// Cost of a factorisation, for reports.
 struct FactorStatistics {
-  std::string ordering;  ///< "natural", "amd" or "metis"; empty without a factorisation
+  std::string ordering;  ///< FillOrdering::name; empty without a factorisation
   double entries = 0;    ///< nnz(L) without the zeros that supernodes add
   double flops = 0;      ///< FactorCounts::flops
   double predicted = 0;  ///< predicted `entries` of the chosen ordering

@@ -194,26 +194,34 @@ void FusedSolver::FindSparseStructure() {
   const Stopwatch symbolic;
   structure_ = SparseStructure(layout_.BlockSizes(),
                                FindCoupledBlocks(problem_, layout_, options_.num_threads));
-  ordering_ = FindOrdering();
+  if (IsFirst(problem_.division.communicator)) ordering_ = FindFillOrdering(structure_);
+  BroadcastOrdering();
   symbolic_time_ += symbolic.seconds();
 }
 
 /// Only rank 0 searches for an ordering.
-FillOrdering FusedSolver::FindOrdering() const {
+void FusedSolver::BroadcastOrdering() {
   Communicator* const communicator = problem_.division.communicator;
-  FillOrdering ordering;
-  if (IsFirst(communicator)) ordering = FindFillOrdering(structure_);
-  if (communicator == nullptr) return ordering;
-  std::vector<double> numbers(ordering.order.begin(), ordering.order.end());
+  if (communicator == nullptr) return;
+  std::vector<double> numbers(ordering_.order.begin(), ordering_.order.end());
   numbers.resize(structure_.num_blocks());
-  numbers.insert(numbers.end(), {ordering.entries, ordering.flops, ordering.elimination_flops});
+  numbers.insert(numbers.end(), {ordering_.entries, ordering_.flops, ordering_.elimination_flops});
   BroadcastFirst(communicator, "setup", &numbers);
-  ordering.elimination_flops = numbers.back();
-  ordering.flops = numbers[numbers.size() - 2];
-  ordering.entries = numbers[numbers.size() - 3];
-  ordering.order.assign(numbers.begin(), numbers.end() - 3);
-  ordering.name = FirstOverRanks(communicator, ordering.name);
-  return ordering;
+  ordering_.elimination_flops = numbers.back();
+  ordering_.flops = numbers[numbers.size() - 2];
+  ordering_.entries = numbers[numbers.size() - 3];
+  ordering_.order.assign(numbers.begin(), numbers.end() - 3);
+  ordering_.name = FirstOverRanks(communicator, ordering_.name);
+}
+
+/// After the choice of the solver, which refers to the times with the orderings before it.
+void FusedSolver::TryMinimumFill() {
+  const Stopwatch symbolic;
+  if (IsFirst(problem_.division.communicator)) {
+    ordering_ = bundle::TryMinimumFill(structure_, std::move(ordering_));
+  }
+  BroadcastOrdering();
+  symbolic_time_ += symbolic.seconds();
 }
 
 void FusedSolver::BuildProblem() {
@@ -222,6 +230,7 @@ void FusedSolver::BuildProblem() {
   } else if (structure_.offset.empty()) {
     FindSparseStructure();
   }
+  if (options_.linear_solver_type == LinearSolverType::kSparseSchur) TryMinimumFill();
   if (options_.linear_solver_type != LinearSolverType::kDenseSchur) {
     // All ranks use the order of the elimination as the order of the blocks. Images that share
     // points are near each other in it, which also makes the passes over points faster.

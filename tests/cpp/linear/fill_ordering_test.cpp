@@ -2,6 +2,7 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <vector>
 
 #include "core/linear/block_structure.h"
@@ -54,6 +55,26 @@ TEST(FillOrdering, ChoosesTheOrderWithLeastFill) {
   const BlockPattern grid = Grid(24);
   const FactorCounts natural = CountFactor(grid, FindOrder(grid, OrderingMethod::kNatural));
   EXPECT_LT(FindFillOrdering(StructureOf(grid)).flops, 0.5 * natural.cholmod_flops);
+}
+
+TEST(FillOrdering, TriesMinimumFill) {
+  bool is_taken = false;
+  for (unsigned seed = 0; seed < 10; ++seed) {
+    const BlockPattern pattern = RandomPattern(60, 5, 0.03 * (seed + 1), seed);
+    const BlockStructure structure = StructureOf(pattern);
+    const FillOrdering known = FindFillOrdering(structure, "amd");
+    const FillOrdering best = TryMinimumFill(structure, known);
+    const FillOrdering by_fill = FindFillOrdering(structure, "minimum_fill");
+    EXPECT_EQ(best.flops, std::min(known.flops, by_fill.flops));
+    const FactorCounts counts = CountFactor(pattern, best.order);
+    EXPECT_EQ(best.flops, counts.cholmod_flops);
+    EXPECT_TRUE(IsPostordered(counts.parent));
+    EXPECT_EQ(best.name, by_fill.flops < known.flops ? "minimum_fill" : "amd");
+    is_taken = is_taken || best.name == "minimum_fill";
+  }
+  EXPECT_TRUE(is_taken);
+  const BlockStructure large = StructureOf(Grid(50));
+  EXPECT_EQ(TryMinimumFill(large, FindFillOrdering(large, "natural")).name, "natural");
 }
 
 }  // namespace

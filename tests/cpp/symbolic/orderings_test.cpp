@@ -3,8 +3,12 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <cstdint>
 #include <numeric>
+#include <random>
+#include <set>
 #include <string>
+#include <tuple>
 #include <vector>
 
 #include "core/error.h"
@@ -15,9 +19,10 @@
 namespace bundle {
 namespace {
 
-constexpr OrderingMethod kMethods[] = {OrderingMethod::kNatural, OrderingMethod::kReverse,
-                                       OrderingMethod::kAmd,     OrderingMethod::kColamd,
-                                       OrderingMethod::kMetis,   OrderingMethod::kNesdis};
+constexpr OrderingMethod kMethods[] = {OrderingMethod::kNatural,    OrderingMethod::kReverse,
+                                       OrderingMethod::kAmd,        OrderingMethod::kColamd,
+                                       OrderingMethod::kMetis,      OrderingMethod::kNesdis,
+                                       OrderingMethod::kMinimumFill};
 
 class Orderings : public testing::TestWithParam<OrderingMethod> {};
 
@@ -43,8 +48,10 @@ TEST(Orderings, RefuseOtherNames) {
     OrderingFromName("AMD");
     FAIL();
   } catch (const InputError& error) {
-    EXPECT_EQ(std::string(error.what()),
-              "ordering: expected one of natural, reverse, amd, colamd, metis, nesdis, found AMD");
+    EXPECT_EQ(
+        std::string(error.what()),
+        "ordering: expected one of natural, reverse, amd, colamd, metis, nesdis, minimum_fill, "
+        "found AMD");
   }
 }
 
@@ -55,10 +62,77 @@ TEST(Orderings, OfAGrid) {
   };
   const double natural = flops(OrderingMethod::kNatural);
   EXPECT_EQ(flops(OrderingMethod::kReverse), natural);  // the grid turned round
-  for (const OrderingMethod method : {OrderingMethod::kAmd, OrderingMethod::kColamd,
-                                      OrderingMethod::kMetis, OrderingMethod::kNesdis}) {
+  for (const OrderingMethod method :
+       {OrderingMethod::kAmd, OrderingMethod::kColamd, OrderingMethod::kMetis,
+        OrderingMethod::kNesdis, OrderingMethod::kMinimumFill}) {
     EXPECT_LT(flops(method), 0.4 * natural) << OrderingName(method);
   }
+}
+
+/// Blocks left without an edge among the neighbours of a block, twice.
+int64_t TwiceFill(const std::vector<std::set<int>>& neighbours, int block) {
+  int64_t missing = 0;
+  for (const int a : neighbours[block]) {
+    for (const int b : neighbours[block]) missing += a != b && neighbours[a].count(b) == 0 ? 1 : 0;
+  }
+  return missing;
+}
+
+TEST(Orderings, ByFillEliminateTheBlockOfLeastFill) {
+  for (const double density : {0.05, 0.2, 0.5}) {
+    const BlockPattern pattern = RandomPattern(130, 3, density, 11);
+    std::vector<std::set<int>> neighbours(130);
+    for (int j = 0; j < 130; ++j) {
+      for (int64_t e = pattern.column_begin[j] + 1; e < pattern.column_begin[j + 1]; ++e) {
+        neighbours[j].insert(pattern.row[e]);
+        neighbours[pattern.row[e]].insert(j);
+      }
+    }
+    std::set<int> left;
+    for (int j = 0; j < 130; ++j) left.insert(j);
+    for (const int block : FindOrder(pattern, OrderingMethod::kMinimumFill)) {
+      const auto rank = [&](int j) {
+        return std::make_tuple(TwiceFill(neighbours, j), neighbours[j].size(), j);
+      };
+      for (const int other : left) EXPECT_LE(rank(block), rank(other)) << density;
+      left.erase(block);
+      for (const int a : neighbours[block]) {
+        neighbours[a].insert(neighbours[block].begin(), neighbours[block].end());
+        neighbours[a].erase(a);
+        neighbours[a].erase(block);
+      }
+    }
+  }
+}
+
+/// Images of an orbit, of which each point has ten among the nearest sixty.
+TEST(Orderings, ByFillOfOverlappingCliquesSaveFlops) {
+  std::mt19937 random(3);
+  std::vector<Edge> edges;
+  for (int p = 0; p < 3000; ++p) {
+    const int first = std::uniform_int_distribution<int>(0, 299)(random);
+    std::set<int> images;
+    while (images.size() < 10) {
+      images.insert((first + std::uniform_int_distribution<int>(0, 59)(random)) % 300);
+    }
+    for (const int a : images) {
+      for (const int b : images) {
+        if (a < b) edges.emplace_back(a, b);
+      }
+    }
+  }
+  const BlockPattern pattern = PatternOfEdges(std::vector<int>(300, 9), edges);
+  const auto flops = [&](OrderingMethod method) {
+    return CountFactor(pattern, FindOrder(pattern, method)).flops;
+  };
+  EXPECT_LT(flops(OrderingMethod::kMinimumFill), 0.95 * flops(OrderingMethod::kAmd));
+}
+
+/// Where minimum fill would take long, it gives way to AMD.
+TEST(Orderings, ByFillOfALargeGraphAreThoseOfAmd) {
+  const BlockPattern grid = Grid(50);
+  EXPECT_FALSE(IsFastByFill(grid));
+  EXPECT_EQ(FindOrder(grid, OrderingMethod::kMinimumFill), FindOrder(grid, OrderingMethod::kAmd));
 }
 
 /// A tree has an order without fill, and minimum degree finds it: of A^T A, were COLAMD given the

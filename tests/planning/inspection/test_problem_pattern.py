@@ -85,7 +85,7 @@ def test_against_full_matrices(shared_camera, options):
     assert pattern.num_unknowns == jacobian.shape[1]
     assert pattern.num_observations == np.count_nonzero(jacobian.any(1)) / 2
     assert pattern.num_reduced_values == np.tril(reduced).sum() + (sizes * (sizes - 1) // 2).sum()
-    for ordering in ("natural", "amd", "colamd", "metis", "nesdis"):
+    for ordering in ("natural", "amd", "colamd", "metis", "nesdis", "minimum_fill"):
         order = _core.order_blocks(*pattern.reduced, ordering)
         factor = factor_pattern(reduced, scalar_order(order, sizes))
         below = factor.sum(0) - 1

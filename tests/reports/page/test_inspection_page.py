@@ -195,22 +195,22 @@ def test_matrices_are_drawn_under_every_order_with_their_nonzeros(written):
     problem = images(12)
     _, page = written(problem, SolveOptions(gauge="none"))
     captions = [word for word in page.words if "nonzeros (" in word]
-    orders = ("natural", "amd", "colamd", "metis", "nesdis")
+    orders = ("natural", "amd", "colamd", "metis", "nesdis", "minimum_fill")
     assert [caption.partition(":")[0] for caption in captions] == [
         *(f"{name}, {order}" for order in orders for name in "SL"),
         "information matrix, points first",
     ]
-    assert sum(address.startswith("data:") for address in page.loads) == 11
+    assert sum(address.startswith("data:") for address in page.loads) == 13
     seen = [set() for _ in range(12)]
     for image, point in zip(problem.observation_image, problem.observation_point, strict=True):
         seen[image].add(int(point))
     pairs = sum(bool(a & b) for a, b in itertools.combinations(seen, 2))
-    size = {int(caption.split(": ")[1].split()[0].replace(",", "")) for caption in captions[0:10:2]}
+    size = {int(caption.split(": ")[1].split()[0].replace(",", "")) for caption in captions[0:12:2]}
     block = 6 + 2  # SIMPLE_RADIAL: focal length and k1; the principal point stays
     assert size == {block**2 * (12 + 2 * pairs)}
 
 
-@pytest.mark.parametrize(("density", "orders"), [(1.0, 1), (0.95, 1), (0.94, 5)])
+@pytest.mark.parametrize(("density", "orders"), [(1.0, 1), (0.95, 1), (0.94, 6)])
 def test_a_full_matrix_is_drawn_once(written, density, orders):
     full = dataclasses.replace(INSPECTION, reduced_density=density)
     _, page = written(images(12), inspection=full)

@@ -309,8 +309,8 @@ class _Grid:
         return image.reshape(self.pixels, self.pixels)
 
 
-ORDERINGS = ("natural", "amd", "colamd", "metis", "nesdis")
-"""Orders of the blocks of S; all but the first are CHOLMOD's."""
+ORDERINGS = ("natural", "amd", "colamd", "metis", "nesdis", "minimum_fill")
+"""Orders of the blocks of S; all but the first and the last are CHOLMOD's."""
 
 
 def reduced_pattern(problem: Problem, options: SolveOptions | None = None) -> MatrixPattern:

@@ -30,7 +30,7 @@ class EliminationCost:
         memory_in_bytes: memory of the values of L, of a dense matrix with both triangles; of a
             method the peak memory beyond the loaded problem.
         is_taken: True if an option of the solve selects the order or the method. The fused backend
-            always takes the cheapest of three orders of S.
+            always takes the cheapest of four orders of S.
         time_per_step_in_seconds: predicted time of a trust region step; NaN if unknown.
         time_terms: parts of this time.
     """
@@ -160,7 +160,7 @@ class Inspection(Displayed, Tabular):
         )
 
 
-ORDERINGS = ("natural", "amd", "colamd", "metis", "nesdis")
+ORDERINGS = ("natural", "amd", "colamd", "metis", "nesdis", "minimum_fill")
 """Orders of the blocks of S, as a report lists them."""
 
 _CERES_ALONE = ("cluster_jacobi", "cluster_tridiagonal")
@@ -217,7 +217,7 @@ def _who_takes(ordering: str) -> tuple[str, ...]:
     """Return the backends that offer an order of S (supernodes.cpp, Ceres' defaults)."""
     if ordering == "amd":
         return ("FUSED", "CERES")
-    return ("FUSED",) if ordering in ("natural", "metis") else ("",)
+    return ("FUSED",) if ordering in ("natural", "metis", "minimum_fill") else ("",)
 
 
 def _who_has(preconditioner: str) -> tuple[str, ...]:

@@ -314,7 +314,7 @@ class _Inspector:
 
     def _taken_by_fused(self) -> str:
         """Return the cheapest of the orders that supernodes.cpp tries; ties go to the first."""
-        tried = ("natural", "amd", "metis")
+        tried = ("natural", "amd", "metis", "minimum_fill")
         return min(tried, key=lambda name: self._counter.sparse(name).factor.cholmod_flops)
 
 
