@@ -65,6 +65,7 @@ SchurProblem::SchurProblem(const AdjustmentProblem& problem, const ParameterLayo
   if (solver_->NeedsProduct()) {
     solver_->SetProduct([this](const double* from, double* to) { MultiplySchur(from, to); });
   }
+  KeepRecords();
   has_camera_factors_ = BroadcastFirst(communicator_, factors_.has_camera_factors() ? 1 : 0) > 0;
   MeasureStart(options);
 }
@@ -73,6 +74,7 @@ void SchurProblem::Reset(const SolveOptions& options) {
   setup_.Reset(options);
   if (grid_ != nullptr) grid_->Forget();
   input_ = WithPriors(setup_.input);
+  KeepRecords();
   x_ = &states_[0];
   candidate_ = &states_[1];
   kept_.reset();
@@ -86,7 +88,7 @@ void SchurProblem::FreeSteps() {
   sums_.FreeSystem();
   BlockValues().swap(mapped_sums_.system.values);
   for (LargeVector<double>* values : {&candidate_->points, &squared_scale_, &points_p_, &points_q_,
-                                      &points_d_squared_, &points_line_})
+                                      &points_d_squared_, &points_line_, &kept_records_})
     LargeVector<double>().swap(*values);
 }
 

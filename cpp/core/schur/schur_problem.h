@@ -120,9 +120,10 @@ class SchurProblem final : public LeastSquares {
   template <typename Visit>
   void ForChunks(const Visit& visit);
   /// At a cache line, where the kernels' rows of 64 bytes are read fastest.
-  double* Memory(int thread) {
-    constexpr uintptr_t kLine = 64;
-    const auto begin = reinterpret_cast<uintptr_t>(memory_[thread].data());
+  double* Memory(int thread) { return AtCacheLine(memory_[thread].data()); }
+  static constexpr uintptr_t kLine = 64;
+  static double* AtCacheLine(double* memory) {
+    const auto begin = reinterpret_cast<uintptr_t>(memory);
     return reinterpret_cast<double*>((begin + kLine - 1) / kLine * kLine);
   }
   /// CandidateSum over all chunks.
@@ -141,6 +142,7 @@ class SchurProblem final : public LeastSquares {
   PointSums SumChunks(double damping, bool first, double factors_cost);
   /// y = S x at the last linearisation, without S (implicit_product.cpp).
   void MultiplySchur(const double* x, double* y);
+  void KeepRecords();
   /// Scales and damps the columns of the camera parameters.
   void DampCameras(double damping, bool first);
   /// Sums by the columns of the layout.
@@ -181,7 +183,10 @@ class SchurProblem final : public LeastSquares {
   State states_[2];
   State* x_ = &states_[0];
   State* candidate_ = &states_[1];
-  std::vector<std::vector<double>> product_parts_;  ///< per chunk, for MultiplySchur
+  // For MultiplySchur: the product per chunk, x per part, EliminationInput::kept_records.
+  std::vector<std::vector<double>> product_parts_;
+  std::vector<double> part_steps_;
+  LargeVector<double> kept_records_;
   CameraStep step_;
   CameraStep other_step_;
   LargeVector<double> squared_scale_;  ///< per column of each point

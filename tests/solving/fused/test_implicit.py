@@ -79,6 +79,26 @@ def test_the_steps_of_rigs(refines_sensors):
     expect_equal_steps(rig_problem(), refine_sensor_from_rig=refines_sensors)
 
 
+def test_camera_models_of_different_widths():
+    problem = orbit(cameras="individual", camera_model="RADIAL")
+    models = list(problem.camera_models)
+    models[::3] = ["SIMPLE_PINHOLE"] * len(models[::3])
+    expect_equal_steps(problem.replace(camera_models=tuple(models)))
+
+
+def test_observations_whose_records_are_too_many_to_keep():
+    """192 bytes each: 35 MB, above the 32 MB that the elimination keeps."""
+    problem = orbit(
+        num_images=60,
+        num_points=15_300,
+        mean_track_length=12.0,
+        cameras="individual",
+        camera_model="RADIAL",
+    )
+    assert 192 * problem.num_observations > 2**25
+    expect_equal_steps(problem, max_num_iterations=3)
+
+
 def test_sigmas_of_observations():
     problem = orbit()
     sigma = np.random.default_rng(0).uniform(0.5, 2.0, problem.num_observations)

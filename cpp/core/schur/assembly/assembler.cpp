@@ -177,21 +177,6 @@ void Assembler::PrefetchPair(int first, int second, CameraSums* sums) const {
   }
 }
 
-void Assembler::AddVector(int part, const double* vector, double* sum) const {
-  for (int s = 0; s < parts_[part].count; ++s) {
-    const PartBlock& block = parts_[part].of[s];
-    double* const to = sum + structure_.offset[block.block];
-    for (int l = 0; l < block.num_local; ++l) {
-      const double value = vector[block.local[l]];
-      if (block.map == nullptr) {
-        to[l] += value;
-        continue;
-      }
-      for (int k = 0; k < block.size; ++k) to[k] += block.map[l * block.size + k] * value;
-    }
-  }
-}
-
 void Assembler::AddVectors(int part, const double* vectors, const double* squares, Segment segment,
                            CameraSums* sums) const {
   const int width = WidthOf(part);

@@ -95,8 +95,23 @@ class Assembler {
   void AddBlockOf(int first, int s, int second, int t, const double* block, int width,
                   CameraSums* sums) const;
 
-  /// Adds a vector by the columns of a part to one by the columns of the layout.
-  void AddVector(int part, const double* vector, double* sum) const;
+  /// Calls visit(l, k, m) for local columns l of a part and columns k of the layout: k moves l by
+  /// m.
+  template <typename Visit>
+  void VisitMaps(int part, const Visit& visit) const {
+    for (int s = 0; s < parts_[part].count; ++s) {
+      const PartBlock& block = parts_[part].of[s];
+      const int column = structure_.offset[block.block];
+      for (int i = 0; i < block.num_local; ++i) {
+        if (block.map == nullptr) {
+          visit(block.local[i], column + i, 1.0);
+          continue;
+        }
+        const double* const row = block.map + i * block.size;
+        for (int j = 0; j < block.size; ++j) visit(block.local[i], column + j, row[j]);
+      }
+    }
+  }
 
   /// Adds the error terms to the sums, after the last chunk. The sums are doubles afterwards.
   void Round(ThreadPool* pool, CameraSums* sums) const;

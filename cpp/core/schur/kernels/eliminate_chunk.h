@@ -133,6 +133,10 @@ void EliminateChunk(const EliminationInput& input, const StateRecords& x, const 
                   }
                   const int num_refined = CountRefined(input, begin[p], begin[p + 1]);
                   if (p >= input.plan->num_free_points) {
+                    for (int i = 0; i < num_refined && input.kept_records != nullptr; ++i) {
+                      KeptRecords::Keep(input, begin[p] + i, records.Of(begin[p] + i),
+                                        /*is_constant=*/true);
+                    }
                     FinishConstantHeads(records, begin[p], num_refined);
                     return;
                   }

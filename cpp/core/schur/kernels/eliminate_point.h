@@ -72,6 +72,54 @@ class TileRecords {
   double* data_;
 };
 
+/// Records that the elimination keeps for products with S (multiply_schur.h): [row 0 | row 1 | y_0
+/// | y_1] per observation of the plan, without padding after a row; y is 0 for constant points.
+class KeptRecords {
+ public:
+  explicit KeptRecords(const EliminationInput& input)
+      : stride_(StrideOf(input)), data_(input.kept_records) {}
+
+  /// Doubles from row 0 to row 1.
+  static int Columns(const ModelGroup& group) {
+    int columns = 0;
+    for (const ModelGroup::Part& part : group.parts) {
+      if (part.num_columns > 0) columns = 4 * part.first_quad + part.num_columns;
+    }
+    return columns;
+  }
+  static int StrideOf(const EliminationInput& input) {
+    int columns = 0;
+    for (int g = 0; g < input.num_groups; ++g) {
+      const int of_group = Columns(input.groups[g]);
+      if (of_group > columns) columns = of_group;
+    }
+    return 2 * columns + 6;
+  }
+
+  int stride() const { return stride_; }
+  double* Of(int64_t observation) const { return data_ + observation * stride_; }
+
+  /// `record`: with a white head unless the point is constant.
+  static void Keep(const EliminationInput& input, int64_t observation, const double* record,
+                   bool is_constant) {
+    const ModelGroup& group =
+        input.groups[input.image_group[input.plan->image.data()[observation]]];
+    double* const to = KeptRecords(input).Of(observation);
+    const int columns = Columns(group), width = 4 * group.num_quads;
+    for (int row = 0; row < 2; ++row) {
+      const double* const from = record + kRecordHead + row * width;
+      for (int k = 0; k < width; k += 4) StoreQuad(LoadQuad(from + k), to + row * columns + k);
+    }
+    for (int j = 0; j < 6; ++j) {
+      to[2 * columns + j] = is_constant ? 0 : record[j < 3 ? j : j + 1];
+    }
+  }
+
+ private:
+  int stride_;
+  double* data_;
+};
+
 /// Replaces the head (a, r) of a record by (y, r).
 inline void WhitenHead(const PointBlock& block, double* head) {
   for (double* at = head; at < head + kRecordHead; at += 4) {
@@ -194,6 +242,9 @@ inline void FormFactors(const EliminationInput& input, const Chunk& chunk,
   const int num_kinds = kOwn == 0 ? plan.num_kinds : kCamera > 0 ? 2 : 1;
   VisitHeads<kFinish>(input, records, begin, num_refined, num_kinds, block,
                       [&](int64_t i, const double* record, const uint16_t* entry) {
+                        if (kFinish && input.kept_records != nullptr) {
+                          KeptRecords::Keep(input, i, record, /*is_constant=*/false);
+                        }
                         const int group = kOwn > 0 ? 0 : input.image_group[plan.image.data()[i]];
                         AddFactors<kOwn, kCamera>(
                             input, input.groups[group],

@@ -14,7 +14,8 @@
 ///   strip.h             the walk through a chunk, and residuals several at a time
 ///   project_lanes.h     camera models and losses,   wide_row.h, parallel/pack.h   registers
 ///
-/// No array of the size of the Jacobian is stored. A pass reads each observation once: 20 bytes of
+/// No array of the size of the Jacobian is stored, except for products with S while it fits the
+/// cache. A pass reads each observation once: 20 bytes of
 /// image and measurement, 4 bytes or more for its places in chunk and tile and 4 bytes per pair. A
 /// point takes 24 bytes of coordinates and 24 bytes of scaling.
 
@@ -41,8 +42,9 @@ inline int64_t ScatterDoubles(const EliminationInput& input) {
 }
 
 extern constexpr Kernels kKernels = {
-    BUNDLE_ISA_NAME, &MemoryDoubles, &ScatterDoubles,   &Eliminate,      &EvaluateNewtonStep,
-    &MultiplySchur,  &AddBlock,      &MapBlock,         &Products,       &Cost,
-    &Slope,          &SurveyPoints,  &PointCovariances, &PointLeverages, &PointMovements};
+    BUNDLE_ISA_NAME, &MemoryDoubles, &ScatterDoubles, &Eliminate,    &EvaluateNewtonStep,
+    &MultiplySchur,  &MultiplyKept,  &KeptDoubles,    &AddBlock,     &MapBlock,
+    &Products,       &Cost,          &Slope,          &SurveyPoints, &PointCovariances,
+    &PointLeverages, &PointMovements};
 
 }  // namespace bundle::BUNDLE_ISA

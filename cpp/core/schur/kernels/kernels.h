@@ -60,6 +60,8 @@ struct EliminationInput {
   /// Per place: contributions of factors to the point's block at the last linearisation. 12
   /// numbers: rows of J^T J, each followed by its entry of J^T r.
   const double* prior_sums = nullptr;
+  /// Where eliminate keeps the records of all observations (multiply_schur.h); nullptr: nowhere.
+  double* kept_records = nullptr;
 
   const double* PriorOf(int point) const {
     const int place = point_prior == nullptr ? -1 : point_prior[point];
@@ -236,6 +238,12 @@ struct Kernels {
   void (*multiply_schur)(const EliminationInput& input, const StateRecords& x, const Chunk& chunk,
                          double damping, const double* squared_scale, const StepRecords& step,
                          double* memory, double* vectors);
+  /// The same from the records that `eliminate` kept. `step`: EliminationInput::part_columns
+  /// numbers per part.
+  void (*multiply_kept)(const EliminationInput& input, const Chunk& chunk, const double* step,
+                        double* memory, double* vectors);
+  /// Number of doubles of EliminationInput::kept_records.
+  int64_t (*kept_doubles)(const EliminationInput& input);
 
   /// Adds a block of a chunk to S (assembly/add_block.h).
   void (*add_block)(const double* from, int from_stride, int num_rows, int num_columns,

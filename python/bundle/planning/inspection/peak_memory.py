@@ -106,6 +106,9 @@ def fused_memory(
     }
     if counted is None:
         terms["reduced system"] = DOUBLE * pattern.num_reduced_values
+        records = DOUBLE * (2 * columns + 6) * observations
+        if plan.num_pairs == 0 and records <= 2**25:  # kept for products with S without S
+            terms["kept records"] = records
         if coarse_entries:
             terms["coarse system"] = _BLAS_PAGES + DOUBLE * coarse_entries
     elif linear_solver_type == "DENSE_SCHUR":
