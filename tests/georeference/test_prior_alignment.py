@@ -1,14 +1,18 @@
 """Where a problem goes before a solve with priors."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 import bundle
 from bundle import InputError, PositionPrior
-from bundle.georeference.prior_alignment import ProblemPriors
+from bundle.georeference.prior_alignment import ProblemPriors, _similarity
 from bundle.georeference.similarity import Similarity, moved, umeyama
+from bundle.georeference.target_priors import TargetPriors
 from tests import scenes
+from tests.georeference.flights import flight
 
 PLACE = Similarity(
     25.0, Rotation.from_rotvec([0.4, -2.0, 1.1]).as_matrix(), np.array([300.0, -150, 40])
@@ -198,3 +202,18 @@ def test_heights_that_do_not_count_are_unknown():
     ]
     target = ProblemPriors.make(problem, made).correspondences(problem).target
     assert np.isnan(target[:, 2]).tolist() == [bool(row % 2) for row in range(len(made))]
+
+
+@pytest.mark.parametrize("has_heights", [True, False])
+def test_two_control_points_place_a_model_beside_positions_with_an_offset(has_heights):
+    made = flight([(-20, -22, 0.5), (21, 20, -0.4)], num_images=9, num_points=60, noise=0.0,
+                  target_noise=0.0, survey_noise=0.0)  # fmt: skip
+    there, offset = made.elsewhere(), np.array([3.0, -2.0, 45.0])
+    positions = made.problem.projection_centers + offset
+    gcps = made.gcps
+    if not has_heights:
+        gcps = [replace(one, position=(*one.position[:2], np.nan)) for one in gcps]
+    known = ProblemPriors.make(there, priors(positions, offset="all"))
+    found = moved(there, _similarity(there, known, TargetPriors.make(there, gcps)))
+    expected = made.problem.projection_centers + (0 if has_heights else offset * [0, 0, 1])
+    np.testing.assert_allclose(found.projection_centers, expected, atol=1e-3)
