@@ -169,7 +169,7 @@ class _Check:
 
     @staticmethod
     def _roughness(deviations: JacobianDeviation) -> Array:
-        """Return uncertainty / scale (R, N) at the first point; the scale is at least the row's."""
+        """Return (R, N) uncertainties at the first point, by the larger of scale and row maximum."""
         row = np.abs(deviations.reference[0]).max(axis=1, keepdims=True)
         rough: Array = deviations.uncertainty[0] / np.maximum(deviations.scale[0], row)
         return rough
