@@ -169,7 +169,7 @@ class _Check:
 
     @staticmethod
     def _roughness(deviations: JacobianDeviation) -> Array:
-        """Return (R, N) uncertainties at the first point, by the larger of scale and row maximum."""
+        """Return (R, N) uncertainties at the first point, by the larger of scale and row."""
         row = np.abs(deviations.reference[0]).max(axis=1, keepdims=True)
         rough: Array = deviations.uncertainty[0] / np.maximum(deviations.scale[0], row)
         return rough

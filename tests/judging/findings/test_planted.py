@@ -52,7 +52,9 @@ def test_faults_are_found_beside_each_other(kinds):
 
 
 def test_every_kind_has_a_place():
-    assert {*KINDS, "attitudes", "gps_offset", "rules", "shifted_pixels"} == set(IMPORTANCE)
+    assert {*KINDS, "attitudes", "constant_lens", "gps_offset", "rules", "shifted_pixels"} == set(
+        IMPORTANCE
+    )
 
 
 def test_findings_do_not_depend_on_the_order_of_images_and_points():

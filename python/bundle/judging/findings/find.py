@@ -23,7 +23,7 @@ from bundle.judging.findings.focal_lengths import (
     undetermined_intrinsics,
 )
 from bundle.judging.findings.images import ImageFits, image_fits, image_residuals, motion, variation
-from bundle.judging.findings.larger_lens import absorbed_lens
+from bundle.judging.findings.larger_lens import absorbed_lens, constant_lens
 from bundle.judging.findings.lens_terms import LensField, fields_of_lenses, lens_model
 from bundle.judging.findings.measured import Measured
 from bundle.judging.findings.minimum import not_refined, shifted_pixels
@@ -42,7 +42,15 @@ from bundle.model.cameras import camera_models
 from bundle.model.problem import Problem
 
 IMPORTANCE = (
-    *("shifted_pixels", "not_refined", "rules", "outliers", "lens_model", "weak_joint"),
+    *(
+        "shifted_pixels",
+        "not_refined",
+        "rules",
+        "outliers",
+        "lens_model",
+        "constant_lens",
+        "weak_joint",
+    ),
     *("undetermined_intrinsics", "motion"),
     *("gps_offset", "positions", "attitudes", "scale_drift", "focal_drift", "shared_lens"),
     *("image_residuals", "duplicate_points"),
@@ -162,6 +170,10 @@ def _findings(measured: Measured) -> Iterator[Finding | None]:
         yield wrong
         return  # a wrong rule bends the model
     far = outliers(measured)
+    constant = constant_lens(measured, has_outliers=far is not None)
+    if constant is not None:
+        yield constant
+        return  # so does a wrong lens
     is_tensed = offset is None and is_tense(measured)  # an offset bends the model
     is_bent = is_tensed or turned is not None
     can_repair = is_affordable(measured)
