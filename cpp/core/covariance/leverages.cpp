@@ -2,6 +2,7 @@
 
 #include <Eigen/Core>
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <cstddef>
 #include <limits>
@@ -48,20 +49,29 @@ void AddPair(BlockOfInverse<double> block, int rows, int columns, bool is_diagon
   }
 }
 
-/// to += J C, for two rows of J and `size` rows of C, which are `width` wide as those of `to`.
-BUNDLE_FOR_TWO_PROCESSORS
-void AddRows(const double* jacobian, int size, const double* c, int width, double* to) {
-  for (int r = 0; r < size; ++r, c += width) {
-    const double first = jacobian[r], second = jacobian[size + r];
-    for (int k = 0; k < width; ++k) to[k] += first * c[k];
-    for (int k = 0; k < width; ++k) to[width + k] += second * c[k];
-  }
-}
+/// Two numbers of one scalar type side by side: of both coordinates of an observation.
+template <typename Scalar>
+struct Both {
+  Scalar of[2];
+};
 
-void AddRows(const double* jacobian, int size, const long double* c, int width, long double* to) {
-  for (int r = 0; r < size; ++r, c += width) {
-    for (int k = 0; k < width; ++k) to[k] += jacobian[r] * c[k];
-    for (int k = 0; k < width; ++k) to[width + k] += jacobian[size + r] * c[k];
+/// to_c += sum_r J_r B_rc of a block B of C, or of its transpose. `is_half`: only the lower
+/// triangle is defined.
+template <typename Scalar>
+void AddTimes(const Both<Scalar>* j, int rows, int columns, const BlockOfInverse<Scalar>& block,
+              bool is_transposed, bool is_half, Both<Scalar>* to) {
+  for (int c = 0; c < columns; ++c) {
+    Scalar first = to[c].of[0], second = to[c].of[1];
+    const auto add = [&](int r, int64_t at) {
+      first += block.values[at] * j[r].of[0];
+      second += block.values[at] * j[r].of[1];
+    };
+    int r = 0;
+    for (const int end = is_half ? c : is_transposed ? rows : 0; r < end; ++r) {
+      add(r, r * block.stride + c);
+    }
+    for (; r < rows; ++r) add(r, c * block.stride + r);
+    to[c] = {{first, second}};
   }
 }
 
@@ -120,32 +130,29 @@ class Leverages final : public PointLeverages {
 
   /// A_x C first, by all unknowns of the point, then the blocks of y.
   Eigen::MatrixXd OfCameras() const override {
-    const int m = assembler_->num_rows(), size = blocks_->begin.back();
+    const int m = assembler_->num_rows();
     const auto row = [this](int i) -> const ObservationRows& { return assembler_->row(i); };
-    std::vector<Scalar> c, ac(2 * size_t(size));
+    std::vector<std::array<int, ObservationRows::kMaxBlocks>> index(m);  // blocks of the rows
     std::vector<Row3> acy(m);
-    for (int i = 0; i < m; ++i) acy[i] = TimesCy(row(i));
+    for (int i = 0; i < m; ++i) {
+      acy[i] = TimesCy(row(i));
+      for (int b = 0; b < row(i).num_blocks; ++b) index[i][b] = IndexOf(row(i).block[b]);
+    }
+    std::vector<Both<Scalar>> ac(blocks_->begin.back());
     Eigen::MatrixXd all = Eigen::MatrixXd::Zero(2 * m, 2 * m);
     for (int i = 0; i < m; ++i) {
-      const ObservationRows& x = row(i);
-      std::fill(ac.begin(), ac.end(), Scalar(0));
-      for (int a = 0; a < x.num_blocks; ++a) {
-        FillRows(IndexOf(x.block[a]), &c);
-        AddRows(x.jacobian[a], x.size[a], c.data(), size, ac.data());
-      }
+      std::fill(ac.begin(), ac.end(), Both<Scalar>{});
+      for (int a = 0; a < row(i).num_blocks; ++a) AddBlockRows(row(i), a, index[i][a], &ac);
       for (int j = 0; j <= i; ++j) {
         const ObservationRows& y = row(j);
-        Block2 sum = Block2::Zero();
+        Block2 sum = PartOfPoint(row(i), acy[i], y, acy[j]);
         for (int b = 0; b < y.num_blocks; ++b) {
-          const Scalar* const from = &ac[FirstOf(y.block[b])];
-          for (int k = 0; k < 4; ++k) {
-            const double* const jacobian = y.jacobian[b] + k % 2 * y.size[b];
-            for (int r = 0; r < y.size[b]; ++r) {
-              sum(k / 2, k % 2) += from[k / 2 * size + r] * jacobian[r];
-            }
+          const Both<Scalar>* const from = &ac[blocks_->begin[index[j][b]]];
+          for (int r = 0; r < y.size[b]; ++r) {
+            const double jacobian[2] = {y.jacobian[b][r], y.jacobian[b][y.size[b] + r]};
+            for (int k = 0; k < 4; ++k) sum(k / 2, k % 2) += from[r].of[k / 2] * jacobian[k % 2];
           }
         }
-        sum += PartOfPoint(x, acy[i], y, acy[j]);
         all.block<2, 2>(2 * i, 2 * j) = sum.template cast<double>();
       }
     }
@@ -172,30 +179,25 @@ class Leverages final : public PointLeverages {
         .template cast<Scalar>();
   }
 
-  size_t IndexOf(int block) const {
-    return std::lower_bound(blocks_->blocks.begin(), blocks_->blocks.end(), block) -
-           blocks_->blocks.begin();
+  /// Place of a block among those of the point.
+  int IndexOf(int block) const {
+    return static_cast<int>(
+        std::lower_bound(blocks_->blocks.begin(), blocks_->blocks.end(), block) -
+        blocks_->blocks.begin());
   }
-  /// First of a block's unknowns among those of the point.
-  int FirstOf(int block) const { return blocks_->begin[IndexOf(block)]; }
 
-  /// Rows of C of the point's block `a`, by all unknowns of the point.
-  void FillRows(size_t a, std::vector<Scalar>* c) const {
-    const int i = blocks_->blocks[a], size = blocks_->begin.back();
-    const int rows = blocks_->begin[a + 1] - blocks_->begin[a];
-    c->resize(size_t(rows) * size);
+  /// Adds A C of a block of an observation, the point's block `index`.
+  void AddBlockRows(const ObservationRows& x, int a, int index,
+                    std::vector<Both<Scalar>>* ac) const {
+    const int i = blocks_->blocks[index], rows = x.size[a];
+    Both<Scalar> j[BlockSystem::kMaxBlockSize];
+    for (int r = 0; r < rows; ++r) j[r] = {{x.jacobian[a][r], x.jacobian[a][rows + r]}};
     for (size_t b = 0; b < blocks_->blocks.size(); ++b) {
-      const int j = blocks_->blocks[b], first = blocks_->begin[b];
-      const int columns = blocks_->begin[b + 1] - first;
-      const bool is_below = kIsWhole || i >= j, is_half = !kIsWhole && i == j;
-      const BlockOfInverse<Scalar> block = is_below ? BlockOf(i, j) : BlockOf(j, i);
-      for (int r = 0; r < rows; ++r) {
-        Scalar* const to = c->data() + size_t(r) * size + first;
-        for (int k = 0; k < columns; ++k) {
-          const bool as_it_is = is_half ? r >= k : is_below;
-          to[k] = block.values[as_it_is ? k * block.stride + r : r * block.stride + k];
-        }
-      }
+      const int other = blocks_->blocks[b], first = blocks_->begin[b];
+      const bool is_transposed = !kIsWhole && i < other;
+      AddTimes(j, rows, blocks_->begin[b + 1] - first,
+               is_transposed ? BlockOf(other, i) : BlockOf(i, other), is_transposed,
+               !kIsWhole && i == other, &(*ac)[first]);
     }
   }
 
@@ -203,7 +205,7 @@ class Leverages final : public PointLeverages {
   Row3 TimesCy(const ObservationRows& rows) const {
     Row3 acy = Row3::Zero();
     for (int k = 0; k < rows.num_blocks; ++k) {
-      const Scalar* cy = &cy_[4 * size_t(FirstOf(rows.block[k]))];
+      const Scalar* cy = &cy_[4 * size_t(blocks_->begin[IndexOf(rows.block[k])])];
       for (int r = 0; r < rows.size[k]; ++r, cy += 4) {
         for (int row = 0; row < 2; ++row) {
           const Scalar factor = rows.jacobian[k][row * rows.size[k] + r];
