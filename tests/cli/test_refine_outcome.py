@@ -1,10 +1,12 @@
 """Arguments of the tests of a result in `bundle refine`, and the order of what they find."""
 
+from contextlib import nullcontext
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from bundle.checking import gradient_report, jacobians
 from bundle.cli import refine
 from bundle.cli import run as runs
 from bundle.cli.commands import COMMANDS
@@ -13,9 +15,11 @@ from bundle.cli.output import Progress
 from bundle.cli.refinement import Refinement
 from bundle.georeference import similarity as similarities
 from bundle.interface.finding import Finding
+from bundle.interface.options import SolveOptions
 from bundle.io.recognition import Kind
 from bundle.judging.findings import find as finding
 from bundle.judging.findings.next_command import NextCommand
+from bundle.reports.terminal import analyses
 
 PROBLEM, START = SimpleNamespace(image_ids=np.array([7, 8])), object()
 OPTIONS = SimpleNamespace(
@@ -23,6 +27,15 @@ OPTIONS = SimpleNamespace(
 )
 PRIOR = SimpleNamespace(image="a.jpg")
 RULE = SimpleNamespace(target=SimpleNamespace(kind="camera"))
+
+
+def opened(sliced=None):
+    """Return a refinement after INPUT was read."""
+    words = command_parser().parse_args(["refine", "IN", "-o", "OUT"])
+    progress = Progress(quiet=True)
+    run = Refinement(COMMANDS["refine"], Kind.RECONSTRUCTION, words, progress, "IN")
+    run.sliced, run.problem, run.options = sliced, PROBLEM, OPTIONS
+    return run
 
 
 def judged(
@@ -46,10 +59,7 @@ def judged(
         return (broken,)
 
     monkeypatch.setattr(refine, "broken_parts", broken_parts)
-    words = command_parser().parse_args(["refine", "IN", "-o", "OUT"])
-    progress = Progress(quiet=True)
-    run = Refinement(COMMANDS["refine"], Kind.RECONSTRUCTION, words, progress, "IN")
-    run.sliced, run.problem, run.options = sliced, PROBLEM, OPTIONS
+    run = opened(sliced)
     run.known, run.constraints = SimpleNamespace(priors=(PRIOR,)), (rule,)
     run.inertial, run.measured = inertial, ()
     run.found = SimpleNamespace(
@@ -168,3 +178,30 @@ def test_a_solve_that_failed_otherwise_has_no_far_start():
         options=OPTIONS, reprojection_error_before=SimpleNamespace(median=2.0), summary=summary
     )
     assert refine.far_start(solved, NextCommand()) is None
+
+
+@pytest.mark.parametrize("verdict", ["wrong", "undecided"])
+def test_wrong_jacobians_replace_the_solve(monkeypatch, capsys, verdict):
+    found, run = SimpleNamespace(verdict=verdict, ok=False), opened()
+    run.options = SolveOptions(num_threads=3)
+    monkeypatch.setattr(jacobians, "check_problem", lambda *_, **__: found)
+    monkeypatch.setattr(gradient_report, "outcome", lambda _: "The verdict.")
+    monkeypatch.setattr(analyses, "checked", lambda *told: told)
+    told = refine._wrong_jacobians(run)
+    if verdict == "undecided":
+        assert told is None and (run.code, run.complaint) == (0, "")
+        assert capsys.readouterr().err.startswith("note: The verdict. `bundle check`")
+        return
+    assert told[:3] == ("IN", PROBLEM, found)
+    assert told[3]["check_gradients"] is True and told[3]["num_threads"] == 3
+    assert (run.code, run.complaint) == (1, "The verdict.")
+
+
+@pytest.mark.parametrize(("sliced", "imu"), [(object(), None), (None, object())])
+def test_a_dry_run_does_not_predict_slices_and_an_imu(monkeypatch, sliced, imu):
+    run = opened(sliced)
+    run.imu = imu
+    monkeypatch.setattr(run, "check", lambda: None)
+    monkeypatch.setattr(refine, "on_disk", lambda _: nullcontext())
+    monkeypatch.setattr(refine, "open_input", lambda _: None)
+    assert refine.plan(run) == ["The cost of this kind of run is not predicted."]

@@ -20,7 +20,8 @@ from bundle.georeference.survey_priors import gcp_priors, gps_priors
 from bundle.graphs.loops.loop_graph import close_loops
 from bundle.interface.georeference_options import GeoreferenceOptions
 from bundle.interface.option_class import OPTION_CLASSES, Options, option_class
-from bundle.interface.pose_graph_options import LoopOptions
+from bundle.interface.options import SolveOptions
+from bundle.interface.pose_graph_options import LoopOptions, PoseGraphOptions
 from bundle.interface.round_options import CheckpointOptions, LocalOptions, RoundOptions
 
 NAMED = [option_class(name) for name in OPTION_CLASSES]
@@ -115,3 +116,14 @@ def test_loops_have_the_defaults_of_the_function():
     shown = inspect.signature(close_loops).parameters
     assert LoopOptions().loop_loss == shown["loss"].default
     assert LoopOptions().loop_loss_scale == shown["loss_scale"].default
+
+
+def test_the_same_option_has_the_declaration_of_the_other_class_but_what_is_changed():
+    changed = {"gradient_tolerance": {"help"}}
+    for name in ("max_num_iterations", "function_tolerance", "gradient_tolerance", "num_threads"):
+        one, other = (
+            kind.__dataclass_fields__[name].metadata for kind in (PoseGraphOptions, SolveOptions)
+        )
+        assert {key for key in one if one[key] != other[key]} == changed.get(name, set())
+    assert "typical information" in PoseGraphOptions.__doc__
+    assert PoseGraphOptions().function_tolerance == 1e-10 != SolveOptions().function_tolerance

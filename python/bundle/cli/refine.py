@@ -236,7 +236,7 @@ def _measure(run: Refinement) -> None:
         run.found.measure()
 
 
-# Outcome of `bundle refine`: findings, sigmas of refined readouts, and report page.
+# Outcome of `bundle refine`: findings, and sigmas of refined readouts.
 
 MORE_STEPS = 4  # factor on a limit of steps that did not suffice
 OUT_OF_VIEW = {"too_many_behind", "invalid_solution"}
