@@ -125,5 +125,5 @@ def test_the_same_option_has_the_declaration_of_the_other_class_but_what_is_chan
             kind.__dataclass_fields__[name].metadata for kind in (PoseGraphOptions, SolveOptions)
         )
         assert {key for key in one if one[key] != other[key]} == changed.get(name, set())
-    assert "typical information" in PoseGraphOptions.__doc__
+    assert "typical information" in " ".join(PoseGraphOptions.__doc__.split())
     assert PoseGraphOptions().function_tolerance == 1e-10 != SolveOptions().function_tolerance
