@@ -28,7 +28,12 @@ def test_a_wrong_focal_length_is_named_and_a_right_one_is_not(scene, seed):
     made = bundle.synthesize(num_images=12, num_points=250, scene=scene, seed=seed)
     assert held(made) is None
     found = held(made, 1.1, ("--refine", "poses,points", "--loss", "huber"))
-    assert found.evidence["dof"] == 2
+    share, chi2 = found.evidence["share"], found.evidence["chi2"]
+    assert found.evidence["dof"] == 2 and found.sentence.endswith("for 2 terms).")
+    problem = made.problem
+    unknowns = 6 * problem.num_images + 3 * problem.num_points + 2 - 7
+    redundancy = 2 * problem.num_observations - unknowns
+    assert chi2 == pytest.approx(redundancy * share / (1 - share), rel=1e-6)
     assert shlex.split(found.command)[5:] == ["--loss", "huber"]
     free = bundle.solve(
         made.problem.replace(camera_params=made.ground_truth.camera_params * [1.1, 1, 1, 1])
