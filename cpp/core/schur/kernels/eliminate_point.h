@@ -99,9 +99,10 @@ class KeptRecords {
   int stride() const { return stride_; }
   double* Of(int64_t observation) const { return data_ + observation * stride_; }
 
-  /// `record`: with a white head unless the point is constant.
-  static void Keep(const EliminationInput& input, int64_t observation, const double* record,
-                   bool is_constant) {
+  /// `record`: with a white head unless the point is constant. Not inlined, so that the code of an
+  /// elimination that keeps none does not change.
+  __attribute__((noinline)) static void Keep(const EliminationInput& input, int64_t observation,
+                                             const double* record, bool is_constant) {
     const ModelGroup& group =
         input.groups[input.image_group[input.plan->image.data()[observation]]];
     double* const to = KeptRecords(input).Of(observation);
