@@ -332,7 +332,7 @@ def test_the_report_of_a_command(tmp_path, capsys, rule):
     output = tmp_path / "out"
     words = ["refine", str(tmp_path / "model"), "-o", str(output), "--set", rule]
     assert main([*words, "--quiet"]) == 2
-    assert capsys.readouterr().err.startswith("error: constraints: ") and not output.exists()
+    assert capsys.readouterr().err.startswith("error: --set: ") and not output.exists()
     held = ["--fix-images", "1,2", "--json", str(tmp_path / "report.json")]
     assert main([*words, *held, "--html", str(tmp_path / "page.html")]) == 0
     (end,) = json.loads((tmp_path / "report.json").read_text())["constraints"]
