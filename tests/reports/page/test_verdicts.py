@@ -168,3 +168,12 @@ def test_findings_that_are_given_are_those_of_the_page(told, solved):
     found = told(solved, findings=given)
     assert found["Connection"]["mark"] == "attention"
     assert "weak joint" in found["Connection"]["number"]
+
+
+@pytest.mark.parametrize(
+    ("kind", "name"), [("rules", "Solve"), ("constant_lens", "Intrinsics"), ("motion", "Images")]
+)
+def test_what_a_finding_is_about_needs_attention(told, solved, kind, name):
+    found = told(solved, findings=[Finding(kind=kind, sentence="A sentence.")])
+    assert found[name]["mark"] == "attention"
+    assert kind.replace("_", " ") in found[name]["number"]
