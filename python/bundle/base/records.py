@@ -121,7 +121,8 @@ class _Constructor:
 
     def __get__(self, record: Any, kind: Any = None) -> Any:
         self._uses += 1
-        if record is None or self._uses > MOST_USES:
+        # The record is None for an access by the class, and for inspect.signature the class itself.
+        if self._uses > MOST_USES or not isinstance(record, self._kind):
             return self._compiled().__get__(record, kind)
         return partial(self._set, record)
 
