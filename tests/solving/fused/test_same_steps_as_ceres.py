@@ -96,12 +96,12 @@ def options_of(row):
     }
 
 
-def witness_of(row):
-    """Another solve by Ceres that would be the same one without rounding."""
+def witnesses_of(row):
+    """Return other solves by Ceres that would be the same one without rounding."""
     problem, options = problem_of(row), options_of(row)
-    if options["linear_solver_type"] != "iterative_schur":
-        return problem, {**options, "linear_solver_type": "dense_qr"}
-    return shuffled(problem), options
+    dense = [(problem, {**options, "linear_solver_type": "dense_qr"})]
+    is_exact = options["linear_solver_type"] != "iterative_schur"
+    return [(shuffled(problem), options), *(dense if is_exact else [])]
 
 
 def shuffled(problem):
@@ -112,13 +112,12 @@ def shuffled(problem):
 
 @functools.cache
 def traces(number):
-    """A row by Ceres, by its witness and by the fused backend."""
+    """A row by Ceres, by its witnesses and by the fused backend."""
     row = ROWS[number]
     problem, options = problem_of(row), options_of(row)
-    witnessed, witness_options = witness_of(row)
     return (
         bundle.solve(problem, backend="ceres", **options),
-        bundle.solve(witnessed, backend="ceres", **witness_options),
+        [bundle.solve(one, backend="ceres", **same) for one, same in witnesses_of(row)],
         bundle.solve(problem, backend="fused", **options),
     )
 
@@ -129,11 +128,15 @@ def relative(found, expected):
 
 def num_comparable(number):
     """The number of iterations over which Ceres' own rounding stays below the tolerance."""
-    expected, other, _ = (result.iterations for result in traces(number))
-    n = min(len(expected["cost"]), len(other["cost"]))
-    same = expected["step_is_successful"][:n] == other["step_is_successful"][:n]
-    same &= relative(other["cost"][:n], expected["cost"][:n]) < 1e-9
-    return n if same.all() else int(np.argmin(same))
+    expected, witnesses, _ = traces(number)
+    costs, taken = expected.iterations["cost"], expected.iterations["step_is_successful"]
+    counts = []
+    for other in (one.iterations for one in witnesses):
+        n = min(len(costs), len(other["cost"]))
+        same = taken[:n] == other["step_is_successful"][:n]
+        same &= relative(other["cost"][:n], costs[:n]) < 1e-9
+        counts.append(n if same.all() else int(np.argmin(same)))
+    return min(counts)
 
 
 def is_comparable_to_the_end(number):
