@@ -34,7 +34,8 @@ def test_a_wrong_focal_length_is_named_and_a_right_one_is_not(scene, seed):
     unknowns = 6 * problem.num_images + 3 * problem.num_points + 2 - 7
     redundancy = 2 * problem.num_observations - unknowns
     assert chi2 == pytest.approx(redundancy * share / (1 - share), rel=1e-6)
-    assert shlex.split(found.command)[5:] == ["--loss", "huber"]
+    words = ["--loss", "huber", "--refine", "poses,points,focal,extra"]
+    assert shlex.split(found.command)[5:] == words
     free = bundle.solve(
         made.problem.replace(camera_params=made.ground_truth.camera_params * [1.1, 1, 1, 1])
     )
@@ -64,6 +65,14 @@ def test_further_parameters_stay_in_the_command():
     found = held(made, 1.1, ("--refine", "poses,points,principal-point"), refine=refine)
     words = shlex.split(found.command)
     assert words[5:] == ["--refine", "poses,points,principal-point,focal,extra"]
+
+
+def test_lenses_that_other_options_keep_are_refined_by_name():
+    made = bundle.synthesize(num_images=12, num_points=250, scene="orbit", seed=1)
+    given = ("--refine", "poses,points", "--colmap-options", "project.ini")
+    found = held(made, 1.1, given)
+    words = ["--colmap-options", "project.ini", "--refine", "poses,points,focal,extra"]
+    assert shlex.split(found.command)[5:] == words
 
 
 def test_constant_images_explain_a_misfit_themselves():

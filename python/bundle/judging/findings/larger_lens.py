@@ -108,17 +108,16 @@ def constant_lens(measured: Measured, *, has_outliers: bool) -> Finding | None:
         return None
     used = problem.camera_ids[distinct(problem.image_camera)].tolist()
     ids = used if not {"focal", "extra"} <= refine else [one for one in used if one in fixed]
-    flags = () if set(free) == set(SolveOptions().refine) else ("--refine", ",".join(free))
-    command = measured.command
-    for flag in ("--fix-cameras", "--refine"):
-        command = command.without(flag, lambda _: True)
+    command = measured.command.without("--fix-cameras", lambda _: True)
+    # By name even if it is the default: options of COLMAP may keep the lenses.
+    flags = () if free == options.refine else ("--refine", ",".join(free).replace("_", "-"))
     share = fall / (squares + fall)
     return Finding(
         kind="constant_lens",
         sentence=f"The observations contradict the constant parameters of {named('camera', ids)}: "
         f"with free ones, the cost falls by {rounded(100 * share)} % (chi2 {number(statistic)} for "
         f"{plural(count, 'term')}).",
-        command=command.refine(*(word.replace("_", "-") for word in flags)),
+        command=command.refine(*flags),
         evidence={"camera_ids": ids, "chi2": statistic, "dof": count, "share": share},
     )
 
