@@ -69,19 +69,17 @@ class ImageIntervals:
         slices = self._slices if offset == 0 else self._longer
         return [slices.between(a, b) for a, b in pairwise(self._moved(offset).tolist())]
 
-    def offset(self, rotations: Array, noise: ImuNoise) -> ClockOffset:
-        """Return the offset of the clocks from world_from_imu (n, 3, 3) of the images."""
+    def offset(self, between: Array, noise: ImuNoise) -> ClockOffset:
+        """Return the offset of the clocks from the rotations (n - 1, 3, 3) between images."""
 
         def motions_at(offset: float, bias: Array) -> list[Preintegration]:
             return preintegrated(self.at(offset), noise, np.append(bias, np.zeros(3)), self.rule)
 
-        between = np.swapaxes(rotations[:-1], 1, 2) @ rotations[1:]
         return clock_offset(between, motions_at, self._rates_at)
 
-    def clock_errors(self, rotations: Array, noise: ImuNoise, clock: ClockOffset) -> ClockErrors:
+    def clock_errors(self, between: Array, noise: ImuNoise, clock: ClockOffset) -> ClockErrors:
         """Return the errors of single times that remain with an offset of the clocks."""
         offset = clock.seconds if clock.is_clear else 0.0
-        between = np.swapaxes(rotations[:-1], 1, 2) @ rotations[1:]
         bias = gyro_bias(between, self.at(offset), noise, self.rule)
         motions = preintegrated(self.at(offset), noise, np.append(bias, np.zeros(3)), self.rule)
         deltas = np.array([motion.delta_rotation for motion in motions])

@@ -206,9 +206,10 @@ class _Case(NamedTuple):
     images: Result
 
     @property
-    def rotations(self) -> Array:
-        """(n, 3, 3) rotations world_from_imu by the images alone."""
-        return self.bodies.imu_rotations(self.images.problem)
+    def between(self) -> Array:
+        """(n - 1, 3, 3) rotations of the IMU between images, by the images alone."""
+        rotations = self.bodies.imu_rotations(self.images.problem)
+        return np.asarray(np.swapaxes(rotations[:-1], 1, 2) @ rotations[1:])
 
     @property
     def is_metric(self) -> bool:
@@ -278,11 +279,10 @@ def _videos(
     case: _Case, samples: ImuSamples, kind: str
 ) -> list[tuple[ImageIntervals, ClockOffset]]:
     """Return the intervals for each likely kind of samples, and likely offsets of the clocks."""
-    rotations = case.rotations
     found = {}
     for one in RULES if kind == "auto" else (kind,):
         video = ImageIntervals(samples, case.bodies.stamps, one)
-        found[one] = video, video.offset(rotations, case.noise)
+        found[one] = video, video.offset(case.between, case.noise)
     kinds = likely_kinds(found["instant"][1], found["interval"][1]) if kind == "auto" else (kind,)
     likely = [found[one] for one in kinds]
     if all(clock.is_doubtful for _, clock in likely):
@@ -332,13 +332,11 @@ def _images_alone(request: SolveRequest, plan: RunPlan, progress: Progress | Non
 def _rotation_map(case: _Case, video: ImageIntervals, clock: ClockOffset) -> RotationMap:
     """Return the map; rates are divided by 100 if they turn by more than LARGEST_TURN."""
     intervals = video.at(clock.seconds if clock.is_clear else 0.0)
-    rotations = case.rotations
-    between = np.swapaxes(rotations[:-1], 1, 2) @ rotations[1:]
     turns = [np.linalg.norm(one.gyro, axis=1).mean() * one.dt.sum() for one in intervals]
     unit = 0.01 if np.quantile(turns, 0.9) > LARGEST_TURN else 1.0
     scaled = [dataclasses.replace(one, gyro=unit * one.gyro) for one in intervals]
     motions = preintegrated(scaled, case.noise, np.zeros(6), video.rule)
-    return RotationMap.between(between, motions, unit)
+    return RotationMap.between(case.between, motions, unit)
 
 
 def _accel_axes(case: _Case, intervals: list[ImuInterval], rule: str) -> str:
@@ -415,7 +413,7 @@ def _evidence(
         axes=axes,
         arm=lambda: _arm_error(case, found, density),
         forces=lambda: _force_scale(case, found, agreement),
-        clocks=video.clock_errors(case.rotations, case.noise, clock),
+        clocks=video.clock_errors(case.between, case.noise, clock),
         offset=clock,
         noise=noise_ratios(*samples, density),
         quietest=quietest_ratio(*samples, density),
