@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from bundle.inertial.vio.odometry import run_odometry
 from bundle.inertial.vio.trajectory_comparison import compare_trajectories
-from bundle.inertial.vio.window_alarms import WindowAlarms, walks_down, yaw_falls
+from bundle.inertial.vio.window_alarms import LAGS, WindowAlarms, walks_down, yaw_falls
 from bundle.interface.window_options import WindowOptions
 from bundle.synthetic.synthetic_flight import synthesize_flight
 
@@ -96,7 +97,7 @@ def test_a_bias_that_changes_slowly_is_compared_with_all_its_estimates(part: int
         for k, bias in enumerate(biases):
             state[part : part + 3] = bias
             found = alarms.bias_changes(k * SECOND, state)
-            alarms.know_biases(k * SECOND, state, np.full(6, (0.5 * walk) ** 2))
+            alarms.know_biases(k * SECOND, state, (0.5 * walk) ** 2 * np.eye(15))
         assert found[0, 1 - sensor] == 0
         return tuple(found[:, sensor].tolist())
 
@@ -107,6 +108,27 @@ def test_a_bias_that_changes_slowly_is_compared_with_all_its_estimates(part: int
     assert sigmas == pytest.approx(399 * 0.4 / np.sqrt(0.25 + 399))
     back = np.concatenate([np.linspace(0, 1, 200), np.linspace(1, 0, 201)])[:, None]
     assert largest(100 * walk * back)[1:] == pytest.approx((100 * np.sqrt(3) * walk, 201), rel=0.02)
+
+
+@pytest.mark.parametrize(("speed", "bound"), [(0.0, 0.2), (4.0, 0.2), (30.0, 1.5)])
+@pytest.mark.parametrize("part", [10, 13])
+def test_a_bias_is_too_fast_by_its_effect_on_velocities(
+    part: int, speed: float, bound: float
+) -> None:
+    """Ten sigmas of the bias are ten sigmas of the velocity, along its most uncertain axis."""
+    turn = Rotation.random(random_state=1).as_matrix()
+    for factor in (0.98, 1.02):
+        alarms = WindowAlarms(WindowOptions(), (0.0, 0.0))
+        covariance = np.diag(np.repeat([9.0, 1.0], [9, 6]))
+        covariance[6:9, 6:9] = (factor * bound / 10) ** 2 * turn @ np.diag([0.5, 0.9, 1]) @ turn.T
+        state = np.zeros(16)
+        alarms.know_biases(0, state, covariance)
+        state[7:10] = speed * turn[0]
+        state[part : part + 3] = 10 * turn[2]
+        name = "gyroscope" if part == 10 else "accelerometer"
+        words = LAGS if factor > 1 else "changes"
+        assert kinds(alarms, 2, state=state)[-1][-1] == f"{name} bias {words}"
+    assert kinds(alarms, state=np.zeros(16)) == [()]
 
 
 @pytest.mark.parametrize(

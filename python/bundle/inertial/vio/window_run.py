@@ -30,6 +30,7 @@ from bundle.inertial.vio.window_alarms import (
     BIASES,
     DISAGREEMENT,
     INDEFINITE,
+    LAGS,
     NO_EXCITATION,
     QUIET_KEYFRAMES,
 )
@@ -87,7 +88,6 @@ MOST_FAR, FAR_IMAGES, RECENT = 0.5, 6, 10  # share of observations; of so many r
 MOST_CONTRADICTED = 0.1  # share of the keyframes, of priors and biases; 0 in healthy runs
 MOST_DISAGREEING = 0.2  # share of the keyframes with contradicting sensors or an indefinite prior
 LONGEST_DISAGREEMENT = 3.0  # s
-FAR_BIAS = 12.0  # sigmas of a bias that changes: the path is off by as many of its own
 
 
 class WindowRun:
@@ -211,14 +211,10 @@ def _lost_reason(records: list[KeyframeRecord]) -> str:
     contradicted = len(by_kind.get("prior contradicted", []))
     if contradicted > MOST_CONTRADICTED * count:
         return f"the prior was contradicted at {contradicted} of {count} keyframes"
-    for k, name in enumerate(BIASES[0]):
-        sigmas = [record.bias_change_sigmas[k] for record in records]
-        far = sum(each > FAR_BIAS for each in sigmas)
-        if far > MOST_CONTRADICTED * count:
-            return (
-                f"the {name} bias changed by up to {max(sigmas):.0f} sigmas of its estimates and "
-                f"its random walk, by more than {FAR_BIAS:g} at {far} of {count} keyframes"
-            )
+    for name in BIASES[0]:
+        late = len(by_kind.get(f"{name} bias {LAGS}", []))
+        if late > MOST_CONTRADICTED * count:
+            return f"the {name} bias changed too fast to follow at {late} of {count} keyframes"
     return ""
 
 

@@ -74,8 +74,8 @@ class WindowTelemetry:
             self._imu_excess = solved["costs_after"]["imu"] / solved["expected_imu_cost"]
             self._is_new_excess = True
             if solved["covariance"] is not None:
-                newest, variances = self.window.frames[-1], np.diag(solved["covariance"])[9:]
-                self._alarms.know_biases(newest.stamp, newest.state, variances)
+                newest = self.window.frames[-1]
+                self._alarms.know_biases(newest.stamp, newest.state, solved["covariance"])
         self._prior_size = max(sum(len(prior["vector"]) for prior in window["priors"]), 1)
         self._window = table, window
 
