@@ -10,7 +10,7 @@ import pytest
 
 import bundle
 from bundle.base.words import number
-from bundle.judging.findings import contradicted_rules
+from bundle.judging.findings import contradicted_rules, repaired
 from bundle.judging.findings.find import find
 from bundle.solving.constraints.rule_list import rules_of
 from bundle.solving.headline import headline
@@ -79,7 +79,7 @@ def test_without_rules_that_nothing_replaces_only_a_pull_is_judged(refined, monk
     def undetermined(*_):
         raise bundle.InputError("undetermined")
 
-    monkeypatch.setattr(contradicted_rules, "solved", undetermined)
+    monkeypatch.setattr(repaired, "solved", undetermined)
     found = rules(refined, ["camera 1: k prior 0.3 sigma 0.001"])
     assert found.evidence["pull"] > contradicted_rules.FAR
     assert "without" not in found.sentence
@@ -129,7 +129,7 @@ def test_a_rule_is_not_blamed_for_the_gauge_that_contradicts_it(refined):
 
 
 def test_of_a_large_model_only_a_pull_is_judged(refined, scene, monkeypatch):
-    monkeypatch.setattr(contradicted_rules, "is_affordable", lambda _: False)
+    monkeypatch.setattr(repaired, "is_affordable", lambda _: False)
     k = scene.ground_truth.camera_params[0, 3] + 0.3
     weak, strong = (
         rules(refined, [f"camera 1: k prior {k} sigma {sigma}"]) for sigma in (0.001, 0.00001)

@@ -11,6 +11,7 @@ import bundle
 from bundle.cli.main import command_parser
 from bundle.interface.finding import Finding, one_list
 from bundle.judging.findings import find as module
+from bundle.judging.findings.contradicted_constants import HELD
 from bundle.judging.findings.find import IMPORTANCE, find
 from bundle.judging.findings.next_command import NextCommand
 from bundle.judging.findings.positions import RADIUS_FLAG
@@ -52,9 +53,8 @@ def test_faults_are_found_beside_each_other(kinds):
 
 
 def test_every_kind_has_a_place():
-    assert {*KINDS, "attitudes", "constant_lens", "gps_offset", "rules", "shifted_pixels"} == set(
-        IMPORTANCE
-    )
+    others = {"attitudes", "gps_offset", "rules", "shifted_pixels", *(row.kind for row in HELD)}
+    assert {*KINDS, *others} == set(IMPORTANCE)
 
 
 def test_findings_do_not_depend_on_the_order_of_images_and_points():

@@ -171,7 +171,13 @@ def test_findings_that_are_given_are_those_of_the_page(told, solved):
 
 
 @pytest.mark.parametrize(
-    ("kind", "name"), [("rules", "Solve"), ("constant_lens", "Intrinsics"), ("motion", "Images")]
+    ("kind", "name"),
+    [
+        ("rules", "Solve"),
+        ("constant_poses", "Solve"),
+        ("constant_lens", "Intrinsics"),
+        ("motion", "Images"),
+    ],
 )
 def test_what_a_finding_is_about_needs_attention(told, solved, kind, name):
     found = told(solved, findings=[Finding(kind=kind, sentence="A sentence.")])

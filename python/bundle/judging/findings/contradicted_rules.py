@@ -9,6 +9,10 @@ observations and measurements, P = 1/2 sum pull^2 of the priors, and the noise s
 has a chi squared distribution with as many degrees of freedom as the priors have numbers, if the
 rules are right. A free solve that ends early makes T too small. The rule is named from which the
 free model is farthest, unless the free model has another fault, which a prior can only reveal.
+
+Rules that hold parameters (fixed, bounds, ratios) have no sigma. They are tested as constants
+(contradicted_constants.py), but with a second solve, and one more for each rule: the one is named
+without which the cost falls most. Shared lenses have a test of their own (shared_lens).
 """
 
 from __future__ import annotations
@@ -19,19 +23,23 @@ from typing import TYPE_CHECKING
 
 from bundle.base.tails import chi2_limit
 from bundle.base.words import number, rounded
-from bundle.errors import InputError, brief, shown
+from bundle.errors import brief, shown
 from bundle.interface.finding import Finding
+from bundle.judging.findings.contradicted_constants import is_notable
 from bundle.judging.findings.measured import Measured
-from bundle.judging.findings.repaired import FREE_TOLERANCE, MOST_FREE_STEPS, is_affordable, solved
+from bundle.judging.findings.repaired import solved_free
 
 if TYPE_CHECKING:
     from bundle.solving.constraints.ends import RuleEnd
+    from bundle.solving.constraints.rules import Rule
+    from bundle.solving.result import Result
 
 FAR = 5.0  # pull above which a rule is named without another solve
-NOTABLE = 0.01  # smallest notable rise of the cost
+NOTABLE = 0.01  # smallest notable rise of the cost by priors
+MOST_RULES = 8  # rules that hold parameters, each with a solve of its own
 
 
-def contradicted_rules(measured: Measured) -> tuple[Finding | None, Measured | None]:
+def contradicted_priors(measured: Measured) -> tuple[Finding | None, Measured | None]:
     """Return the finding, or None, and the model without the priors of rules if it was solved."""
     if not measured.constraints or not measured.is_minimum:
         return None, None
@@ -39,27 +47,19 @@ def contradicted_rules(measured: Measured) -> tuple[Finding | None, Measured | N
     from bundle.solving.constraints.resolve import apply
     from bundle.solving.constraints.rule_list import rules_of
 
-    given = rules_of(measured.constraints)
-    rules = [rule for rule in given if rule.kind in {"prior", "on"}]
+    measured = replace(measured, constraints=rules_of(measured.constraints))
+    rules = [rule for rule in measured.constraints if rule.kind in {"prior", "on"}]
     if not rules:
         return None, None
     begin = measured.start or measured.whole
-    applied = apply(given, begin, measured.options)[1]
+    applied = apply(measured.constraints, begin, measured.options)[1]
     assert applied is not None
     ends = rule_ends(applied, begin, measured.whole)
-    if not is_affordable(measured):
-        return _farthest(measured, ends), None
-    others = [rule for rule in given if rule not in rules]
-    options = measured.options.replace(
-        max_num_iterations=MOST_FREE_STEPS, function_tolerance=FREE_TOLERANCE
-    )
     # Planes need a gauge. Other rules are not to blame for a world that the gauge holds elsewhere.
     gauge = measured.options.gauge if any(rule.kind == "on" for rule in rules) else "auto"
-    whole, priors = measured.whole, measured.priors
-    try:
-        held = solved(measured, whole, options, priors, gauge)
-        free = solved(replace(measured, constraints=others), whole, options, priors)
-    except InputError:  # without the rules, something is undetermined
+    held = _solved(measured, (), gauge)
+    free = None if held is None else _solved(measured, rules)
+    if held is None or free is None:
         return _farthest(measured, ends), None
     pulls = [prior for end in rule_ends(applied, begin, held.problem) for prior in end.priors]
     pull = sum(prior.pull**2 for prior in pulls)
@@ -74,7 +74,48 @@ def contradicted_rules(measured: Measured) -> tuple[Finding | None, Measured | N
     found = _farthest(
         measured, ends, f"without {'it' if len(rules) == 1 else 'the rules'}, ", share
     )
-    return found, replace(measured, whole=free.problem, constraints=others)
+    return found, _without(measured, rules, free)
+
+
+def contradicted_holds(measured: Measured) -> tuple[Finding | None, Measured | None]:
+    """Return the finding about rules that hold parameters, or None, and the model without it."""
+    if not measured.constraints or not measured.is_minimum:
+        return None, None
+    from bundle.solving.constraints.resolve import apply
+    from bundle.solving.constraints.rule_list import rules_of
+
+    given, options = rules_of(measured.constraints), measured.options
+    applied = apply(given, measured.whole, options)[1]
+    # The solve added the constant points of rules to those of the options.
+    added = () if applied is None else applied.fixed_point_ids
+    options = options.replace(fixed_point_ids={*options.fixed_point_ids}.difference(added))
+    measured = replace(measured, constraints=given, options=options)
+    rules = [rule for rule in given if rule.kind in {"fixed", "bounds", "ratio"}]
+    held = _solved(measured, ()) if 0 < len(rules) <= MOST_RULES else None
+    found = [(rule, _solved(measured, [rule])) for rule in rules if held is not None]
+    free = [(rule, result) for rule, result in found if result is not None]
+    if held is None or not free:
+        return None, None
+    rule, best = min(free, key=lambda one: one[1].summary.final_cost)
+    cost, before = best.summary.final_cost, held.summary.final_cost
+    count = best.summary.num_parameters_reduced - held.summary.num_parameters_reduced
+    redundancy = best.summary.num_residuals_reduced - best.summary.num_parameters_reduced
+    if not is_notable(2 * (before - cost), 2 * cost, max(count, 1), redundancy):
+        return None, None
+    share = 1 - cost / before
+    how = f"without it, the cost falls by {rounded(100 * share)} %"
+    return _finding(measured, rule, how, share=share), _without(measured, [rule], best)
+
+
+def _solved(measured: Measured, dropped: Sequence[Rule], gauge: str = "auto") -> Result | None:
+    """Return a model solved again without some rules; None if that fails or takes long."""
+    kept = [rule for rule in measured.constraints if rule not in dropped]
+    return solved_free(replace(measured, constraints=kept), gauge)
+
+
+def _without(measured: Measured, dropped: Sequence[Rule], free: Result) -> Measured:
+    kept = [rule for rule in measured.constraints if rule not in dropped]
+    return replace(measured, whole=free.problem, constraints=kept)
 
 
 def _farthest(
@@ -85,16 +126,20 @@ def _farthest(
     pull, end, prior = max(pulls, key=lambda one: one[0], default=(0.0, None, None))
     if end is None or prior is None or not (share or pull > FAR):
         return None
-    from bundle.solving.constraints.rule_list import parse_rule, rules_of
-
     where = f"{prior.subject} {prior.id} ({prior.parameter}) ends {number(pull)} sigmas from it"
-    rules = [rule for rule in rules_of(measured.constraints) if str(rule) == end.rule]
-    command = measured.command.without("--set", lambda text: parse_rule(text, "") in rules)
+    rule = next(one for one in measured.constraints if str(one) == end.rule)
+    return _finding(measured, rule, f"{how}{where}{share}", pull=pull)
+
+
+def _finding(measured: Measured, rule: Rule, how: str, **evidence: float) -> Finding:
+    from bundle.solving.constraints.rule_list import parse_rule
+
+    command = measured.command.without("--set", lambda text: parse_rule(text, "") == rule)
     is_flag = command != measured.command
-    name = f"the rule {brief(end.rule)}{'' if is_flag else f' ({shown(end.place)})'}"
+    name = f"the rule {brief(str(rule))}{'' if is_flag else f' ({shown(rule.place)})'}"
     return Finding(
         kind="rules",
-        sentence=f"The observations contradict {name}: {how}{where}{share}.",
+        sentence=f"The observations contradict {name}: {how}.",
         command=command.refine() if is_flag else "",
-        evidence={"rule": end.rule, "place": end.place, "pull": pull},
+        evidence={"rule": str(rule), "place": rule.place, **evidence},
     )

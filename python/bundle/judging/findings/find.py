@@ -12,7 +12,8 @@ from bundle.analysis.diagnosis.track_table import TrackTable, weak_joint
 from bundle.errors import InputError
 from bundle.interface.finding import Finding
 from bundle.interface.options import SolveOptions
-from bundle.judging.findings.contradicted_rules import contradicted_rules
+from bundle.judging.findings.contradicted_constants import HELD, contradicted_constants
+from bundle.judging.findings.contradicted_rules import contradicted_holds, contradicted_priors
 from bundle.judging.findings.duplicates import duplicate_points
 from bundle.judging.findings.focal_lengths import (
     PRIOR,
@@ -23,7 +24,7 @@ from bundle.judging.findings.focal_lengths import (
     undetermined_intrinsics,
 )
 from bundle.judging.findings.images import ImageFits, image_fits, image_residuals, motion, variation
-from bundle.judging.findings.larger_lens import absorbed_lens, constant_lens
+from bundle.judging.findings.larger_lens import absorbed_lens
 from bundle.judging.findings.lens_terms import LensField, fields_of_lenses, lens_model
 from bundle.judging.findings.measured import Measured
 from bundle.judging.findings.minimum import not_refined, shifted_pixels
@@ -42,15 +43,9 @@ from bundle.model.cameras import camera_models
 from bundle.model.problem import Problem
 
 IMPORTANCE = (
-    *(
-        "shifted_pixels",
-        "not_refined",
-        "rules",
-        "outliers",
-        "lens_model",
-        "constant_lens",
-        "weak_joint",
-    ),
+    *("shifted_pixels", "not_refined", "rules", "outliers", "lens_model"),
+    *(row.kind for row in HELD),
+    "weak_joint",
     *("undetermined_intrinsics", "motion"),
     *("gps_offset", "positions", "attitudes", "scale_drift", "focal_drift", "shared_lens"),
     *("image_residuals", "duplicate_points"),
@@ -156,6 +151,23 @@ def _fields(
     return found, fits, fields, motion(measured, found, fits, fields)
 
 
+def _contradiction(measured: Measured, far: Finding | None) -> Finding | None:
+    """Return the finding about what the run knows or holds at a wrong value, or None.
+
+    The model without it has no other fault and, beside outliers ``far`` (which free parameters
+    absorb), at most half as many of them. A prior has sigmas, which tell it from outliers.
+    """
+    for test in (contradicted_priors, contradicted_holds, contradicted_constants):
+        wrong, free = test(measured)
+        if wrong is None or (free is not None and any(_repairs(free)[0])):
+            continue
+        if far is None or test is contradicted_priors:
+            return wrong
+        if free is not None and 2 * _num_outliers(free, measured) <= far.evidence["num_outliers"]:
+            return wrong
+    return None
+
+
 def _findings(measured: Measured) -> Iterator[Finding | None]:
     """Yield the findings in stages; see repaired.py."""
     joint = weak_joint(measured.whole, TrackTable(measured.whole))
@@ -165,15 +177,11 @@ def _findings(measured: Measured) -> Iterator[Finding | None]:
     if start is not None:
         yield start
         return  # other tests need a minimum
-    wrong, free_of_rules = contradicted_rules(measured)
-    if wrong is not None and (free_of_rules is None or not any(_repairs(free_of_rules)[0])):
-        yield wrong
-        return  # a wrong rule bends the model
     far = outliers(measured)
-    constant = constant_lens(measured, has_outliers=far is not None)
-    if constant is not None:
-        yield constant
-        return  # so does a wrong lens
+    wrong = _contradiction(measured, far)
+    if wrong is not None:
+        yield wrong
+        return  # what is held at a wrong value bends the model
     is_tensed = offset is None and is_tense(measured)  # an offset bends the model
     is_bent = is_tensed or turned is not None
     can_repair = is_affordable(measured)

@@ -24,12 +24,6 @@ a lower bound of the movement.
 Model. The smallest extension that passes, beginning with a single term, because unneeded terms make
 the positions of flights up to nine times less accurate. T of any extension is at most that of the
 largest, so that one step decides for nearly all right models.
-
-Constant lenses have the same test, with their parameters as the added terms. A right calibration
-fails it, too, where the free lens absorbs small errors of another kind: on a stereo rig of KITTI, T
-is 350 for 4 terms and the cost falls by 1.4 %. So the finding needs a fall of 5 %, and of 50 %
-beside outliers, of which a free lens absorbs some. On five of nine real models, a focal length that
-is 10 % too large costs 7 to 63 %; the other four are flat or short and hardly resist it.
 """
 
 from __future__ import annotations
@@ -42,7 +36,7 @@ from numpy.typing import NDArray
 
 from bundle.base.arrays import distinct
 from bundle.base.tails import chi2_tail
-from bundle.base.words import named, number, plural, rounded
+from bundle.base.words import named, number, plural
 from bundle.errors import InputError
 from bundle.interface.finding import Finding
 from bundle.interface.options import SolveOptions
@@ -57,8 +51,6 @@ SIGNIFICANT = 1e-4  # probability of so large a T if the lens model is right
 LARGEST_MODELS = ("OPENCV", "OPENCV_FISHEYE")
 """Models beyond these have terms that are not determined beside each other."""
 BY_TERM = 4.0
-NOTABLE, NOTABLE_BESIDE_OUTLIERS = 0.05, 0.5
-"""Smallest falls of the cost for which constant lenses are named."""
 MOST_LENSES = 4
 MOST_WORK = 150_000  # work (``Measured.work``) up to which a step takes milliseconds
 
@@ -81,45 +73,6 @@ def absorbed_lens(measured: Measured, *, has_hint: bool = False) -> Finding | No
         return _found(measured, names)
     except InputError:  # something is not determined, or the sums overflow
         return None
-
-
-def constant_lens(measured: Measured, *, has_outliers: bool) -> Finding | None:
-    """Return the finding about constant lenses that the observations contradict, or None."""
-    options, problem = measured.options, measured.whole
-    refine, fixed = set(options.refine), set(options.fixed_camera_ids)
-    is_free = {"focal", "extra"} <= refine and not fixed
-    if is_free or not {"poses", "points"} <= refine or options.fixed_image_ids:
-        return None
-    if measured.work > MOST_WORK or not measured.scale > SMALLEST_SCALE:
-        return None
-    free = tuple(dict.fromkeys([*options.refine, "focal", "extra"]))
-    try:
-        opened = Step(problem, options.replace(refine=free, fixed_camera_ids=()))
-        present = Step(problem, options)
-    except InputError:
-        return None
-    count, fall = opened.num_parameters - present.num_parameters, opened.decrease - present.decrease
-    least = NOTABLE_BESIDE_OUTLIERS if has_outliers else NOTABLE
-    squares = opened.variance * (opened.num_residuals - opened.num_parameters)
-    if not (opened.variance > 0 and fall > least * (squares + fall)):
-        return None
-    statistic = fall / opened.variance
-    if not (chi2_tail(statistic, count) < SIGNIFICANT and statistic > BY_TERM * count):
-        return None
-    used = problem.camera_ids[distinct(problem.image_camera)].tolist()
-    ids = used if not {"focal", "extra"} <= refine else [one for one in used if one in fixed]
-    command = measured.command.without("--fix-cameras", lambda _: True)
-    # By name even if it is the default: options of COLMAP may keep the lenses.
-    flags = () if free == options.refine else ("--refine", ",".join(free).replace("_", "-"))
-    share = fall / (squares + fall)
-    return Finding(
-        kind="constant_lens",
-        sentence=f"The observations contradict the constant parameters of {named('camera', ids)}: "
-        f"with free ones, the cost falls by {rounded(100 * share)} % (chi2 {number(statistic)} for "
-        f"{plural(count, 'term')}).",
-        command=command.refine(*flags),
-        evidence={"camera_ids": ids, "chi2": statistic, "dof": count, "share": share},
-    )
 
 
 def _extensions(measured: Measured) -> list[str]:

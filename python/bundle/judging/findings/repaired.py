@@ -35,7 +35,7 @@ MOST_OBSERVATIONS, MOST_IMAGES = 50_000, 100
 MOST_STEPS = 50
 TOLERANCE = 1e-4
 MOST_FREE_STEPS, FREE_TOLERANCE = 200, 1e-6
-"""Limits of a solve without the positions that bend the model."""
+"""Limits of a solve without the positions, rules or constants that bend the model."""
 
 
 def is_affordable(measured: Measured) -> bool:
@@ -72,6 +72,22 @@ def solved(
     if not result.summary.is_solution_usable:
         raise InputError(result.summary.message)
     return result
+
+
+def solved_free(measured: Measured, gauge: str = "auto") -> Result | None:
+    """Return the result far from the present values, with fewer constants than the model had.
+
+    None if that takes long, or if something is undetermined.
+    """
+    options = measured.options.replace(
+        max_num_iterations=MOST_FREE_STEPS, function_tolerance=FREE_TOLERANCE
+    )
+    if not is_affordable(measured):
+        return None
+    try:
+        return solved(measured, measured.whole, options, measured.priors, gauge)
+    except InputError:
+        return None
 
 
 def repaired(
