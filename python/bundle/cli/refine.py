@@ -288,7 +288,10 @@ def judge(run: Refinement) -> tuple[Finding, ...]:
     held = set(solved.problem.image_ids.tolist()) if is_held else {*solved.options.fixed_image_ids}
     held |= {getattr(prior, "image", None) for prior in run.priors}
     surveyed = _about_control_points(run)
-    return one_list(about_imu, limited, broken_parts(solved.problem, held), surveyed, run.findings)
+    # More steps do not help where something is held at a wrong value.
+    held_wrong = [one for one in run.findings if one.kind.startswith("constant_")]
+    broken = broken_parts(solved.problem, held)
+    return one_list(about_imu, held_wrong, limited, broken, surveyed, run.findings)
 
 
 def _start(solved: Result) -> Problem:

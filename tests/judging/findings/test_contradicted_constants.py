@@ -6,10 +6,13 @@ import shlex
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import bundle
 from bundle.judging.findings.find import find
+from bundle.model.rig_arrays import compose
 from bundle.solving.constraints.rule_list import rules_of
+from tests.rig_scenes import STEREO, rig_problem
 
 HELD = {"refine": ("poses", "points")}
 
@@ -183,3 +186,29 @@ def test_what_a_free_lens_absorbs_of_outliers_is_no_contradiction():
         ]
         falls.append(1 - costs[1] / costs[0])
     assert np.max(falls) > 0.05
+
+
+def turned_sensor(degrees):
+    """Return stereo rigs whose second sensor is turned about its y axis."""
+    rigs = rig_problem(num_frames=8, num_points=150, model="SIMPLE_RADIAL", rigs=(STEREO, STEREO))
+    turn = Rotation.from_rotvec([0, np.deg2rad(degrees), 0])
+    sensors, poses = rigs.sensor_from_rig.copy(), rigs.cam_from_world.copy()
+    sensors[0, :4] = (turn * Rotation.from_quat(sensors[0, :4])).as_quat()
+    sensors[0, 4:] = turn.apply(sensors[0, 4:])
+    on_rig = rigs.image_sensor == 0
+    poses[on_rig] = compose(sensors[:1], rigs.rig_from_world[rigs.image_frame[on_rig]])
+    return rigs.replace(sensor_from_rig=sensors, cam_from_world=poses)
+
+
+def test_a_wrong_calibration_of_a_rig_is_named():
+    given = ("--max-iterations", "150")
+    assert contradictions(turned_sensor(0.0)) == []
+    (found,) = contradictions(turned_sensor(1.0), given)
+    assert found.kind == "constant_sensors" and found.evidence["dof"] == 11
+    assert found.evidence["sensor_ids"] == [(1, 2), (2, 4)]
+    assert shlex.split(found.command)[5:] == [*given, "--refine-sensor-from-rig"]
+    options = {"refine_sensor_from_rig": True, "fixed_sensors": [(1, 2)]}
+    flags = ("--refine-sensor-from-rig", "--fix-sensors", "1:2")
+    (found,) = contradictions(turned_sensor(1.0), flags, **options)
+    assert found.evidence["sensor_ids"] == [(1, 2)] and found.sentence.count("sensor 1:2: ") == 1
+    assert shlex.split(found.command)[5:] == ["--refine-sensor-from-rig"]

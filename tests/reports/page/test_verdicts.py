@@ -175,6 +175,7 @@ def test_findings_that_are_given_are_those_of_the_page(told, solved):
     [
         ("rules", "Solve"),
         ("constant_poses", "Solve"),
+        ("constant_sensors", "Solve"),
         ("constant_lens", "Intrinsics"),
         ("motion", "Images"),
     ],

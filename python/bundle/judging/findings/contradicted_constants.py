@@ -13,15 +13,15 @@ A right calibration fails the test, too, where a free lens absorbs small errors 
 a stereo rig of KITTI, T is 350 for 4 terms and the cost falls by 1.4 %; with poses from half of the
 tracks of real models, the cost of the other half falls by up to 8 %. So the finding needs 10 %.
 Free parameters also absorb outliers of a least-squares fit; beside these, a solve with free ones
-must have at most half as many (find.py). Of several kinds of constants, the one that explains most
-is named (H. Akaike, 1974): the others can imitate it.
+must have at most half as many (find.py). Of several kinds of constants and a larger lens, the one
+that explains most is named (H. Akaike, 1974): the others can imitate it.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,12 +31,14 @@ from bundle.base.tails import chi2_tail
 from bundle.base.words import named, number, plural, rounded
 from bundle.errors import InputError
 from bundle.interface.finding import Finding
+from bundle.interface.option_fields import SENSORS
 from bundle.interface.options import SolveOptions
-from bundle.judging.findings.larger_lens import BY_TERM, MOST_WORK, SIGNIFICANT, Step
+from bundle.judging.findings.larger_lens import BY_TERM, MOST_WORK, SIGNIFICANT, Step, explains_more
 from bundle.judging.findings.measured import SMALLEST_SCALE, Measured
 from bundle.judging.findings.repaired import solved_free
 from bundle.model.problem import Problem
 
+LENS = {"focal", "extra"}  # names in ``SolveOptions.refine``
 NOTABLE = 0.1  # smallest fall of the cost for which constants are named
 
 
@@ -49,21 +51,23 @@ class Held(NamedTuple):
     names: frozenset[str]  # in ``SolveOptions.refine``
     option: str  # option that holds the parameters of some owners
 
-    def ids(self, problem: Problem, options: SolveOptions) -> list[int]:
-        """Return the ids of the owners whose parameters are held."""
-        if self.names <= set(options.refine):
+    def ids(self, problem: Problem, options: SolveOptions) -> list[Any]:
+        """Return the ids of the owners whose parameters are held; (rig, camera) of sensors."""
+        if self.names <= {*options.refine, SENSORS * options.refine_sensor_from_rig}:
             return list(getattr(options, self.option))
+        if self.owner == "sensor":
+            rigs, cameras = problem.sensor_rig_ids, problem.sensor_camera_ids
+            return [*zip(rigs.tolist(), cameras.tolist(), strict=True)]
         owners: NDArray[np.int64] = getattr(problem, f"{self.owner}_ids")
         used = distinct(problem.image_camera) if self.owner == "camera" else slice(None)
-        return [*map(int, owners[used])]
+        return [*owners[used].tolist()]
 
 
 HELD = (
-    Held(
-        "constant_lens", "camera", "parameters", frozenset({"focal", "extra"}), "fixed_camera_ids"
-    ),
+    Held("constant_lens", "camera", "parameters", frozenset(LENS), "fixed_camera_ids"),
     Held("constant_poses", "image", "poses", frozenset({"poses"}), "fixed_image_ids"),
     Held("constant_points", "point", "positions", frozenset({"points"}), "fixed_point_ids"),
+    Held("constant_sensors", "sensor", "poses", frozenset({SENSORS}), "fixed_sensors"),
 )
 
 
@@ -76,6 +80,10 @@ def is_notable(fall: float, squares: float, count: int, redundancy: int) -> bool
         return False
     statistic = fall * redundancy / squares
     return chi2_tail(statistic, count) < SIGNIFICANT and statistic > BY_TERM * count
+
+
+def _name(key: Any) -> str:
+    return ":".join(map(str, key)) if isinstance(key, tuple) else str(key)
 
 
 def contradicted_constants(measured: Measured) -> tuple[Finding | None, Measured | None]:
@@ -95,18 +103,22 @@ def contradicted_constants(measured: Measured) -> tuple[Finding | None, Measured
         fall = opened.decrease - present.decrease
         redundancy = opened.num_residuals - opened.num_parameters
         squares = opened.variance * redundancy
-        if not is_notable(fall, squares, count, redundancy):
+        if not is_notable(fall, squares, count, redundancy) or explains_more(measured, opened):
             continue
         statistic, share = fall / opened.variance, fall / (squares + fall)
         command = measured.command.without(f"--fix-{one.owner}s", lambda _: True)
         # By name even if it is the default: options of COLMAP may hold them.
-        refine = ("--refine", ",".join(free.refine).replace("_", "-"))
+        refine = ["--refine", ",".join(free.refine).replace("_", "-")]
+        refine = [] if free.refine == options.refine else refine
+        if free.refine_sensor_from_rig != options.refine_sensor_from_rig:
+            refine.append("--refine-sensor-from-rig")
+        names = named(one.owner, [_name(key) for key in ids])
         finding = Finding(
             kind=one.kind,
-            sentence=f"The observations contradict the constant {one.values} of "
-            f"{named(one.owner, ids)}: with free ones, the cost falls by {rounded(100 * share)} % "
-            f"(chi2 {number(statistic)} for {plural(count, 'term')}).",
-            command=command.refine(*(() if free.refine == options.refine else refine)),
+            sentence=f"The observations contradict the constant {one.values} of {names}: with free "
+            f"ones, the cost falls by {rounded(100 * share)} % (chi2 {number(statistic)} for "
+            f"{plural(count, 'term')}).",
+            command=command.refine(*refine),
             evidence={f"{one.owner}_ids": ids, "chi2": statistic, "dof": count, "share": share},
         )
         found.append((opened.num_residuals * math.log(squares) + 2.0 * count, free, finding))

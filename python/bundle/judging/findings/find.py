@@ -154,12 +154,12 @@ def _fields(
 def _contradiction(measured: Measured, far: Finding | None) -> Finding | None:
     """Return the finding about what the run knows or holds at a wrong value, or None.
 
-    The model without it has no other fault and, beside outliers ``far`` (which free parameters
-    absorb), at most half as many of them. A prior has sigmas, which tell it from outliers.
+    A model without its rule has no other fault. A prior has sigmas, which tell it from outliers
+    ``far``; free parameters absorb these, and must leave at most half of them.
     """
     for test in (contradicted_priors, contradicted_holds, contradicted_constants):
         wrong, free = test(measured)
-        if wrong is None or (free is not None and any(_repairs(free)[0])):
+        if wrong is None or (wrong.kind == "rules" and free is not None and any(_repairs(free)[0])):
             continue
         if far is None or test is contradicted_priors:
             return wrong

@@ -294,7 +294,7 @@ def _place(given: Judged) -> Verdict | None:
 
 
 QUESTIONS: tuple[tuple[Callable[[Judged], Verdict | None], str], ...] = (
-    (_solve, "rules constant_poses constant_points"),
+    (_solve, "rules constant_poses constant_points constant_sensors"),
     (_place, "positions attitudes gps_offset control_points"),
     (
         _error,
