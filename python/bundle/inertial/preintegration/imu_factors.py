@@ -78,14 +78,7 @@ class ImuFactor(_MotionFactor):
     def keys(self) -> tuple[Key, ...]:
         """Variables in the order of the Jacobians."""
         optional = (key for key in (self.gravity_key, self.scale_key) if key is not None)
-        return (
-            self.pose_i,
-            self.velocity_i,
-            self.bias_i,
-            self.pose_j,
-            self.velocity_j,
-            *optional,
-        )
+        return (self.pose_i, self.velocity_i, self.bias_i, self.pose_j, self.velocity_j, *optional)
 
     def core_arguments(self, name: str, sizes: tuple[int, ...]) -> tuple[Any, ...]:  # noqa: ARG002
         """See :meth:`Factor.core_arguments`."""

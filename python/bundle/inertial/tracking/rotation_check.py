@@ -293,14 +293,8 @@ REFUSED_ANGLE = 15.0  # degrees
 
 def tracking_findings(recording: Recording, check: RotationCheck) -> tuple[Finding, ...]:
     """Return the findings; those with ``is_problem`` spoil an odometry."""
-    evidence = {
-        "num_pairs": check.num_pairs,
-        "unexplained": check.unexplained,
-        "cause_unexplained": check.cause_unexplained,
-        "ratio": check.ratio,
-        "time_shift": check.time_shift,
-        "angle": check.angle,
-    }
+    names = ("num_pairs", "unexplained", "cause_unexplained", "ratio", "time_shift", "angle")
+    evidence = {name: getattr(check, name) for name in names}
     share = f"{100 * check.unexplained:.0f} %"
     explained = f"{100 * check.cause_unexplained:.0f} %" if check.cause else ""
     table, pairs = recording.imu_place(len(recording.gyro)), f"{check.num_pairs} image pairs"

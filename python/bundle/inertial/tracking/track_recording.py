@@ -57,9 +57,7 @@ class Tracking:
 
 
 def track_recording(
-    recording: Recording,
-    options: TrackingOptions,
-    progress: Callable[[float], None] | None = None,
+    recording: Recording, options: TrackingOptions, progress: Callable[[float], None] | None = None
 ) -> tuple[Sequence, Tracking]:
     """Track features through the images between the IMU samples.
 

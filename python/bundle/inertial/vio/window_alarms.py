@@ -155,14 +155,11 @@ class WindowAlarms:
         if cost < LEAST_PRIOR_COST * size:
             alarms.append(f"prior cost negative: {cost:.3g}; rounding errors dominate the prior")
         if self._persists("cost", cost > LARGEST_PRIOR_COST * size):
+            advice = " (against wrong tracks use a more robust --loss, such as cauchy)"
+            advice = "" if self.options.loss == "cauchy" else advice
             alarms.append(
                 f"prior contradicted: it costs {cost:.3g} with {size} coordinates; wrong tracks, "
-                "wrong samples or a wrong calibration were marginalised into it"
-                + (
-                    ""
-                    if self.options.loss == "cauchy"
-                    else " (against wrong tracks use a more robust --loss, such as cauchy)"
-                )
+                f"wrong samples or a wrong calibration were marginalised into it{advice}"
             )
         return alarms
 

@@ -177,23 +177,13 @@ class WindowTelemetry:
         return self._turned
 
     def _prior(self) -> dict[str, Any]:
+        names = ("min_eigenvalue", "max_eigenvalue", "ratio", "definiteness", "asymmetry")
         prior = self.window.prior
-        if prior is None or prior.asymmetry is None:
-            return {
-                "prior_min_eigenvalue": None,
-                "prior_max_eigenvalue": None,
-                "prior_ratio": None,
-                "prior_definiteness": None,
-                "prior_asymmetry": None,
-            }
-        values = prior.spectrum()
-        return {
-            "prior_min_eigenvalue": float(values[0]),
-            "prior_max_eigenvalue": float(values[-1]),
-            "prior_ratio": prior.oldest_ratio(),
-            "prior_definiteness": prior.definiteness(),
-            "prior_asymmetry": prior.asymmetry,
-        }
+        values: tuple[float | None, ...] = (None,) * len(names)
+        if prior is not None and prior.asymmetry is not None:
+            least, most = map(float, prior.spectrum()[[0, -1]])
+            values = least, most, prior.oldest_ratio(), prior.definiteness(), prior.asymmetry
+        return {f"prior_{name}": value for name, value in zip(names, values, strict=True)}
 
     def _sigmas(self, covariance: Any, state: Array) -> tuple[Array | None, float | None]:
         if covariance is None:
