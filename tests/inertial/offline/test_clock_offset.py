@@ -44,6 +44,36 @@ def test_an_offset_is_found_within_its_sigma(seed, late):
     assert found.sigma < 0.004
 
 
+@pytest.mark.parametrize("late", [-2.5, -0.12, -0.09, 0.0, 1.5])
+def test_an_offset_beyond_the_range_is_named(late):
+    flight, problem, stamps, inner = made()
+    given = flight.sequence.calibration.camera_from_imu
+    turned = Rotation.from_quat(world_from_imu(problem, given)[:, :4])[inner]
+    rows = np.flatnonzero(np.abs(stamps[inner] - stamps.mean() + 1e9 * late) < 3.9e9)
+    shifted, samples = stamps[inner][rows] + round(1e9 * late), samples_of(flight.sequence)
+    samples = samples._replace(gyro=samples.gyro + np.array([0.0, 0.3, 0.0]))
+    words = ImageIntervals(samples, shifted).far_offset(between(turned[rows]))
+    is_far = abs(late) > 0.1
+    assert (f"differ by {-late:.2f} s: add it" if is_far else "") in words
+    assert bool(words) == is_far
+    order = np.random.default_rng(0).permutation(len(rows) - 1)  # no offset explains these
+    for unlike in (between(turned[rows])[order], np.tile(np.eye(3), (len(order), 1, 1))):
+        assert ImageIntervals(samples, shifted).far_offset(unlike) == ""
+
+
+def test_a_far_offset_needs_half_of_the_images_within_the_samples():
+    flight, problem, stamps, _ = made()
+    given = flight.sequence.calibration.camera_from_imu
+    turned = Rotation.from_quat(world_from_imu(problem, given)[:, :4])
+    since = stamps - stamps[0]
+    rows = np.flatnonzero((since > 2.5e9) & (since < 5.5e9))
+    samples = samples_of(flight.sequence)
+    for end, is_named in ((3.5, False), (5.0, True)):
+        part = type(samples)(*(one[: int(200 * end)] for one in samples))
+        words = ImageIntervals(part, stamps[rows] - 2_200_000_000).far_offset(between(turned[rows]))
+        assert bool(words) == is_named
+
+
 def test_means_of_intervals_are_late_by_half_of_one():
     step = made()[0].sequence.imu_timestamps_ns
     half = 0.5e-9 * np.median(np.diff(step))

@@ -108,6 +108,18 @@ def test_a_jump_of_the_bias_names_its_interval(flight, model):
     assert found.findings[0].evidence["seconds"] == pytest.approx(4.5, abs=0.7)
 
 
+def test_samples_and_clocks_are_the_cause_where_no_start_exists(flight, model):
+    problem, stamps = model
+    halted = changed(flight.sequence, accel=lambda v: at(np.arange(500, 1600), v[500])(v))
+    with pytest.raises(InputError, match=r"found IMU sample 500: accelerometer frozen, 1100 "):
+        adjusted(halted, problem, stamps, OPTIONS)
+    early = problem.select(images=stamps < stamps[0] + 5_000_000_000).problem
+    late = stamps[: early.num_images] + 1_500_000_000
+    short = changed(flight.sequence, accel=lambda v: at(np.arange(500, 540), v[500])(v))
+    with pytest.raises(InputError, match=r"clocks of camera and IMU differ by -1\.50 s"):
+        adjusted(short, early, late, OPTIONS)
+
+
 @pytest.fixture(scope="module")
 def tilting():
     flight = bundle.synthesize_flight(motion="room", duration=8.0, num_tracks=60, seed=11)

@@ -24,7 +24,7 @@ def known(intervals=QUIET, chi2=100.0, **changes):
             "is_converged": True,
             "is_quadratic": False,
             "rotations": MAP,
-            "axes": "",
+            "far": ("accel_axes", ""),
             "arm": ArmError,
             "forces": ForceScale,
             "clocks": ClockErrors(),
@@ -77,7 +77,8 @@ def test_a_contradiction_names_its_time():
     ("changes", "cause"),
     [
         ({"rotations": MAP._replace(matrix=-np.eye(3))}, "gyro_axes"),
-        ({"axes": "the accelerometer is reversed"}, "accel_axes"),
+        ({"far": ("accel_axes", "the accelerometer is reversed")}, "accel_axes"),
+        ({"far": ("imu_clocks", "the clocks differ by 2 s")}, "imu_clocks"),
         ({"camera_from_imu": np.array([0, 0, 0, 1, 3.1, 0, 0])}, "arm"),
         ({"camera_from_imu": np.array([0, 0, 0, 1, 2.9, 0, 0])}, "unknown"),
         ({"bad": (fault(),)}, "imu_samples"),

@@ -30,6 +30,8 @@ RULES = {"instant": "midpoint", "interval": "zero_order_hold"}
 taken for samples, these are late by half a period, and motions off by many sigmas."""
 CLEAR = 8.0
 """Difference of log-likelihoods that determines the kind of samples, or an offset of the clocks."""
+FAR, FAR_STEP = 60.0, 0.02  # s: offsets that are only named; most images must stay within samples
+FAR_SHARE = 0.1  # share of the variance of rotations that such an offset may leave unexplained
 
 
 class ImageIntervals:
@@ -76,6 +78,24 @@ class ImageIntervals:
             return preintegrated(self.at(offset), noise, np.append(bias, np.zeros(3)), self.rule)
 
         return clock_offset(between, motions_at, self._rates_at)
+
+    def far_offset(self, between: Array) -> str:
+        """Return a sentence on an offset beyond MOST at which rotations (n - 1, 3, 3) agree."""
+        stamps, gyro = self._slices.stamps, self._slices.gyro
+        times, images = (1e-9 * (one - stamps[0]) for one in (stamps, self._stamps))
+        angles = np.cumsum(np.gradient(times)[:, None] * gyro, axis=0)
+        turns = vector_from_quaternion(quaternion_from_matrix(between))
+        best = FAR_SHARE, 0.0
+        for offset in np.arange(-FAR, FAR, FAR_STEP):
+            at = images + offset
+            inside = (at[:-1] >= 0) & (at[1:] <= times[-1])
+            if 2 * inside.sum() > len(turns):
+                turned = np.stack([np.interp(at, times, axis) for axis in angles.T], axis=1)
+                errors = (turns - np.diff(turned, axis=0))[inside]
+                left, whole = (float(one.var(axis=0).sum()) for one in (errors, turns[inside]))
+                best = (left / whole, float(offset)) if left < best[0] * whole else best
+        words = f"the clocks of camera and IMU differ by {best[1]:.2f} s: add it to time_offset"
+        return words if abs(best[1]) > MOST else ""
 
     def clock_errors(self, between: Array, noise: ImuNoise, clock: ClockOffset) -> ClockErrors:
         """Return the errors of single times that remain with an offset of the clocks."""

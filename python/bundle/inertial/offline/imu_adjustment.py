@@ -41,7 +41,7 @@ from bundle.inertial.offline.imu_agreement import (
     noise_ratios,
     quietest_ratio,
 )
-from bundle.inertial.offline.imu_findings import LONG_ARM, Evidence, imu_findings
+from bundle.inertial.offline.imu_findings import LONG_ARM, Evidence, imu_findings, sample_faults
 from bundle.inertial.offline.inertial_result import ImuSamples, InertialAdjustment
 from bundle.inertial.offline.inertial_start import (
     InertialStart,
@@ -65,7 +65,7 @@ from bundle.interface.solve_record import Progress
 from bundle.model.problem import Problem
 from bundle.model.rigid_motions import inverse_poses, multiply_poses, rotation_matrices
 from bundle.model.sequence.calibration import ImuNoise
-from bundle.model.sequence.sequence_findings import bad_stretches
+from bundle.model.sequence.sequence_findings import bad_stretches, is_bridged
 from bundle.solving.gauge_freedom import gauge_freedom
 from bundle.solving.kept_errors import Edit
 from bundle.solving.request import SolveRequest
@@ -149,9 +149,11 @@ def adjust_with_imu(
         options=options,
         progress=progress,
         images=images,
+        samples=samples,
+        place=place or (lambda row: f"IMU sample {row}"),
     )
     best = min(
-        (_adjusted(case, video, clock) for video, clock in _videos(case, samples, imu_samples)),
+        (_adjusted(case, video, clock) for video, clock in _videos(case, imu_samples)),
         key=lambda found: found.cost + CLEAR * found.clock.lowers_cost,
     )
     if plan.filters:
@@ -159,7 +161,7 @@ def adjust_with_imu(
     kept = best.state.problem
     if kept.num_observations < problem.num_observations:
         case = case._replace(images=_images_alone(alone.at(kept), RunPlan(), progress))
-    known = _evidence(case, best, samples, scale, place)
+    known = _evidence(case, best, scale)
     findings = imu_findings(known)
     back, state, last = np.argsort(bodies.rows), best.state, best.results[-1]
     costs = np.asarray(last.factor_costs_after)
@@ -204,6 +206,8 @@ class _Case(NamedTuple):
     options: SolveOptions
     progress: Progress | None
     images: Result
+    samples: ImuSamples
+    place: Callable[[int], str]
 
     @property
     def between(self) -> Array:
@@ -275,13 +279,11 @@ class _Adjusted(NamedTuple):
         return any(motion.needs_repropagation(bias[:3]) for motion, bias in pairs)
 
 
-def _videos(
-    case: _Case, samples: ImuSamples, kind: str
-) -> list[tuple[ImageIntervals, ClockOffset]]:
+def _videos(case: _Case, kind: str) -> list[tuple[ImageIntervals, ClockOffset]]:
     """Return the intervals for each likely kind of samples, and likely offsets of the clocks."""
     found = {}
     for one in RULES if kind == "auto" else (kind,):
-        video = ImageIntervals(samples, case.bodies.stamps, one)
+        video = ImageIntervals(case.samples, case.bodies.stamps, one)
         found[one] = video, video.offset(case.between, case.noise)
     kinds = likely_kinds(found["instant"][1], found["interval"][1]) if kind == "auto" else (kind,)
     likely = [found[one] for one in kinds]
@@ -301,8 +303,12 @@ def _adjusted(case: _Case, video: ImageIntervals, clock: ClockOffset) -> _Adjust
             case.problem, case.bodies, intervals, case.noise, video.rule, is_metric=case.is_metric
         )
     except InputError:
-        wrong = _accel_axes(case, intervals, video.rule)
+        bad, stamps = bad_stretches(*case.samples[1:]), case.samples.timestamps_ns
+        long = [stretch for stretch in bad if not is_bridged(stretch, stamps)]
         arm = float(np.linalg.norm(case.bodies.body_from_imu[4:]))
+        wrong = f"expected measurements, found {sample_faults(long, stamps, case.place)[0]}"
+        if not long:
+            wrong = video.far_offset(case.between) or _accel_axes(case, intervals, video.rule)
         if not wrong and arm > LONG_ARM:
             wrong = f"expected camera_from_imu in metres, found an arm of {arm:.3g}: millimetres?"
         if wrong:
@@ -382,13 +388,7 @@ def _force_scale(case: _Case, found: _Adjusted, agreement: Agreement) -> ForceSc
     return ForceScale.of(least, agreement.images_variance, agreement.variance)
 
 
-def _evidence(
-    case: _Case,
-    found: _Adjusted,
-    samples: ImuSamples,
-    noise_scale: float,
-    place: Callable[[int], str] | None,
-) -> Evidence:
+def _evidence(case: _Case, found: _Adjusted, noise_scale: float) -> Evidence:
     last, alone = found.results[-1], case.images
     problem = alone.problem
     unknowns = 6 * problem.num_images + 3 * problem.num_points
@@ -402,26 +402,27 @@ def _evidence(
     video, clock = found.video, found.clock
     density = case.noise.scaled(1 / noise_scale, walks=False)
     rotations = _rotation_map(case, video, clock)
-    axes = ""
-    if agreement.is_contradicted and not (rotations.is_turned or rotations.is_scaled):
-        axes = _accel_axes(case, video.at(clock.seconds if clock.is_clear else 0.0), video.rule)
+    far = "imu_clocks", video.far_offset(case.between) if agreement.is_contradicted else ""
+    if agreement.is_contradicted and not (far[1] or rotations.is_turned or rotations.is_scaled):
+        intervals = video.at(clock.seconds if clock.is_clear else 0.0)
+        far = "accel_axes", _accel_axes(case, intervals, video.rule)
     return Evidence(
         agreement=agreement,
         is_converged=last.summary.termination_type == "CONVERGENCE",
         is_quadratic=case.options.loss == "trivial",
         rotations=rotations,
-        axes=axes,
+        far=far,
         arm=lambda: _arm_error(case, found, density),
         forces=lambda: _force_scale(case, found, agreement),
         clocks=video.clock_errors(case.between, case.noise, clock),
         offset=clock,
-        noise=noise_ratios(*samples, density),
-        quietest=quietest_ratio(*samples, density),
+        noise=noise_ratios(*case.samples, density),
+        quietest=quietest_ratio(*case.samples, density),
         noise_scale=noise_scale,
         camera_from_imu=case.bodies.body_from_imu,
-        bad=bad_stretches(samples.gyro, samples.accel),
-        stamps=samples.timestamps_ns,
-        place=place or (lambda row: f"IMU sample {row}"),
+        bad=bad_stretches(*case.samples[1:]),
+        stamps=case.samples.timestamps_ns,
+        place=case.place,
         begins=case.bodies.stamps[:-1],
     )
 

@@ -31,7 +31,6 @@ EXPLAINED = 0.5  # share of a contradiction that a scale of forces, its cause, e
 LIKELY = 4.0  # sigmas of a turn of at least a degree that is likely if images and IMU contradict
 LONG_ARM = 3.0  # distance in metres between camera and IMU from which millimetres are likely
 
-
 CAUSES = {
     "imu_samples": "samples are no measurements",
     "camera_from_imu": "camera_from_imu is turned",
@@ -64,7 +63,7 @@ class Evidence(NamedTuple):
     is_converged: bool  # True if its solve converged
     is_quadratic: bool  # True without a robust loss
     rotations: RotationMap  # map between the rotations
-    axes: str  # sentence on the axes of the accelerometer, or ""
+    far: tuple[str, str]  # cause of a contradiction, "imu_clocks" or "accel_axes", and its sentence
     arm: Callable[[], ArmError]  # error of the arm; called if nothing else is wrong
     forces: Callable[[], ForceScale]  # scale of the forces; called if the arm is right
     clocks: ClockErrors  # errors of single times
@@ -107,8 +106,8 @@ def _contradiction(known: Evidence, others: Sequence[ImuFinding]) -> ImuFinding 
     named = [one.kind for one in others if one.kind in CAUSES and "offset" not in one.evidence]
     if known.is_quadratic and agreement.images_variance > OUTLIERS:
         kind, cause = "outliers", "the images have outliers, and no robust loss was given"
-    if not cause and known.axes:
-        kind, cause = "accel_axes", known.axes
+    if not cause:
+        kind, cause = known.far
     if not cause and arm > LONG_ARM:
         kind, cause = "arm", f"camera_from_imu has an arm of {arm:.3g} m: is it in millimetres?"
     if not cause and named:
@@ -138,15 +137,11 @@ def _contradiction(known: Evidence, others: Sequence[ImuFinding]) -> ImuFinding 
         f"noise explains, largest at {seconds:.2f} s ({known.place(row)}){state}: {cause}.",
         flags,
         {
-            "cause": kind,
-            "chi2": agreement.chi2,
-            "freedom": agreement.freedom,
-            "bound": agreement.bound,
-            "seconds": seconds,
-            "row": row,
+            "cause": kind, "chi2": agreement.chi2, "freedom": agreement.freedom,
+            "bound": agreement.bound, "seconds": seconds, "row": row,
         },
         is_problem=True,
-    )
+    )  # fmt: skip
 
 
 def _forces(known: Evidence) -> ImuFinding | None:
@@ -176,11 +171,7 @@ def _arm(known: Evidence) -> ImuFinding | None:
         f"The arm of camera_from_imu is off by {100 * size:.2g} +- "
         f"{100 * sigma:.1g} cm: the path of the images gives the translation {words}.",
         (),
-        {
-            "metres": size,
-            "metres_sigma": sigma,
-            "translation": right.tolist(),
-        },
+        {"metres": size, "metres_sigma": sigma, "translation": right.tolist()},
     )
 
 
@@ -190,35 +181,36 @@ def _when(known: Evidence, interval: int) -> tuple[int, float]:
     return row, 1e-9 * float(known.begins[interval] - known.stamps[0])
 
 
+FAULT = ("kind", "sensor", "first_row", "last_row", "num_samples", "seconds")
+
+
+def sample_faults(
+    bad: Sequence[BadStretch], stamps: NDArray[np.int64], place: Callable[[int], str]
+) -> tuple[str, list[dict[str, Any]]]:
+    """Return the faults of samples in words and as evidence, by kind and sensor."""
+    faults: list[dict[str, Any]] = []
+    words = []
+    for kind, sensor in sorted({(one.kind, one.sensor) for one in bad}):
+        rows = [(one.first, one.last) for one in bad if (one.kind, one.sensor) == (kind, sensor)]
+        count = sum(last - first + 1 for first, last in rows)
+        first, last = rows[0][0], rows[-1][1]
+        begin, end = (1e-9 * float(stamps[row] - stamps[0]) for row in (first, last))
+        when = f"at {begin:.2f} s" if first == last else f"from {begin:.2f} to {end:.2f} s"
+        name = {"gyro": "gyroscope", "accel": "accelerometer"}[sensor]
+        words.append(f"{place(first)}: {name} {kind}, {plural(count, 'sample')} {when}")
+        values = kind, sensor, first, last, count, begin
+        faults.append(dict(zip(FAULT, values, strict=True)))
+    return "; ".join(words), faults
+
+
 def _samples(known: Evidence) -> ImuFinding | None:
     if not known.bad:
         return None
-    faults: list[dict[str, Any]] = []
-    words = []
-    for kind, sensor in sorted({(one.kind, one.sensor) for one in known.bad}):
-        rows = [
-            (one.first, one.last) for one in known.bad if (one.kind, one.sensor) == (kind, sensor)
-        ]
-        count = sum(last - first + 1 for first, last in rows)
-        first, last = rows[0][0], rows[-1][1]
-        begin, end = (1e-9 * float(known.stamps[row] - known.stamps[0]) for row in (first, last))
-        when = f"at {begin:.2f} s" if first == last else f"from {begin:.2f} to {end:.2f} s"
-        name = {"gyro": "gyroscope", "accel": "accelerometer"}[sensor]
-        words.append(f"{known.place(first)}: {name} {kind}, {plural(count, 'sample')} {when}")
-        faults.append(
-            {
-                "kind": kind,
-                "sensor": sensor,
-                "first_row": first,
-                "last_row": last,
-                "num_samples": count,
-                "seconds": begin,
-            }
-        )
+    words, faults = sample_faults(known.bad, known.stamps, known.place)
     return ImuFinding(
         "imu_samples",
-        f"Some samples of the IMU are not measurements: {'; '.join(words)}. Up to "
-        f"{LONGEST_BRIDGE:g} s count as a gap.",
+        f"Some samples of the IMU are not measurements: {words}. Up to {LONGEST_BRIDGE:g} s count "
+        "as a gap.",
         (),
         {"faults": faults},
     )
@@ -331,9 +323,7 @@ def _intervals(known: Evidence) -> ImuFinding | None:
         f" most at {seconds:.2f} s ({known.place(row)}).",
         (),
         {
-            "intervals": wrong,
-            "chi2": agreement.interval_chi2[wrong].tolist(),
-            "rows": [row for row, _ in rows],
-            "seconds": [when for _, when in rows],
+            "intervals": wrong, "chi2": agreement.interval_chi2[wrong].tolist(),
+            "rows": [row for row, _ in rows], "seconds": [when for _, when in rows],
         },
-    )
+    )  # fmt: skip
