@@ -1,7 +1,5 @@
 """Agreement of images and IMU: chi2 and its bounds, clocks of single images, noise of samples."""
 
-import math
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -11,10 +9,13 @@ from bundle.base.tails import chi2_bound
 from bundle.inertial.offline.imu_agreement import (
     Agreement,
     ClockErrors,
+    cauchy_cost,
     noise_ratios,
     quietest_ratio,
 )
+from bundle.model.residuals import residuals
 from bundle.model.sequence.calibration import ImuNoise
+from tests.scenes import make_problem
 
 
 def costs_of(intervals):
@@ -50,14 +51,27 @@ def test_the_whole_is_contradicted_beyond_its_bound():
     assert found.is_contradicted
     assert found.chi2 == pytest.approx(1.01 * bound)
     assert found.bound == pytest.approx(bound, rel=0.01)
-    # outliers of a quadratic loss, a variance below 1, images alone without a minimum
+    # outliers of a quadratic loss, a variance below 1
     assert agreement(quiet, 3.9 * bound, (7.0, 4.0)).chi2 == pytest.approx(3.9 * bound / 4)
     small = agreement(quiet, 1.01 * bound, (7.0, 0.1))
     assert small.is_contradicted
     assert small.chi2 == pytest.approx(1.01 * bound)
-    lost = agreement(quiet, 9 * bound, (math.nan, 1.0))
-    assert not lost.is_contradicted
-    assert lost.asdict()["chi2"] is None
+
+
+def test_the_cost_under_the_cauchy_loss_has_all_observations():
+    """Those behind a camera count as 100 px."""
+    problem = make_problem()
+    points, image = np.array(problem.points), problem.observation_image
+    camera = problem.cam_from_world[image[problem.observation_point == 0][0]]
+    points[0] = Rotation.from_quat(camera[:4]).inv().apply(-camera[4:] - [0.0, 0.0, 1.0])
+    sigma = np.linspace(0.5, 2, problem.num_observations)
+    problem = problem.replace(points=points, observation_sigma=sigma)
+    pose = problem.cam_from_world[image]
+    depth = Rotation.from_quat(pose[:, :4]).apply(points[problem.observation_point])[:, 2]
+    behind = depth + pose[:, 6] < 0
+    errors = np.where(behind, 100.0, np.linalg.norm(residuals(problem).xy, axis=1)) / sigma
+    assert behind.any() and not behind.all()
+    assert cauchy_cost(problem, 2.0) == pytest.approx((4 * np.log1p(errors**2 / 4)).sum() / 2)
 
 
 @pytest.mark.parametrize(("median", "scale", "variance"), [

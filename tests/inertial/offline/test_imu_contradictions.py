@@ -8,6 +8,8 @@ from scipy.spatial.transform import Rotation
 
 import bundle
 from bundle import InputError
+from bundle.inertial.offline import imu_adjustment
+from bundle.inertial.offline.imu_agreement import cauchy_cost
 from tests.inertial.offline.models import model_of
 from tests.inertial.offline.test_imu_adjustment import adjusted
 
@@ -106,6 +108,22 @@ def test_a_jump_of_the_bias_names_its_interval(flight, model):
     found = adjusted(changed(flight.sequence, accel=jump), *model, options)
     assert found.findings[0].kind == "imu_contradiction"
     assert found.findings[0].evidence["seconds"] == pytest.approx(4.5, abs=0.7)
+
+
+def test_a_bounded_loss_does_not_hide_a_contradiction(flight, model, monkeypatch):
+    """The adjustment rejects observations, and images alone do not converge."""
+    options, costs = OPTIONS.replace(loss="tukey"), []
+    monkeypatch.setattr(
+        imu_adjustment, "cauchy_cost", lambda *x: costs.append(cauchy_cost(*x)) or costs[-1]
+    )
+    clean = adjusted(flight.sequence, *model, options)
+    assert clean.agreement.chi2 < 0.5 * clean.agreement.freedom
+    assert clean.findings == ()
+    total = np.sum(clean.result.factor_costs_after) + costs[0] - costs[1]
+    assert clean.agreement.chi2 == pytest.approx(2 * total)
+    turned = changed(flight.sequence, calibration=arm(flight.sequence, [0, 8, 0]))
+    found = adjusted(turned, *model, options)
+    assert found.findings[0].kind == "imu_contradiction"
 
 
 def test_samples_and_clocks_are_the_cause_where_no_start_exists(flight, model):

@@ -36,8 +36,10 @@ from bundle.graphs.factors.factors import Factor, RelativePoseFactor
 from bundle.graphs.factors.image_factors import DOWN, DirectionFactor
 from bundle.inertial.offline.image_intervals import CLEAR, RULES, ImageIntervals, likely_kinds
 from bundle.inertial.offline.imu_agreement import (
+    BOUNDED,
     Agreement,
     ClockOffset,
+    cauchy_cost,
     noise_ratios,
     quietest_ratio,
 )
@@ -393,12 +395,13 @@ def _evidence(case: _Case, found: _Adjusted, noise_scale: float) -> Evidence:
     problem = alone.problem
     unknowns = 6 * problem.num_images + 3 * problem.num_points
     freedom = max(2 * problem.num_observations - unknowns, 1)
-    cost = alone.summary.final_cost
-    least = cost if alone.summary.termination_type == "CONVERGENCE" else math.nan
-    agreement = Agreement.of(
-        np.asarray(last.factor_costs_after), len(case.bodies) - 1, last.summary.final_cost,
-        (least, 2 * cost / freedom), noise_scale,
-    )  # fmt: skip
+    costs = np.asarray(last.factor_costs_after)
+    cost, least = last.summary.final_cost, alone.summary.final_cost
+    variance = 2 * least / freedom
+    if alone.summary.termination_type != "CONVERGENCE" or case.options.loss in BOUNDED:
+        cost, least = (cauchy_cost(one.problem, case.options.loss_scale) for one in (last, alone))
+        cost += float(costs.sum())
+    agreement = Agreement.of(costs, len(case.bodies) - 1, cost, (least, variance), noise_scale)
     video, clock = found.video, found.clock
     density = case.noise.scaled(1 / noise_scale, walks=False)
     rotations = _rotation_map(case, video, clock)

@@ -3,7 +3,9 @@
 Whole adjustment. Let C be the cost of images and IMU together, and C_0 that of the images alone at
 their own minimum. If both agree, 2 (C - C_0) is chi2 with 6 degrees of freedom for each interval: 9
 of its motion and 6 of its random walks, less 3 of a velocity and 6 of the biases that each image
-adds. The IMU's noise includes its factor for vibration, so that healthy recordings stay below.
+adds. The IMU's noise includes its factor for vibration, so that healthy recordings stay below. By
+a bounded loss, an adjustment rejects observations that contradict the IMU: for such losses, and for
+images alone that do not converge, C and C_0 are costs of the Cauchy loss.
 
 Intervals. The motion and the random walks of interval k have chi2_k with at most 15 degrees of
 freedom. As the factor for vibration is a guess, the variance factor v of this recording is taken
@@ -30,6 +32,9 @@ from numpy.typing import NDArray
 
 from bundle.base.tails import chi2_bound, chi2_median
 from bundle.inertial.preintegration.preintegration import Preintegration
+from bundle.model.losses import evaluate_loss
+from bundle.model.problem import Problem
+from bundle.model.residuals import reprojection_errors
 from bundle.model.rigid_motions import quaternion_from_matrix, vector_from_quaternion
 from bundle.model.sequence.calibration import ImuNoise
 from bundle.model.sequence.sequence_findings import quietest_noise
@@ -37,6 +42,8 @@ from bundle.model.sequence.sequence_findings import quietest_noise
 Array = NDArray[np.float64]
 
 FREEDOM, MOST_FREEDOM = 6, 15
+BOUNDED = ("arctan", "tukey")  # losses
+NOT_SEEN = 100.0  # px: error of an observation that has no projection
 FALSE_ALARM = 1e-3  # probability of a false alarm in a run
 LARGE_NOISE = 5.0  # calibrated over measured noise that is an error: samples never have less
 JITTER, JITTER_SHARE = 1.5e-3, 0.5  # s, share of the residuals' variance, from which times err
@@ -46,9 +53,7 @@ DRIFT, DRIFT_SIGMAS = 4e-3, 5.0  # seconds over the video, and sigmas, from whic
 class Agreement(NamedTuple):
     """Agreement of an adjustment."""
 
-    # 2 (C - C_0), over the variance of the images alone if that is above 1; nan if the images alone
-    # have no minimum to compare with
-    chi2: float
+    chi2: float  # 2 (C - C_0), over the variance of the images alone if that is above 1
     freedom: int  # degrees of freedom
     interval_chi2: Array  # (n,) of each interval
     variance: float  # v
@@ -60,8 +65,8 @@ class Agreement(NamedTuple):
     ) -> Agreement:
         """Return the agreement.
 
-        ``costs``: of all motions, then for each bias of its walks and its first prior; ``alone``:
-        C_0 and the variance factor, both of the images alone.
+        ``costs``: of all motions, then for each bias of its walks and its first prior; ``cost``: C;
+        ``alone``: C_0 and the variance factor of the images alone.
         """
         motions, gyro, accel = (costs[first : first + count] for first in (0, count, 2 * count + 1))
         intervals = 2 * (motions + gyro + accel)
@@ -92,12 +97,20 @@ class Agreement(NamedTuple):
     def asdict(self) -> Mapping[str, Any]:
         """Return the content of the JSON report."""
         return {
-            "chi2": self.chi2 if math.isfinite(self.chi2) else None,
+            "chi2": self.chi2,
             "chi2_freedom": self.freedom,
             "chi2_bound": self.bound,
             "interval_chi2": self.interval_chi2.tolist(),
             "variance_factor": self.variance,
         }
+
+
+def cauchy_cost(problem: Problem, scale: float) -> float:
+    """Return the cost of the observations under the Cauchy loss."""
+    errors, behind = reprojection_errors(problem)
+    errors = np.where(behind | np.isnan(errors), NOT_SEEN, errors)
+    sigma = 1.0 if problem.observation_sigma is None else problem.observation_sigma
+    return float(evaluate_loss("cauchy", scale, (errors / sigma) ** 2)[:, 0].sum()) / 2
 
 
 class ClockErrors(NamedTuple):
