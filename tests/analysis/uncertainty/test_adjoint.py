@@ -308,24 +308,25 @@ def test_random_problems_agree_with_minima_of_changed_data(seed):
     text = "angle " + " ".join(map(str, problem.point_ids[[3, 5, 8]]))
     adjoint, d = agree(problem, given, text, rel=3e-6, step=2e-3)
     assert len(d.prior_means) == len(adjoint.factors) == len(case.factors)
-    for k, factor in enumerate(case.factors):
-        name = "position" if factor.kind == "position" else "value"
-        mean = np.asarray(getattr(factor, name), float)
-        direction = np.random.default_rng(k).normal(size=mean.shape) / np.sqrt(
-            np.diag(factor.information)
-        )
+    if not case.factors:
+        return
+    names = ["position" if one.kind == "position" else "value" for one in case.factors]
+    means = [np.asarray(getattr(*one), float) for one in zip(case.factors, names, strict=True)]
+    directions = [
+        np.random.default_rng(k).normal(size=mean.shape) / np.sqrt(np.diag(factor.information))
+        for k, (mean, factor) in enumerate(zip(means, case.factors, strict=True))
+    ]
 
-        def with_mean(h, k=k, name=name, mean=mean, direction=direction):
-            factors = list(case.factors)
-            factors[k] = copy.copy(factors[k])
-            object.__setattr__(factors[k], name, mean + h * direction)
-            return value_of(minimum(adjoint.problem, **{**given, "factors": factors}), text)
+    def with_means(h):  # all at once, in sigmas
+        factors = [copy.copy(factor) for factor in case.factors]
+        for factor, name, mean, direction in zip(factors, names, means, directions, strict=True):
+            object.__setattr__(factor, name, mean + h * direction)
+        return value_of(minimum(adjoint.problem, **{**given, "factors": factors}), text)
 
-        scale = np.linalg.norm(d.prior_means[k] * direction)
-        expected = slope(with_mean, 1e-2)
-        assert d.prior_means[k] @ direction == pytest.approx(
-            expected, rel=3e-6, abs=3e-6 * scale + 1e-7
-        )
+    products = [a * b for a, b in zip(d.prior_means, directions, strict=True)]
+    scale = np.linalg.norm(np.concatenate(products))
+    found = sum(one.sum() for one in products)
+    assert found == pytest.approx(slope(with_means, 1e-2), rel=3e-6, abs=3e-6 * scale + 1e-7)
 
 
 def test_sigmas_of_priors_agree_with_minima_of_changed_sigmas(small):

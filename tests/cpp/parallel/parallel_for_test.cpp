@@ -71,9 +71,30 @@ TEST(ParallelFor, ThrowsWhatARangeThrewWhenAllHaveEnded) {
 TEST(ParallelFor, RunsHereWhatHasNoThread) {
   const testing::NoThreads none;
   std::vector<int64_t> ran;  // by this thread alone, so it needs no lock
-  RunOnThreads(4, [&](int64_t range) { ran.push_back(range); });
-  EXPECT_EQ(ran, (std::vector<int64_t>{0, 1, 2, 3}));
+  RunOnThreads(6, [&](int64_t range) { ran.push_back(range); });  // no crew of six waits
+  EXPECT_EQ(ran, (std::vector<int64_t>{0, 1, 2, 3, 4, 5}));
   EXPECT_EQ(CountStartableThreads(4), 1);
+}
+
+TEST(ParallelFor, StartsNoThreadTwice) {
+  std::set<std::thread::id> ids;
+  std::mutex mutex;
+  for (int run = 0; run < 200; ++run) {
+    std::vector<int> calls(3, 0);
+    RunOnThreads(3, [&](int64_t range) {
+      ++calls[range];
+      const std::lock_guard<std::mutex> lock(mutex);
+      ids.insert(std::this_thread::get_id());
+    });
+    EXPECT_EQ(calls, std::vector<int>(3, 1));
+  }
+  EXPECT_LE(ids.size(), 3u);
+}
+
+TEST(ParallelFor, RunsWithinARun) {
+  std::atomic<int> ran{0};
+  RunOnThreads(3, [&](int64_t) { RunOnThreads(3, [&](int64_t) { ++ran; }); });
+  EXPECT_EQ(ran, 9);
 }
 
 TEST(ParallelFor, CountsThreadsThatStart) {

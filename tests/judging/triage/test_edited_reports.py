@@ -265,6 +265,13 @@ def leaves(value, names=()):
             yield from leaves(part, (*names, key))
 
 
+def shortened(value):
+    """Return a report with at most four items of each list, which are checked alike."""
+    if isinstance(value, dict):
+        return {key: shortened(part) for key, part in value.items()}
+    return [shortened(part) for part in value[:4]] if isinstance(value, list) else value
+
+
 def replaced(base, names, value):
     """Return a copy of a report with one entry replaced."""
     copy = json.loads(json.dumps(base))
@@ -277,14 +284,16 @@ def replaced(base, names, value):
 
 @pytest.mark.parametrize("kind", ["graph", "model", "flight", "graphs", "models"])
 def test_any_wrong_entry_is_refused_in_one_line_or_harmless(reports, kind):
-    base = json.loads(reports[kind].read_text())
-    new = reports[kind].with_name(f"{kind}-wrong.json")
+    base = shortened(json.loads(reports[kind].read_text()))
+    old, new = (reports[kind].with_name(f"{kind}-{name}.json") for name in ("short", "wrong"))
+    old.write_text(json.dumps(base))
+    assert bundle.triage(old, old).causes == ()
     refused = 0
     for k, names in enumerate(leaves(base)):
         for value in (WRONG[k % len(WRONG)], WRONG[(7 * k + 3) % len(WRONG)]):
             new.write_text(json.dumps(replaced(base, names, value)))
             try:
-                for pair in ((reports[kind], new), (new, reports[kind]), (new, new)):
+                for pair in ((old, new), (new, old), (new, new)):
                     json.dumps(bundle.triage(*pair).asdict(), allow_nan=False)
             except InputError as error:
                 refused += 1
