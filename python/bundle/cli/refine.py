@@ -22,6 +22,7 @@ from bundle.errors import InputError, shown
 from bundle.georeference.measurements import place_of
 from bundle.interface.finding import Finding, one_list
 from bundle.io.open import save
+from bundle.judging.findings.focal_lengths import local_lens
 from bundle.judging.findings.measured import Measured
 from bundle.judging.findings.minimum import SMALLEST_SHIFT, shifted_pixels
 from bundle.judging.findings.next_command import NextCommand
@@ -290,7 +291,7 @@ def judge(run: Refinement) -> tuple[Finding, ...]:
     surveyed = _about_control_points(run)
     # More steps do not help where something is held at a wrong value.
     held_wrong = [one for one in run.findings if one.kind.startswith("constant_")]
-    broken = broken_parts(solved.problem, held)
+    broken = [*broken_parts(solved.problem, held), *local_lens(solved, command)]
     return one_list(about_imu, held_wrong, limited, broken, surveyed, run.findings)
 
 

@@ -14,9 +14,11 @@ from bundle.judging.findings.focal_lengths import (
     focal_drift,
     focal_lengths,
     is_near,
+    local_lens,
     undetermined_intrinsics,
 )
 from bundle.judging.findings.next_command import NextCommand
+from bundle.model.residuals import errors_or_nan
 from tests.campaigns.findings import make
 
 FOCAL = 1000.0
@@ -203,3 +205,32 @@ def test_cameras_of_one_model_and_size_are_in_the_order_of_their_images():
 @pytest.mark.parametrize(("seen", "is_covered"), [((0, 2), [True]), ((0, 1), [False, False])])
 def test_a_group_with_all_cameras_that_are_seen_covers_the_model(seen, is_covered):
     assert [one.is_covered for one in groups_of(seen)[2]] == is_covered
+
+
+@pytest.mark.parametrize("rest", ["fixed", "marginal"])
+def test_a_local_adjustment_whose_lens_harms_other_images_is_named(rest):
+    scene = bundle.synthesize(num_images=12, num_points=200, scene="drone-grid", seed=1)
+    model = bundle.solve(scene.problem).problem
+    named = model.image_ids[:3]
+
+    def local(**options):
+        result = bundle.solve_rounds(
+            model, num_rounds=0, only_images=options.pop("images", named), rest=rest, **options
+        )
+        return result, local_lens(result, NextCommand(given=("--only-images", "1-3")))
+
+    result, found = local()
+    if rest == "marginal":
+        assert found == ()
+        return
+    (one,) = found
+    assert one.command.endswith(" --only-images 1-3 --fix-cameras 1")
+    end, given = result.problem, result.problem.replace(camera_params=model.camera_params)
+    near = np.isin(end.observation_point, end.observation_point[end.observation_image < 3])
+    rmse = [np.sqrt((errors_or_nan(one)[~near] ** 2).mean()) for one in (given, end)]
+    np.testing.assert_allclose(
+        [one.evidence["rmse_before"], one.evidence["rmse"]], rmse, rtol=1e-12
+    )
+    assert rmse[1] > 1.01 * rmse[0] and one.evidence["num_images"] == 9
+    assert local(fixed_camera_ids=[1])[1] == () == local(images=model.image_ids)[1]
+    assert local(refine=("poses", "points"))[1] == ()

@@ -40,20 +40,26 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.base.arrays import distinct, median
+from bundle.base.arrays import distinct, median, rows_among
 from bundle.base.records import dataclass
 from bundle.base.tails import chi2_tail
 from bundle.base.words import named, noun, number, plural
 from bundle.errors import InputError
 from bundle.interface.finding import Finding
 from bundle.judging.findings.measured import Measured, newton_step
+from bundle.judging.findings.next_command import NextCommand
 from bundle.judging.findings.repaired import MOST_STEPS, TOLERANCE, is_affordable, solved
 from bundle.model.cameras import camera_models, param_kinds
 from bundle.model.problem import Problem
+from bundle.model.residuals import errors_or_nan, summarize_clipped
+
+if TYPE_CHECKING:
+    from bundle.solving.result import Result
 
 UNDETERMINED, PRIOR = 0.05, 0.02
 EQUAL, PAYS = 2.0, 4.0
@@ -64,6 +70,7 @@ DRIFT, DRIFT_STATISTIC = 0.02, 30.0
 JOINTED = 3.0
 FEWEST_CAMERAS = 2
 FEWEST_IN_ORDER = 6
+WORSE = 1.01  # rise of the errors of other images by a lens of some
 
 Floats = NDArray[np.float64]
 
@@ -261,6 +268,36 @@ def _cost_of_one_lens(measured: Measured, group: FocalLengths) -> float:
     one = solved(measured, shared, options, priors).summary.final_cost
     own = solved(measured, whole, options.replace(max_num_iterations=0), priors).summary
     return max(one - own.initial_cost, 0.0)
+
+
+def local_lens(result: Result, command: NextCommand) -> tuple[Finding, ...]:
+    """Return the finding about a local adjustment whose lenses other images have, too.
+
+    Such a lens fits the named images alone. Errors of the others at constant points show it.
+    """
+    part, start, end = result.part, result.initial_problem, result.problem
+    if part is None or part.rest is not None:
+        return ()
+    ids = sorted(set(part.shared_camera_ids).difference(result.options.fixed_camera_ids))
+    before = rows_among(end.image_ids, start.image_ids)
+    moves = (end.cam_from_world != start.cam_from_world[before]).any(axis=1)
+    is_moved = np.zeros(end.num_points, bool)
+    is_moved[end.observation_point[moves[end.observation_image]]] = True
+    others = ~moves & np.isin(end.camera_ids[end.image_camera], ids)
+    rows = others[end.observation_image] & ~is_moved[end.observation_point]
+    given = end.replace(camera_params=start.camera_params)
+    old, new = (summarize_clipped(errors_or_nan(one)[rows]).rmse for one in (given, end))
+    if not new > WORSE * old:
+        return ()
+    cameras, count = named("camera", ids), int(others.sum())
+    found = Finding(
+        kind="local_lens",
+        sentence=f"The lens of {cameras} fits the refined images alone: errors of "
+        f"{plural(count, 'other image')} rose from {old:.4f} to {new:.4f} px (RMSE).",
+        command=command.refine("--fix-cameras", ",".join(map(str, ids))),
+        evidence={"camera_ids": ids, "num_images": count, "rmse_before": old, "rmse": new},
+    )
+    return (found,)
 
 
 def focal_drift(measured: Measured, groups: Groups, *, is_jointed: bool = False) -> Finding | None:

@@ -305,7 +305,11 @@ QUESTIONS: tuple[tuple[Callable[[Judged], Verdict | None], str], ...] = (
     (_outliers, "outliers gross_errors observations_behind_camera"),
     (_worst, "motion image_residuals"),
     (_lens, "lens_model folding_distortion absurd_distortion"),
-    (_focal, "undetermined_intrinsics constant_lens shared_lens focal_drift absurd_focal_lengths"),
+    (
+        _focal,
+        "undetermined_intrinsics constant_lens local_lens shared_lens focal_drift "
+        "absurd_focal_lengths",
+    ),
     (_positions, "scale_drift no_covariance images_with_few_observations undetermined_poses"),
     (_tracks, "duplicate_points collapsed_points far_points points_not_seen points_seen_once"),
     (_connection, "weak_joint disconnected images_without_observations"),
