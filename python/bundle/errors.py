@@ -68,6 +68,12 @@ def nearest(found: str, spellings: Mapping[str, str] | Iterable[str]) -> str:
     return f"; did you mean {' or '.join(names)}?" if names else ""
 
 
+ELSEWHERE = dict.fromkeys(
+    ("num_rounds", "rounds", "max_error", "min_angle", "min_track_length"), "bundle.solve_rounds"
+)
+"""Functions that have the options which users look for in others."""
+
+
 def check_keywords(caller: str, given: Iterable[str], spellings: Mapping[str, str]) -> None:
     """Raise an error for an unknown keyword, and suggest the most similar valid keyword.
 
@@ -76,7 +82,9 @@ def check_keywords(caller: str, given: Iterable[str], spellings: Mapping[str, st
     names = dict.fromkeys(spellings.values())
     for keyword in given:
         if keyword not in names:
-            expected = nearest(keyword, spellings) or f"; expected one of {', '.join(names)}"
+            meant = f"; {function} has it" if (function := ELSEWHERE.get(keyword)) else ""
+            meant = meant or nearest(keyword, spellings)
+            expected = meant or f"; expected one of {', '.join(names)}"
             raise InputError(f"{caller}: there is no option {brief(keyword)}{expected}")
 
 

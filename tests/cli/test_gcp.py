@@ -61,7 +61,7 @@ def test_two_tables_give_the_numbers_of_the_list(run, made):
     code, _, err = refine(run, folder, "--gcp", points)
     assert code == 2 and "points.csv: line 2: " in err and "POINTS,MARKS" in err
     code, _, err = refine(run, folder, "--gcp", f"{marks},{points}")
-    assert code == 2 and "titles of columns such as label, longitude, latitude, height" in err
+    assert code == 2 and "or titles such as label,latitude,longitude,height" in err
 
 
 def test_a_model_is_adjusted_to_its_control_points(run, made, backend):

@@ -67,7 +67,7 @@ def test_control_points_and_bars_are_followed(run, model, tmp_path, monkeypatch)
         assert (done.code, done.err) == (0, "")
         found = json.loads((tmp_path / "report.json").read_text())
         (one,) = found["proposals"]
-        more = [line.replace("LENGTH", one["what"].split()[-1]) for line in one["lines"]]
+        more = [line.replace("LENGTH", one["what"].split()[-2]) for line in one["lines"]]
         if kind == "gcp":
             key = int(more[0].split()[-1].removeprefix("point_"))
             position = " ".join(map(str, problem.points[row[key]]))
@@ -75,7 +75,7 @@ def test_control_points_and_bars_are_followed(run, model, tmp_path, monkeypatch)
         else:
             (tmp_path / "bars.txt").write_text(more.pop())
         listed.write_text("\n".join([*lines, *more, ""]))
-        command = found["headline"][1].split("; then bundle ")[1]
+        command = found["headline"][1].split(", then bundle ")[1]
         words = shlex.split(command)
         assert " ".join(loss) in command and not {"--for", "--add", "--count"} & set(words)
         words[words.index("measured")] = f"measured_{kind}"

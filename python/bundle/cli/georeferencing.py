@@ -129,7 +129,7 @@ def check_georeference(path: str, format: str) -> None:
         what = shown(owner) if owner else "the model in its folder"
         raise InputError(
             f"{shown(path)}: expected a folder without the {beside.name} of another model, found "
-            f"that of {what}"
+            f"that of {what}; give a path in a new folder"
         )
 
 

@@ -50,7 +50,7 @@ def describe_model(run: Run) -> Report:
     given = given_of(run.arguments, "rig_config", *READING)
     found = find(problem, source=run.source, given=given)
     findings = one_list(description.suspicions, found)
-    return information(run.source, problem, description, findings)
+    return information(run.source, problem, description, findings, georeference_at(run.source))
 
 
 def convert_model(run: Run) -> Report:

@@ -296,10 +296,6 @@ def _parse_words(text: str) -> tuple[str, ...]:
     return tuple(name.strip() for name in text.split(",") if name.strip())
 
 
-def _parse_sets(text: str) -> tuple[tuple[str, ...], ...]:
-    return tuple(map(_parse_words, text.split("/")))
-
-
 def _parse_counts(text: str) -> tuple[int, ...]:
     parts = [part.strip() for part in text.split(",")]
     if not all(part.isascii() and part.isdigit() and len(part) < 9 for part in parts):
@@ -321,7 +317,7 @@ READERS: dict[str, tuple[Callable[[str], Any], str]] = {
     "pairs": (partial(_parse_pairs, "pairs A:B of image ids such as 1:2,7:3"), ""),
     "path": (a_path, ""),
     "resumed checkpoint": (PathArgument("checkpoint", replaces=("checkpoint",)), ""),
-    "sets": (_parse_sets, ""),
+    "sets": (lambda text: tuple(map(_parse_words, text.split("/"))), ""),
     "sensors": (
         partial(_parse_pairs, "sensors RIG:CAMERA such as 1:2,1:3"),
         "RIG:CAMERA by ids, such as 1:2,1:3; ",

@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from bundle.solving.result import Result
 
 STAYED = "Refined again without positions, starting from the georeferenced model."
+UNTIED = "the tie of INPUT to its control points or positions; give its --gcp or --gps again"
 
 
 def refine(run: Refinement) -> Report:
@@ -72,6 +73,7 @@ def refine(run: Refinement) -> Report:
             measured=run.measured,
             findings=run.findings,
             name=run.source,
+            command=run.command,
         )
     report = refinement(
         run.source,
@@ -225,6 +227,7 @@ def _write(run: Refinement) -> tuple[dict[str, str] | None, tuple[str, ...]]:
         write_georeference(place, **run.output)
     else:
         carry_georeference(run.place, **run.output, changed=STAYED)
+        lost += (UNTIED,) * bool(run.place and (run.place.get("gcps") or run.place.get("gps")))
     return run.output, lost
 
 

@@ -10,7 +10,8 @@ also the extras: ``sigma=H[/V]``, ``check``, ``pixel_sigma=PX``.
 ``ground_control_points.json`` of an OpenSfM project has latitudes and longitudes, and measurements
 in normalised coordinates: pixels from the centre over max(width, height).
 
-Tables have marks in pixels from the upper left corner. The names of points tell the orders of marks
+Tables have marks in pixels from the upper left corner, as Pix4D's: "(0, 0) is the top left corner
+of the top left pixel" (Open Photogrammetry Format, control points). The names of points tell orders
 without titles apart; points need titles, because Pix4D's have latitude or longitude first.
 Metashape's XML of markers has both: ids and labels of cameras and markers, ``reference`` of each
 marker, its ``location`` in cameras, and the WKT of the reference system.

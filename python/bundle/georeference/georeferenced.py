@@ -18,7 +18,7 @@ from bundle.georeference.alignment_result import (
     root_mean_square,
     suspicions,
 )
-from bundle.georeference.local_frame import LocalFrame
+from bundle.georeference.local_frame import LocalFrame, frame_sentences
 from bundle.georeference.measurements import MeasurementErrors, Solved
 from bundle.georeference.point_check import OffsetCheck
 from bundle.georeference.similarity import Similarity
@@ -98,7 +98,7 @@ class Georeference(MeasurementErrors, Displayed):
             if not np.isnan(rms[0]):
                 said.append(f"{noun}s {' / '.join(map(_plain, rms))}")
         errors = [f"RMS east / north / up [m]: {'; '.join(said)}."] if said else []
-        return [*errors, *self._offset_sentences()]
+        return [*errors, *self._offset_sentences(), *frame_sentences(self.asdict())]
 
     def _offset_sentences(self) -> list[str]:
         """Return the estimated offset of the positions in a sentence; findings report others."""

@@ -240,7 +240,8 @@ def read_positions(
     ``known``: as ``TITLES``. Numbers: (n, 5) x, y, z in units of the system, two accuracies [m].
     """
     what, name = next(iter(known)), shown(path)
-    wanted = f" above the lines; or titles of columns such as {what}, longitude, latitude, height"
+    wanted = f": add a first line with the system of {what} east north height, such as EPSG:25832, "
+    wanted += f"or titles such as {what},latitude,longitude,height"
     titled = _table(path, known)
     system, lines, titles, notes = titled or (*read_lines(path, 0, wanted), [*known], [])
     seen: dict[str, int] = {}

@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from bundle.base.arrays import at
 from bundle.base.records import dataclass
-from bundle.errors import InputError
+from bundle.errors import InputError, shown
 from bundle.interface.option_fields import number
 from bundle.io.formats.file_values import Node
 from bundle.model.problem import Problem
@@ -195,3 +195,12 @@ def _with_data(problem: Problem, data: Mapping[str, Any]) -> Problem:
     source = imported_source(problem)
     assert source is not None
     return problem._moved(source=dataclasses.replace(source, data=data))
+
+
+def frame_sentences(place: Mapping[str, Any]) -> list[str]:
+    """Return where a model with this georeference is; empty if it is not on the earth."""
+    system, origin = place.get("reference_system"), place.get("origin")
+    if not system or not isinstance(origin, Mapping):
+        return []
+    at = ", ".join(f"{name} {str(value)[:12]}" for name, value in origin.items())
+    return [f"Coordinates: metres east, north, up about {at}; given in {shown(str(system))}."]

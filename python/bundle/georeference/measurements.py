@@ -396,7 +396,6 @@ def kinds_of(priors: Sequence[Any]) -> tuple[Measurement, ...]:
 
 
 def _kinds(priors: Sequence[Any]) -> Iterator[Measurement]:
-    """Yield the kind of each prior."""
     rows = [(_code(row.prior), row) for row in ROWS] if priors else []
     for place, prior in enumerate(priors):
         row = next((row for kind, row in rows if isinstance(prior, kind)), None)
@@ -409,7 +408,6 @@ def _kinds(priors: Sequence[Any]) -> Iterator[Measurement]:
 
 
 def _code(name: Any) -> Any:
-    """Return the code that a row names."""
     if not isinstance(name, str):
         return name
     module, _, attribute = name.rpartition(".")

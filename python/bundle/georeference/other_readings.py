@@ -164,7 +164,6 @@ def _exchanged_points(points: tuple[GroundControlPoint, ...]) -> tuple[GroundCon
 
 
 def _scaled(given: Readings, factor: float) -> Readings:
-    """Return control points and positions with scaled heights."""
     points, positions = given
     of_points = (
         replace(point, position=(*point.position[:2], factor * point.position[2]))

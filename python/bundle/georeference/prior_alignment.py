@@ -214,7 +214,6 @@ def _motion(problem: Problem, groups: Sequence[FoundPriors]) -> Similarity | Non
 
 
 def _similarity(problem: Problem, known: ProblemPriors, targets: TargetPriors | None) -> Similarity:
-    """Return the similarity to positions and control points."""
     if targets is None or not targets.used:
         return known.align(problem)
     if any(prior.offset != "none" for prior in known.priors):

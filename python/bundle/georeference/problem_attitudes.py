@@ -259,10 +259,7 @@ class Agreement:
 
 
 def agree(
-    turns: Callable[[Array], Array],
-    own: Callable[[int], Array],
-    sigmas: Array,
-    size: int,
+    turns: Callable[[Array], Array], own: Callable[[int], Array], sigmas: Array, size: int
 ) -> Agreement:
     """Return the rotation that most measurements agree on.
 

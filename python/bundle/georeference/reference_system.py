@@ -275,7 +275,6 @@ _METRES = "The map {} is in feet, but has no heights: these are used as metres."
 
 
 def _definition(name: str) -> str:
-    """Return a definition for PROJ."""
     text = name.strip().strip("'\"").strip()
     if re.fullmatch(r"WGS\s*84", text, re.IGNORECASE):
         return WGS84

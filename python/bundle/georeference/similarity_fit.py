@@ -115,7 +115,9 @@ def _fitted(points: Correspondences, loss: str, loss_scale: float, what: str) ->
             _check_normal(normal, points, weight, what)
             step = np.asarray(-np.linalg.solve(normal, gradient), np.float64)
             similarity, share = _stepped(similarity, points, center, step, root, weight)
-            if share * _length(step, similarity.scale * size) <= SMALLEST_STEP:
+            length = float(np.abs(step[:4]).max())
+            length += float(np.abs(step[4:]).max()) / (similarity.scale * size)
+            if share * length <= SMALLEST_STEP:
                 break
         _, whitened, jacobian = _whitened(similarity, points, center)
         weight = _weights(whitened, loss, loss_scale)
@@ -327,11 +329,6 @@ def _moved(similarity: Similarity, center: Array, step: Array) -> Similarity:
     u, _, vt = np.linalg.svd(rotation)
     rotation = u @ vt
     return Similarity(scale, rotation, middle - scale * rotation @ center)
-
-
-def _length(step: Array, size: float) -> float:
-    """Return the length of a step relative to the size of the scene."""
-    return float(np.abs(step[:4]).max() + np.abs(step[4:]).max() / size)
 
 
 @dataclass(frozen=True)

@@ -274,7 +274,6 @@ def notes_on_targets(problem: Problem, targets: tuple[Triangulated, ...]) -> tup
 
 
 def _outside(problem: Problem, targets: tuple[Triangulated, ...]) -> list[str]:
-    """Return a sentence for each measurement outside its image."""
     notes = []
     for entry in targets:
         for image, measurement in zip(entry.images.tolist(), entry.measurements, strict=True):

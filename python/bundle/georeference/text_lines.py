@@ -190,12 +190,12 @@ def split_fields(text: str, separator: str) -> list[str]:
 
 
 def split_words(line: str, name_at: int) -> list[str]:
-    """Return the words of a line: the fields between tabs if only the name has blanks."""
-    fields = [field.strip() for field in line.split("\t") if field.strip()]
-    if len(fields) > max(name_at, 1) and _ENDS_AS_FILES_DO.search(fields[name_at].strip("'\"")):
+    """Return the words of a line: the fields between tabs or commas if only the name has blanks."""
+    for mark in "\t,":
+        fields = [field.strip().strip("'\"") for field in line.split(mark) if field.strip()]
         others = fields[:name_at] + fields[name_at + 1 :]
-        if not any(re.search(r"\s", field) for field in others):
-            fields[name_at] = fields[name_at].strip("'\"")
+        is_split = len(fields) > max(name_at, 1) and not re.search(r"\s", "".join(others))
+        if is_split and (mark == "," or _ENDS_AS_FILES_DO.search(fields[name_at])):
             return fields
     return [next(filter(None, groups)) for groups in _WORDS.findall(line)]
 

@@ -51,7 +51,6 @@ class ImagePrior(FrozenArrays, Displayed):
 
     @property
     def _robust(self) -> dict[str, Any]:
-        """Arguments of a factor with the loss."""
         return {"loss": self.loss, "loss_scale": self.loss_scale}
 
     def _set(self, **values: Any) -> None:

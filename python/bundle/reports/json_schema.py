@@ -260,11 +260,7 @@ def _of_plain_type(text: str) -> Schema:
     plain: dict[str, Schema] = {
         **{"int": _INTEGER, "float": _NUMBER, "str": _TEXT, "bool": _BOOLEAN},
         **{"None": {"type": "null"}, "dict": _OBJECT, "Mapping": _OBJECT},
-        **{
-            "Any": {},
-            "Key": {},
-            "Array": _LIST,
-        },
+        **{"Any": {}, "Key": {}, "Array": _LIST},
         "Output": {"type": ["object", "null"], "properties": {"path": _TEXT, "format": _TEXT}},
         **_REFERENCES,
     }

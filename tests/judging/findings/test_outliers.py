@@ -13,6 +13,7 @@ from bundle.judging.findings import find as find_module
 from bundle.judging.findings import measured as measured_module
 from bundle.judging.findings.find import find
 from bundle.judging.findings.measured import Measured
+from bundle.judging.findings.minimum import under_its_loss
 from bundle.judging.findings.next_command import NextCommand
 from bundle.judging.findings.outliers import outliers
 from tests.campaigns.findings import judge, make
@@ -60,6 +61,19 @@ def test_nothing_is_deleted_after_a_loss_that_reduces_the_weight():
     found = {one.kind: one for one in find(wide.problem, options=wide.options)}["outliers"]
     scale = float(shlex.split(found.command)[-1])
     assert scale == pytest.approx(2.4 * found.evidence["scale"], rel=0.05)
+
+
+@pytest.mark.parametrize("loss", ["cauchy", "soft_l1", "trivial"])
+def test_a_model_of_an_unknown_robust_solve_is_judged_under_its_loss(loss):
+    start = bundle.synthesize(
+        num_images=12, num_points=800, pixel_noise=0.4, outlier_share=0.05, seed=3
+    ).problem
+    model = bundle.solve(start, loss=loss).problem
+    assert ("outliers" in kinds(model)) == (loss != "cauchy")
+    whole = Measured(whole=model, command=NextCommand())
+    used = under_its_loss(whole)
+    assert used.options.loss == ("cauchy" if loss == "cauchy" else "trivial")
+    assert used.command.given == (("--loss", "cauchy") if loss == "cauchy" else ())
 
 
 @pytest.mark.parametrize(

@@ -334,15 +334,11 @@ def check_same_factors(result: Result, *given: Iterable[Any]) -> None:
     shutter = result.problem.rolling_shutter
     if result.options.twists == "tied" and shutter is not None:
         count -= int(shutter.tied(result.problem).sum())  # from the options
-    if count and not any(_is_given(one) for one in given):
+    if count and all(isinstance(one, tuple | list) and not one for one in given):
         raise InputError(
             "problem: expected the factors, priors or constraints of the solve "
             f"({count}) together with its result"
         )
-
-
-def _is_given(values: Iterable[Any]) -> bool:
-    return not (isinstance(values, tuple | list) and not values)
 
 
 @overload

@@ -31,6 +31,9 @@ from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
 from bundle.base.words import number
 from bundle.errors import InputError
+from bundle.georeference.prior_alignment import ProblemPriors
+from bundle.georeference.scale_bars import FoundBars
+from bundle.georeference.target_priors import TargetPriors
 from bundle.interface.analysis_options import GAUGE, WITHOUT
 from bundle.interface.option_class import takes_options
 from bundle.interface.option_fields import choice
@@ -71,7 +74,7 @@ class Influence(FrozenArrays, Displayed, Tabular):
 
     Attributes:
         on: the quantity.
-        unit: "" for the unit of the model, "px", "degrees" or that of a ratio, "1".
+        unit: "" for the unit of the model, "m", "m^3", "px", "degrees" or that of a ratio, "1".
         value: its value.
         sigma: its standard deviation, for residuals of the assumed sigmas.
         sigma0: root of the weighted squares over the degrees of freedom; NaN without any.
@@ -225,6 +228,8 @@ def differentiate(
         raise InputError("problem: expected observations, found 0")
     refuse_huge(prepared.start)
     quantity = quantity_of(on, prepared.start, names_of_markers(prepared))
+    if not quantity.unit and length_unit(prepared):
+        quantity = dataclasses.replace(quantity, unit="m^3" if "volume" in on else "m")
     out = _core_influence(prepared, quantity, without)
     start = prepared.start
     if out["gauge_share"] > GAUGE:
@@ -241,6 +246,12 @@ def differentiate(
     if not out["variance"] > 0:
         raise InputError(f"on: expected a quantity that varies, found {quantity.text}, a constant")
     return prepared, quantity, out
+
+
+def length_unit(prepared: Prepared) -> str:
+    """Return " m" if positions, control points or scale bars determine the scale, else ""."""
+    metric = ProblemPriors | TargetPriors | FoundBars
+    return " m" if any(isinstance(one, metric) for one in prepared.placed.groups) else ""
 
 
 def names_of_markers(prepared: Prepared) -> dict[str, int]:

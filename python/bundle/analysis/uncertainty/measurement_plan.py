@@ -32,7 +32,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bundle.analysis.uncertainty.covariance_by_input import request_at
-from bundle.analysis.uncertainty.influence import differentiate, names_of_markers
+from bundle.analysis.uncertainty.influence import differentiate, length_unit, names_of_markers
 from bundle.analysis.uncertainty.joint_covariance import (
     Joint,
     Rows,
@@ -100,7 +100,7 @@ class Plan(Displayed, Tabular):
 
     Attributes:
         on: the quantity.
-        unit: "" for the unit of the model, "px", "degrees" or that of a ratio, "1".
+        unit: "" for the unit of the model, "m", "m^3", "px", "degrees" or that of a ratio, "1".
         value: its value.
         sigma: its standard deviation, for residuals of the assumed sigmas.
         proposals: the best candidate of each kind alone, the best first.
@@ -120,14 +120,15 @@ class Plan(Displayed, Tabular):
     def sentences(self) -> tuple[str, ...]:
         """The answer in at most six sentences."""
         unit = f" {self.unit}" if self.unit not in ("", "1") else ""
-        said = [f"{self.on}: {number(self.value)}{unit}, sigma {number(self.sigma)}{unit}."]
+        now = number(self.sigma)
+        said = [f"{self.on}: {number(self.value)}{unit}, sigma {now}{unit}."]
         for one in self.proposals:
-            change = f"{number(one.sigma_before)} -> {number(one.sigma_after)}"
+            change = f"sigma {number(one.sigma_before)} -> {number(one.sigma_after)}{unit}"
             said.append(f"{WORDS[one.kind]}: {one.what}: {change}.")
         if len(self.together) > 1:
             named = "; ".join(f"{WORDS[one.kind].lower()} {one.what}" for one in self.together)
             last = number(self.together[-1].sigma_after)
-            said.append(f"Together, one by one: {named}: {number(self.sigma)} -> {last}.")
+            said.append(f"Together, one by one: {named}: sigma {now} -> {last}{unit}.")
         return tuple(said)
 
     def _display(self) -> Display:
@@ -280,6 +281,7 @@ class Scene:
     names: Mapping[int, str]  # of points, by row
     images: _Rows  # images that may have ties, and beside which new ones are tried
     free: _Rows  # points that can be control points or ends of bars
+    unit: str  # " m", or "" for the unit of the model
 
     @staticmethod
     def of(prepared: Prepared, quantity: Quantity, out: Mapping[str, Any]) -> Scene:
@@ -310,6 +312,7 @@ class Scene:
             {row: by_id.get(key, f"point {key}") for row, key in ids.items()},
             images,
             np.array([row for row in ids if not own[row] and ("point", ids[row]) not in keys], int),
+            length_unit(prepared),
         )
 
     def candidates(
@@ -336,7 +339,7 @@ class Scene:
             for x, y, side in SIDES:
                 pose = start.cam_from_world[image].copy()
                 pose[4:] -= step * np.array([x, y, 0.0])
-                words = f"{number(step)} {side} {self._image(image)}"
+                words = f"{number(step)}{self.unit} {side} {self._image(image)}"
                 yield from self._image_at(pose, int(start.image_camera[image]), words)
 
     def _given_images(self, poses: PoseTable) -> Iterator[Candidate]:
@@ -394,7 +397,7 @@ class Scene:
                 yield Candidate("tie", what, Rows(np.concatenate(places), np.hstack(by)))
 
     def _control_points(self, sigma: Sigma) -> Iterator[Candidate]:
-        text = "/".join(dict.fromkeys(map(number, sigma)))
+        text = "/".join(dict.fromkeys(map(number, sigma))) + self.unit
         whitened = np.diag(1 / np.array([sigma[0], *sigma]))
         for point in self.free.tolist():
             lines = partial(self._marks, point, "X Y Z", "")
@@ -408,7 +411,7 @@ class Scene:
             if length > 0:
                 u = along / (length * sigma)
                 places = np.concatenate([self._of_point(a), self._of_point(b)])
-                what = f"{self.names[b]} to {self.names[a]}, now {number(length)}"
+                what = f"{self.names[b]} to {self.names[a]}, now {number(length)}{self.unit}"
                 lines = partial(self._ends, b, a, f"LENGTH {sigma:g}")
                 yield Candidate("bar", what, Rows(places, np.hstack([u, -u])[None]), lines, BARS)
 

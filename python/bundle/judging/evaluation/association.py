@@ -237,7 +237,8 @@ def _labels(table: PoseTable) -> list[str]:
 def _too_few(
     a: PoseTable, b: PoseTable, found: Association, named: list[bool], tolerance: float
 ) -> str:
-    wanted = f"expected at least {FEWEST} shared poses of A and B {_short(found.by)}"
+    by = {"time": "by time", "order": "by order"}.get(found.by, f"with the same {found.by}")
+    wanted = f"expected at least {FEWEST} shared poses of A and B {by}"
     count = f"found {len(found)} of {len(a)} and {len(b)}"
     if found.by == "time":
         hint = "" if len(found) else other_unit(*_stamps(a, b))
@@ -246,7 +247,3 @@ def _too_few(
     if all(named) and not len(found):
         hint = f": A has {brief(min(a.names))}, B has {brief(min(b.names))}"
     return f"b: {wanted}, {count} {noun(len(b), 'pose', 'poses')}{hint}"
-
-
-def _short(by: str) -> str:
-    return {"time": "by time", "order": "by order"}.get(by, f"with the same {by}")

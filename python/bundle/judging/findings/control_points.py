@@ -39,7 +39,7 @@ def control_points(points: Sequence[ControlPointError], command: NextCommand) ->
     if not is_contradiction(points):
         if command.value("--prior-loss", "trivial") != "trivial":
             return None
-        errors = [math.hypot(*_known(point.leave_one_out)) for point in wrong]
+        errors = [math.hypot(*np.nan_to_num(point.leave_one_out)) for point in wrong]
         worst = int(np.argmax(errors))
         those = "which contradicts" if len(wrong) == 1 else "which contradict"
         return Finding(
@@ -64,10 +64,6 @@ def control_points(points: Sequence[ControlPointError], command: NextCommand) ->
         command=command.refine(FLAG, text) if is_of_flag else "",
         evidence=evidence | {"sigmas": better},
     )
-
-
-def _known(residual: Sequence[float]) -> list[float]:
-    return [value for value in residual if not math.isnan(value)]
 
 
 def _sigma(points: Sequence[ControlPointError], axes: slice, typical: float) -> float:

@@ -27,7 +27,7 @@ from bundle.judging.findings.images import ImageFits, image_fits, image_residual
 from bundle.judging.findings.larger_lens import absorbed_lens
 from bundle.judging.findings.lens_terms import LensField, fields_of_lenses, lens_model
 from bundle.judging.findings.measured import Measured
-from bundle.judging.findings.minimum import not_refined, shifted_pixels
+from bundle.judging.findings.minimum import not_refined, shifted_pixels, under_its_loss
 from bundle.judging.findings.next_command import NextCommand
 from bundle.judging.findings.outliers import outliers
 from bundle.judging.findings.positions import (
@@ -169,7 +169,6 @@ def _contradiction(measured: Measured, far: Finding | None) -> Finding | None:
 
 
 def _findings(measured: Measured) -> Iterator[Finding | None]:
-    """Yield the findings in stages; see repaired.py."""
     joint = weak_joint(measured.whole, TrackTable(measured.whole))
     turned, offset = wrong_attitudes(measured), position_offset(measured)
     yield from (joint, duplicate_points(measured), turned, offset)
@@ -178,6 +177,8 @@ def _findings(measured: Measured) -> Iterator[Finding | None]:
         yield start
         return  # other tests need a minimum
     far = outliers(measured)
+    if far is not None and (under := under_its_loss(measured)) is not measured:
+        measured, far = under, outliers(under)
     wrong = _contradiction(measured, far)
     if wrong is not None:
         yield wrong

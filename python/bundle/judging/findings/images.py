@@ -69,7 +69,6 @@ from bundle.judging.findings.larger_lens import MOST_WORK, Step, explains_more
 from bundle.judging.findings.lens_terms import LensField
 from bundle.judging.findings.measured import Measured, median_by_group
 from bundle.judging.findings.systematic import SystematicResiduals
-from bundle.model.problem import Problem
 from bundle.model.shutter_motion import can_roll
 
 RATIO, SIZE, LENS_SIZES = 4.0, 0.45, 8.0
@@ -183,10 +182,8 @@ def image_residuals(
     if not chosen or 3 * len(systematic) > len(images) or 3 * len(weak) > problem.num_images:
         return None
     order = sorted(chosen, key=lambda image: -ratio[image])
-    words = few(
-        (f"{_name(problem, image)} ({chosen[image]}, {ratio[image]:.2f} times)" for image in order),
-        NAMED,
-    )
+    names = {k: shown(problem.image_names[k]) or f"image {problem.image_ids[k]}" for k in order}
+    words = few((f"{names[k]} ({chosen[k]}, {ratio[k]:.2f} times)" for k in order), NAMED)
     squares = np.bincount(problem.observation_image, minlength=problem.num_images) * ratio**2
     share = float(squares[order].sum() / squares.sum())
     gains = measured.options.loss == "trivial" and not is_jointed and share >= MOST_SQUARES
@@ -330,7 +327,3 @@ def _is_lens(measured: Measured, order: str) -> bool:
         return _has_step(measured) and explains_more(measured, _rolling(measured, order))
     except InputError:
         return False
-
-
-def _name(problem: Problem, image: int) -> str:
-    return shown(problem.image_names[image]) or f"image {problem.image_ids[image]}"

@@ -348,16 +348,11 @@ def refine_command(
         words.append(f"--camera-model {candidate.camera_model}")
     own, wanted = groups_of(problem, "input"), groups_of(problem, candidate.share)
     if own.tobytes() != wanted.tobytes() or candidate.share == "focal":
-        words.append(_sharing(candidate.share))
+        is_split = candidate.share in ("each", "focal")
+        words.append("--split-cameras" if is_split else f"--share-cameras {candidate.share}")
     if problem.format == "bal" and candidate.camera_model not in ("", "RADIAL"):
         words.append("--format colmap")  # BAL has no other model
     if candidate.share == "focal":
         rules = tying_rules(split_cameras(problem), candidate)
         words += [f"--set {shlex.quote(rule)}" for rule in rules]
     return " ".join(words)
-
-
-def _sharing(share: str) -> str:
-    if share in ("each", "focal"):
-        return "--split-cameras"
-    return f"--share-cameras {share}"

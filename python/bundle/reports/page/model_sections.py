@@ -102,12 +102,7 @@ def solve_sections(result: Result) -> list[Section]:
     costs = np.asarray(result.iterations.get("cost", ()), float)
     figures = [iteration_figure(costs)] if len(costs) > 1 else []
     return [
-        Section(
-            title="Solver and options",
-            text=[result.outcome],
-            facts=facts,
-            figures=figures,
-        ),
+        Section(title="Solver and options", text=[result.outcome], facts=facts, figures=figures),
         *([Section(title="Rounds", tables=tables, is_joined=True)] if tables else []),
         Section(title=f"{plural(len(rest), 'option')} at the default", facts=rest, is_detail=True),
     ]

@@ -100,6 +100,7 @@ def write_report(
     findings: Sequence[Finding] | None = None,
     measured: Sequence[MeasurementErrors] = (),
     name: str = "",
+    command: NextCommand | None = None,
 ) -> tuple[str, ...]:
     """Write one self-contained HTML page about a reconstruction.
 
@@ -118,6 +119,7 @@ def write_report(
         findings: findings about the model; None finds them.
         measured: errors of the result at measurements, whose tables the page shows.
         name: name of the reconstruction, for the title, and its path in commands.
+        command: maker of the commands of verdicts; None: one of this name alone.
 
     Returns:
         One sentence per missing part; the page has the same sentences.
@@ -134,6 +136,7 @@ def write_report(
     if images is not None and not Path(images).is_dir():
         raise InputError(f"{shown(str(images))}: expected a folder of images")
     page = _Page(problem, result, name)
+    page.command = command or page.command
     if georeference is not None:
         given = georeference if isinstance(georeference, Mapping) else georeference.asdict()
         page.place = placement(problem, given)
@@ -150,6 +153,7 @@ class _Page:
         self.problem = problem
         self.result = result
         self.name = name
+        self.command = NextCommand(name or "INPUT")
         self.initial: Problem | None = None  # in the frame of the result
         if result is not None:
             first, motion = result.initial_problem, result.similarity
@@ -168,10 +172,7 @@ class _Page:
         return {} if self.known is None else self.known.covariance.readout_sigmas
 
     def write(
-        self,
-        path: Path,
-        folder: str | os.PathLike[str] | None,
-        findings: Sequence[Finding] | None,
+        self, path: Path, folder: str | os.PathLike[str] | None, findings: Sequence[Finding] | None
     ) -> None:
         """Make every section and write the page."""
         problem, result = self.problem, self.result
@@ -195,7 +196,7 @@ class _Page:
         judged = verdicts(
             Judged(
                 problem=problem, result=result, description=description, fields=planes,
-                measured=Measured(whole=problem, command=NextCommand(), options=options),
+                measured=Measured(whole=problem, command=self.command, options=options),
                 images=images, certainty=self.known, no_certainty=self.no_certainty,
                 place=self.place, tracks=tracks, graph=graph, findings=findings,
             )
@@ -314,9 +315,7 @@ class _Page:
         return scene_section(view, problem.num_points, is_solved=before is not None, more=words)
 
     def certainty_of(
-        self,
-        given: Covariance | None,
-        constraints: Constraints | Iterable[str | Rule],
+        self, given: Covariance | None, constraints: Constraints | Iterable[str | Rule]
     ) -> Certainty | None:
         """Return the covariances; None, with a note, if they cannot be computed."""
         if given is None:

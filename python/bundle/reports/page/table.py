@@ -93,7 +93,7 @@ def rendered(sections: Iterable[Section | str]) -> list[str]:
     Text is markup already.
     """
     made: list[str] = []
-    for is_detail, group in groupby(sections, key=_is_detail):
+    for is_detail, group in groupby(sections, key=lambda one: getattr(one, "is_detail", False)):
         drawn = [one if isinstance(one, str) else _section(one) for one in group]
         if is_detail and len(drawn) > MOST_DETAILS:
             summary = tag("summary", f"{len(drawn) - 1} more")
@@ -109,10 +109,6 @@ def findings_list(findings: Sequence[Finding]) -> str:
         return "".join(drawn)
     summary = tag("summary", f"{len(drawn) - MOST_FINDINGS} more findings")
     return "".join(drawn[:MOST_FINDINGS]) + tag("details", summary, *drawn[MOST_FINDINGS:])
-
-
-def _is_detail(section: Section | str) -> bool:
-    return isinstance(section, Section) and section.is_detail
 
 
 def _finding(found: Finding) -> str:

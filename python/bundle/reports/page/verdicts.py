@@ -9,7 +9,9 @@ no harm; a single image is not a problem.
 from __future__ import annotations
 
 import math
+import shlex
 from collections.abc import Callable, Collection, Iterable, Sequence
+from dataclasses import replace
 from html import escape
 
 import numpy as np
@@ -28,7 +30,8 @@ from bundle.interface.finding import Finding
 from bundle.judging.findings.measured import Measured
 from bundle.model.cameras import param_kinds
 from bundle.model.problem import Problem
-from bundle.reports.page.page import tag
+from bundle.model.problem_keys import parameter_names
+from bundle.reports.page.page import command_box, tag
 from bundle.solving.headline import headline
 from bundle.solving.result import Result
 
@@ -45,6 +48,7 @@ class Verdict:
     name: str
     mark: str
     number: str
+    command: str = ""  # the next command, if no finding has one
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -74,8 +78,19 @@ def verdicts(given: Judged) -> list[Verdict]:
         if one is not None and is_start and answer in OF_A_MINIMUM:
             found.append(Verdict(one.name, "unknown", one.number))
         elif one is not None:
-            found.append(_with_findings(one, given.findings, kinds.split()))
+            about = [each for each in given.findings if each.kind in kinds.split()]
+            is_open = one.mark in SEVERE and not any(each.command for each in about)
+            step = one.command or STEPS.get(answer, "diagnose")
+            found.append(replace(_with_findings(one, about), command=_next(given, step) * is_open))
     return found
+
+
+def _next(given: Judged, step: str) -> str:
+    """Return a command line: of refine with the flags of the run, others on its output."""
+    run, (name, *flags) = given.measured.command, shlex.split(step)
+    if name == "refine":
+        return run.refine(*flags)
+    return replace(run, source=run.target if given.result else run.source).other(name, *flags)
 
 
 def summarised(found: Sequence[Verdict], findings: Sequence[Finding]) -> str:
@@ -95,15 +110,15 @@ def verdict_list(found: Iterable[Verdict]) -> str:
         tag("div",
             tag("dd", tag("span", MARKS[one.mark], class_=f"mark {one.mark}", role="img",
                           aria_label=one.mark)),
-            tag("dt", escape(one.name)), tag("dd", escape(one.number), class_="number"))
+            tag("dt", escape(one.name)), tag("dd", escape(one.number),
+            command_box(one.command) if one.command else "", class_="number"))
         for one in found
     ]  # fmt: skip
     return tag("dl", *rows, class_="verdicts")
 
 
-def _with_findings(one: Verdict, findings: Iterable[Finding], kinds: Collection[str]) -> Verdict:
+def _with_findings(one: Verdict, about: Collection[Finding]) -> Verdict:
     """Return a verdict that names the findings about its subject and is as severe as these."""
-    about = [each for each in findings if each.kind in kinds]
     order = ("unknown", "good", "attention", "problem")
     marks = [one.mark, *("problem" if each.is_problem else "attention" for each in about)]
     named = dict.fromkeys(each.kind.replace("_", " ") for each in about)
@@ -200,19 +215,21 @@ def _focal(given: Judged) -> Verdict:
     words += plural(problem.num_images, "image", grouped=True)
     if known is None:
         return Verdict("Intrinsics", "unknown", words)
-    shares = []
+    shares, step = [], (0.0, "")
     for camera in cameras.tolist():
         kinds = param_kinds(problem.camera_models[camera])
         focal = [k for k, kind in enumerate(kinds) if kind == "focal"]
         if camera in known.cameras and focal:
             sigma = known.sigmas(camera)[focal]
             shares.append(float(np.max(sigma / problem.camera_params[camera, focal])))
+            name = parameter_names("plan", problem, camera)[focal[0]]
+            step = max(step, (shares[-1], f"plan --for '{name} {problem.camera_ids[camera]}'"))
     finite = [share for share in shares if math.isfinite(share)]
     if not finite:
         return Verdict("Intrinsics", "good", f"{words}; focal length held")
     share = float(np.median(finite))
     words += f"; focal length to {_share(share)}"
-    return Verdict("Intrinsics", _mark(share, 0.01, 0.1), words)
+    return Verdict("Intrinsics", _mark(share, 0.01, 0.1), words, step[1])
 
 
 def _positions(given: Judged) -> Verdict | None:
@@ -290,8 +307,17 @@ def _place(given: Judged) -> Verdict | None:
     words += f", {unused} without influence" if unused else ""
     mark = _mark(ratio, 3.0, 10.0)
     is_worse = (suspects or far) and mark == "good"
-    return Verdict("Georeference", "attention" if is_worse else mark, words)
+    flag = "--gcp FILE" if place.targets else "--gps FILE"
+    step = "" if given.result else f"refine {flag} --prior-loss cauchy"  # a run repeats its own
+    return Verdict("Georeference", "attention" if is_worse else mark, words, step)
 
+
+STEPS: dict[Callable[[Judged], Verdict | None], str] = {
+    _solve: "refine --max-iterations 200", _place: "refine --prior-loss cauchy",
+    _error: "validate", _held_out: "validate", _lens: "validate",
+    _outliers: "refine --loss cauchy", _worst: "info --verbose",
+}  # fmt: skip
+"""The next command of a question, by its function; of the others it is `bundle diagnose`."""
 
 QUESTIONS: tuple[tuple[Callable[[Judged], Verdict | None], str], ...] = (
     (_solve, "rules constant_poses constant_points constant_sensors"),

@@ -338,11 +338,7 @@ def influenced(
         headline=list(found.sentences),
         warnings=found.notes,
         sections=[Section(tables=[Table(columns, found.changes)], is_detail=True)],
-        data={
-            "options": dict(options),
-            **found.entries,
-            "wall_time": {"total": wall_time},
-        },
+        data={"options": dict(options), **found.entries, "wall_time": {"total": wall_time}},
     )
 
 
@@ -359,7 +355,8 @@ def planned(
     headline = list(found.sentences)
     for place, one in enumerate(found.proposals, 1):
         if one.then:
-            headline[place] = f"{headline[place].rstrip('.')}; then {_use(one, path, flags)}"
+            said = f"{headline[place].rstrip('.')}; write its lines (--verbose), then "
+            headline[place] = said + _use(one, path, flags)
     steps = {one.what: one.lines for one in (*found.proposals, *found.together)}
     facts = [(what, "\n".join(lines)) for what, lines in steps.items() if lines]
     return Report(

@@ -9,7 +9,7 @@ from bundle.base.words import duration, few, plural
 from bundle.errors import shown
 from bundle.interface.finding import Finding
 from bundle.planning.comparison.comparison_result import Comparison
-from bundle.planning.comparison.measured_run import Run, Spread
+from bundle.planning.comparison.measured_run import Run
 from bundle.planning.comparison.recommendation import (
     SAME,
     command_line,
@@ -68,7 +68,8 @@ def _recommended(comparison: Comparison) -> str:
     words = f"Recommended: {found.method.name}, {duration(winner.total_time_in_seconds)}"
     spread = winner.spread
     if spread is not None and spread.num_repeats > 1:
-        words += f" ({_between(spread)})"
+        times = f"{duration(spread.min)} to {duration(spread.max)}"
+        words += f" ({times} in {spread.num_repeats} runs)"
     ties = [
         run.method.name
         for run in comparison.runs_of(0)
@@ -77,10 +78,6 @@ def _recommended(comparison: Comparison) -> str:
     if ties:
         words += f"; repeats of {few(ties)} overlap with it"
     return f"{words}."
-
-
-def _between(spread: Spread) -> str:
-    return f"{duration(spread.min)} to {duration(spread.max)} in {spread.num_repeats} runs"
 
 
 def _overlap(run: Run, winner: Run) -> bool:

@@ -38,10 +38,7 @@ def inspected_graph(
         command="inspect",
         input=about_input(path, graph),
         headline=[found.recommendation, _predicted(found)],
-        sections=[
-            Section(tables=[cost_table(found)]),
-            Section(facts=facts, is_detail=True),
-        ],
+        sections=[Section(tables=[cost_table(found)]), Section(facts=facts, is_detail=True)],
         data={
             **fields(found),
             "num_poses": found.num_poses,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -107,11 +108,14 @@ def rig_fact(problem: Problem) -> Facts:
     return [("rigs", f"{plural(len(rigs), 'rig')} of {sensors}, {plural(frames, 'frame')}")]
 
 
-def written(output: dict[str, str] | None) -> tuple[str, str]:
-    """Return the fact about the output; ``output`` is None if nothing was written."""
+def written(output: dict[str, str] | None, source: str = "") -> tuple[str, str]:
+    """Return the fact about the output; None: nothing was written. ``source``: the input."""
     if output is None:
         return "output", "nothing was written"
-    return "output", f"{shown(output['path'])} ({format_name(output['format'])})"
+    path = output["path"]
+    is_input = source and Path(path).resolve() == Path(source).resolve()
+    replaced = ", in place of the input" if is_input else ""
+    return "output", f"{shown(path)} ({format_name(output['format'])}){replaced}"
 
 
 MOST_ROWS = 20  # number of listed sensors

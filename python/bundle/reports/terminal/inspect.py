@@ -137,13 +137,7 @@ def _costs(inspection: Inspection) -> Table:
         ours = by_key.get((name, "FUSED")) or by_key.get((name, ""))
         theirs = by_key.get((name, "CERES"))
         chosen = inspection.recommended >= 0 and name == _best(inspection).name
-        rows.append(
-            (
-                f"{name} <" if chosen else name,
-                *_cost(ours),
-                *_cost(theirs),
-            )
-        )
+        rows.append((f"{name} <" if chosen else name, *_cost(ours), *_cost(theirs)))
     head = ("method", "fused: memory", "fused: per step", "Ceres: memory", "Ceres: per step")
     return Table.of(head, rows)
 

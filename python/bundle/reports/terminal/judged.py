@@ -337,10 +337,7 @@ def _marks(found: Validation) -> list[str]:
 def _columns(found: Validation) -> list[Column]:
     known = found.candidates
     base = known[found.recommended].position_sigma
-    columns = [
-        Column("lens", "lens"),
-        Column("sharing", "sharing"),
-    ]
+    columns = [Column("lens", "lens"), Column("sharing", "sharing")]
     if len({one.loss for one in known}) > 1:
         columns.append(Column("loss", "loss", lambda word: word.replace("_", "-")))
     if len({one.refine for one in known}) > 1:

@@ -6,7 +6,7 @@ import dataclasses
 import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -25,6 +25,7 @@ from bundle.georeference.alignment_result import (
     point_errors,
     suspicions,
 )
+from bundle.georeference.local_frame import frame_sentences
 from bundle.interface.finding import DETAILS, Finding
 from bundle.interface.scene_options import SceneOptions
 from bundle.model.pose_graph_arrays import PoseGraph
@@ -59,17 +60,20 @@ CAMERAS = (
     Column("images", "num_images"),
     Column("images/camera", lambda group: _range(*map(str, group.images_per_camera))),
     Column(
-        "focal length [px]",
-        lambda group: _range(*map(number, group.focal)) if group.focal else "-",
+        "focal length [px]", lambda group: _range(*map(number, group.focal)) if group.focal else "-"
     ),
     Column("refinable", lambda group: "yes" if group.supported else "no"),
 )
 
 
 def information(
-    path: str, problem: Problem, description: Description, findings: Sequence[Finding]
+    path: str,
+    problem: Problem,
+    description: Description,
+    findings: Sequence[Finding],
+    place: Mapping[str, Any] | None = None,
 ) -> Report:
-    """Return the report on the description of a problem and the findings about it."""
+    """Return the report on a problem; ``place``: the content of its georeference.json."""
     count = description.num_repeated_observations
     count_of_findings = sum(finding.kind not in DETAILS for finding in findings)
     tracks = f"{plural(count, 'repeated observation')} (a track visits the same image twice)"
@@ -94,16 +98,20 @@ def information(
     return Report(
         command="info",
         input=about_input(path, problem),
-        headline=_contents_and_suspicions(path, problem, description, count_of_findings),
+        headline=[
+            *_contents(path, problem, description),
+            *frame_sentences(place or {}),
+            f"{plural(count_of_findings, 'finding')}:"
+            if count_of_findings
+            else "Nothing looks wrong.",
+        ],
         findings=findings,
         sections=[dataclasses.replace(section, is_detail=True) for section in details],
         data=fields(description),
     )
 
 
-def _contents_and_suspicions(
-    path: str, problem: Problem, description: Description, count: int
-) -> list[str]:
+def _contents(path: str, problem: Problem, description: Description) -> list[str]:
     error, tracks = description.reprojection_error, description.track_length
     rmse = "Reprojection error unknown"
     if error is not None and error.num_observations:
@@ -117,7 +125,6 @@ def _contents_and_suspicions(
     return [
         f"{shown(path)} ({format_name(problem.format)}): {contents(problem)}.{shutter}",
         f"{rmse}; {number(tracks.mean)} observations per point; {pieces}.",
-        f"{plural(count, 'finding')}:" if count else "Nothing looks wrong.",
     ]
 
 
@@ -211,7 +218,7 @@ def converted(
         command="convert",
         input=about_input(path, given),
         headline=[
-            f"Wrote {written(output)[1]}: {contents_of(content)}. {rest}",
+            f"Wrote {written(output, path)[1]}: {contents_of(content)}. {rest}",
             *shutter_moves(moved),
         ],
         warnings=warnings,
@@ -398,17 +405,8 @@ def alignment(
         *input_facts(path, aligned.problem),
         ("scale", f"{number(aligned.similarity.scale)} per length unit of the input"),
     ]
-    if aligned.reference_system:
+    if aligned.origin is None and aligned.reference_system:
         rows.append(("coordinates", aligned.reference_system))
-    if aligned.origin:
-        origin = aligned.origin
-        rows.append(
-            (
-                "east, north, up",
-                f"about {origin.latitude:.7f}, {origin.longitude:.7f} degrees, "
-                f"{origin.height:.3f} m",
-            )
-        )
     if not np.isnan(aligned.sigma0):
         rows.append(("residuals", f"{number(aligned.sigma0)} sigmas"))
     details = [
@@ -423,7 +421,7 @@ def alignment(
         headline=_headline(aligned),
         warnings=[*suspicions(aligned.control_points), *aligned.notes, *lost],
         sections=[
-            Section(facts=[written(output)]),
+            Section(facts=[written(output, path)]),
             *(dataclasses.replace(section, is_detail=True) for section in details),
         ],
         data={"georeference": aligned.asdict(), "output": output},
@@ -447,7 +445,8 @@ def _headline(aligned: Alignment) -> list[str]:
             errors = " / ".join(map(plain_metres, rms))
             said.append(f"{plural(len(things), noun)}: rms {errors} {unit} {axes}.")
     scale = f"Aligned, scale {number(aligned.similarity.scale)}."
-    return [f"{scale} {said[0]}" if said else scale, *said[1:]]
+    first = f"{scale} {said[0]}" if said else scale
+    return [first, *said[1:], *frame_sentences(aligned.asdict())]
 
 
 def _images(

@@ -130,7 +130,7 @@ def refined_graph(
         findings=about_information(path, solved, kinds),
         warnings=(*_said(graph), *summary.warnings),
         sections=[
-            Section(facts=[written(output)]),
+            Section(facts=[written(output, path)]),
             *(replace(section, is_detail=True) for section in details),
         ],
         data={

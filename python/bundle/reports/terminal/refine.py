@@ -131,7 +131,7 @@ def refinement(
             *(f"lost: {what}" for what in lost),
         ],
         sections=[
-            Section(facts=[*edit_facts(solved), written(output)]),
+            Section(facts=[*edit_facts(solved), written(output, path)]),
             *(dataclasses.replace(section, is_detail=True) for section in details),
         ],
         data=data,

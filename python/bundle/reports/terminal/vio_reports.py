@@ -96,10 +96,7 @@ def odometry_report(
             "keyframes": [record.asdict() for record in result.keyframes],
             "error": error,
             **({} if tracking is None else {"tracking": tracking}),
-            "wall_time": {
-                "solve": result.solve_time,
-                "total": wall_time,
-            },
+            "wall_time": {"solve": result.solve_time, "total": wall_time},
             "environment": environment_data(waiting),
             "output": None if written is None else {"path": written, "format": "tum"},
         },
