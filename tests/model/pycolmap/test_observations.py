@@ -7,9 +7,10 @@ import numpy as np
 import pycolmap
 import pytest
 
+from bundle.model.pycolmap import adjustment_objects
 from bundle.model.pycolmap import reconstruction as module
-from bundle.model.pycolmap.reconstruction import Observations, observations_and_tracks
-from tests.solving.colmap_adjustment.option_space import rigs
+from bundle.model.pycolmap.reconstruction import Observations, observations_and_tracks, small_model
+from tests.solving.colmap_adjustment.option_space import images_alone, rigs
 
 
 def images_of(model):
@@ -142,3 +143,68 @@ def test_objects_are_read_where_a_file_cannot(monkeypatch, files_read, fault):
         )
     check(images, points)
     assert files_read == [len(images) if name == "points3D.bin" else 0]
+
+
+def named_part(model, rng, min_track_length):
+    """Return what is read for half of the images and some points, which other images see, too."""
+    config = pycolmap.BundleAdjustmentConfig()
+    images = sorted(model.reg_image_ids())
+    for image_id in rng.permutation(images)[: len(images) // 2].tolist():
+        config.add_image(image_id)
+    for row, point_id in enumerate(rng.permutation(sorted(model.points3D))[:20].tolist()):
+        (config.add_variable_point if row % 3 else config.add_constant_point)(point_id)
+    content = adjustment_objects.config_of(model, config)
+    return adjustment_objects.adjusted_fields(model, content, min_track_length)
+
+
+@needs_memory_folder
+@pytest.mark.parametrize(("made", "shortest"), [(rigs, 0), (rigs, 4), (images_alone, 0)])
+def test_files_of_a_small_model_have_what_its_objects_have(monkeypatch, made, shortest):
+    model, found = made(shortest), []
+
+    def counted(*arguments):
+        found.append(small_model(*arguments))
+        return found[-1]
+
+    model.deregister_frame(sorted(model.reg_frame_ids())[1])
+    model.image(sorted(model.reg_image_ids())[0]).name = "a longer name.jpg"
+    monkeypatch.setattr(adjustment_objects, "small_model", counted)
+    by_file = named_part(model, np.random.default_rng(3), shortest)
+    monkeypatch.setattr(adjustment_objects, "small_model", lambda *_: None)
+    by_object = named_part(model, np.random.default_rng(3), shortest)
+    assert found[0] is not None
+    assert not by_file.points
+    assert by_object.points
+    assert (by_file.tracks == by_object.tracks).all()
+    assert (by_file.frames == by_object.frames).all()
+    for name, value in by_object.fields.items():
+        assert np.array_equal(by_file.fields[name], value), name
+        assert np.asarray(by_file.fields[name]).dtype == np.asarray(value).dtype, name
+
+
+def _exchanged(model):
+    first, second = (model.point3D(key).track.elements[0] for key in sorted(model.points3D)[:2])
+    model.image(first.image_id).points2D[first.point2D_idx].point3D_id = sorted(model.points3D)[1]
+    model.image(second.image_id).points2D[second.point2D_idx].point3D_id = sorted(model.points3D)[0]
+
+
+def _many_keypoints(model):
+    image = pycolmap.Image("more", np.zeros((2000, 2)), sorted(model.cameras)[0], 99)
+    model.add_image_with_trivial_frame(image, pycolmap.Rigid3d())
+
+
+@pytest.mark.parametrize("change", [_exchanged, _many_keypoints, _cut, "few images"])
+def test_objects_are_read_of_large_models_and_of_those_with_errors(monkeypatch, change):
+    model = images_alone(2)
+    named = frozenset(sorted(model.reg_image_ids())[: 2 if change == "few images" else 4])
+    if change is _cut:
+        read = module.Path.read_bytes
+        monkeypatch.setattr(
+            module.Path,
+            "read_bytes",
+            lambda path: _cut(read(path)) if path.name == "points3D.bin" else read(path),
+        )
+    elif callable(change):
+        assert small_model(model, named) is not None
+        change(model)
+    assert small_model(model, named) is None

@@ -12,12 +12,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pycolmap
 from numpy.typing import NDArray
-from pycolmap import (
-    BundleAdjustmentConfig,
-    BundleAdjustmentOptions,
-    BundleAdjustmentSummary,
-    Reconstruction,
-)
+from pycolmap import BundleAdjustmentConfig as BundleAdjustmentConfig
+from pycolmap import BundleAdjustmentOptions as BundleAdjustmentOptions
+from pycolmap import BundleAdjustmentSummary as BundleAdjustmentSummary
+from pycolmap import Reconstruction as Reconstruction
 
 from bundle.base.arrays import check_type
 from bundle.base.records import dataclass
@@ -34,21 +32,11 @@ from bundle.model.pycolmap.reconstruction import (
     lengths_of_tracks,
     observations_and_tracks,
     records_from_objects,
+    small_model,
 )
 
 if TYPE_CHECKING:
     from bundle.model.problem import Problem
-
-__all__ = [
-    "AdjustmentConfig",
-    "BundleAdjustmentConfig",
-    "BundleAdjustmentOptions",
-    "BundleAdjustmentSummary",
-    "Reconstruction",
-    "config_of",
-    "options_of",
-    "summary_of",
-]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,10 +110,7 @@ def _translated(given: tuple[Any, ...]) -> ColmapAdjustment:
 
 
 def _values_of(options: BundleAdjustmentOptions) -> tuple[Any, ...]:
-    """Return the values of all options but those of the GPU backend.
-
-    pycolmap's ``todict`` takes 0.4 ms, ten times as long.
-    """
+    """Return the values of all options but those of the GPU backend; ``todict`` takes longer."""
     values: tuple[Any, ...] = ()
     for owner, names in _option_names().items():
         values += attrgetter(*names)(functools.reduce(getattr, owner.split(".")[1:], options))
@@ -194,9 +179,8 @@ def _check_ids(place: str, what: str, given: Any, known: Any) -> None:
 
 # Reading of a sub-problem.
 #
-# A local adjustment has a few images of a large model. Only the observations of these images, the
-# other observations of named points (from their tracks), and the records of their points, images,
-# frames and cameras are read. Nothing is kept between calls: counts and ids of an edited
+# Of a large model, only observations of the named images and points are read, with their points,
+# images, frames and cameras. Nothing is kept between calls: counts and ids of an edited
 # reconstruction may be equal, and a view of a deleted point later shows another one.
 
 _Mask = NDArray[np.bool_]
@@ -209,8 +193,8 @@ class AdjustedFields:
     fields: dict[str, Any]  # fields of the problem
     tracks: NDArray[np.int64]  # (num_points,) lengths of the points' tracks in the reconstruction
     frames: NDArray[np.int64]  # (num_images,) frame ids of the images in the reconstruction
-    points: list[pycolmap.Point3D]  # the points
-    positions: list[NDArray[np.float64]]  # views of the points' positions
+    points: list[pycolmap.Point3D]  # the points; none of a small model
+    positions: list[NDArray[np.float64]]  # views of their positions
 
 
 def adjusted_fields(
@@ -219,33 +203,42 @@ def adjusted_fields(
     """Read the observations of named images and points, without points with shorter tracks."""
     is_whole = len(config.images) == reconstruction.num_reg_images()
     listed = [] if is_whole else sorted(config.variable_points | config.constant_points)
-    observations, elements = observations_and_tracks(
-        [reconstruction.image(key) for key in sorted(config.images)],
-        list(map(reconstruction.point3D, listed)),
-    )
-    if listed:
-        elements[:, 2] = ids_of_points(listed)[elements[:, 2]]
-        observations = observations.joined(_outside(reconstruction, config.images, elements))
-    order, ids, seen = observations.by_point()
-    try:
-        points = list(map(reconstruction.point3D, ids.tolist()))
-    except IndexError:
-        observations.points(ids_of_points(sorted(reconstruction.point3D_ids())))
-        raise
+    points, positions = list[pycolmap.Point3D](), list[Any]()
+    if listed and (model := small_model(reconstruction, config.images)):
+        observations, (order, ids, tracks), xyz = model
+        named = np.array([image.image_id in config.images for image in observations.images])
+        taken = (named[observations.image] | np.isin(observations.point_id, listed))[order]
+        seen = np.bincount(np.repeat(np.arange(len(ids)), tracks)[taken], minlength=len(ids))
+        order = order[taken]
+    else:
+        observations, elements = observations_and_tracks(
+            [reconstruction.image(key) for key in sorted(config.images)],
+            list(map(reconstruction.point3D, listed)),
+        )
+        if listed:
+            elements[:, 2] = ids_of_points(listed)[elements[:, 2]]
+            observations = observations.joined(_outside(reconstruction, config.images, elements))
+        order, ids, seen = observations.by_point()
+        try:
+            points = list(map(reconstruction.point3D, ids.tolist()))
+        except IndexError:
+            observations.points(ids_of_points(sorted(reconstruction.point3D_ids())))
+            raise
+        tracks, positions = lengths_of_tracks(points), list(map(attrgetter("xyz"), points))
+        xyz = np.frombuffer(b"".join(positions)).reshape(-1, 3)
     point_ids = ids_of_points(ids.tolist())
-    tracks = lengths_of_tracks(points)
     are_read = is_whole | np.isin(point_ids, listed)
     check_lengths(point_ids, tracks, seen, (seen > tracks) | (are_read & (seen < tracks)))
     if is_whole and not is_valid(reconstruction):
         fields_of(reconstruction)  # names the fault
-    used = tracks >= min_track_length
+    used = (tracks >= min_track_length) & (seen > 0)
     observations = observations.taken(order[np.repeat(used, seen)])
     images, seen, tracks = observations.images, seen[used], tracks[used]
     points = list(compress(points, used.tolist()))
-    positions = list(map(attrgetter("xyz"), points))
+    positions = list(compress(positions, used.tolist()))
     cameras = sorted({image.camera_id for image in images})
     fields = fields_of_images(reconstruction, images, [*map(reconstruction.camera, cameras)]) | {
-        "points": np.frombuffer(b"".join(positions)).reshape(-1, 3),
+        "points": xyz[used],
         "point_ids": point_ids[used],
         "observation_image": observations.image,
         "observation_point": np.repeat(np.arange(len(seen), dtype=np.int32), seen),
@@ -310,7 +303,7 @@ def set_values(
     ):
         sensor = pycolmap.sensor_t(pycolmap.SensorType.CAMERA, camera_id)
         reconstruction.rig(rig_id).set_sensor_from_rig(sensor, _rigid(pose))
-    if read is None:
+    if read is None or not read.points:
         positions = list(map(attrgetter("xyz"), found))
     else:  # pycolmap returns the same object as before exactly if the point is where it was
         pick = points.tolist()

@@ -48,53 +48,38 @@ if TYPE_CHECKING:
 class DeferredSource:
     """Source of a problem that was read from a COLMAP model; edited copies share it.
 
-    Args:
-        model: the files; changes of large ones since the reading raise an InputError.
+    Attributes:
+        model: the files, of which changed large ones raise an InputError; None once converted.
         fields: fields of the problem of this model, by name.
         folder: folder of the files, for messages.
     """
 
     def __init__(self, model: _core.ColmapModel, fields: Mapping[str, Any], folder: Path) -> None:
-        self._model: _core.ColmapModel | None = model
-        self._fields = fields
-        self._folder = folder
+        self.model: _core.ColmapModel | None = model
+        self.fields = fields
+        self.folder = folder
         self._reconstruction: pycolmap.Reconstruction | None = None
         self._lock = threading.Lock()
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Any:
         """Return an independent copy of the source, because callers may edit its reconstruction."""
         with self._lock:
-            if self._model is None:
+            if self.model is None:
                 return copy.deepcopy(self._reconstruction, memo)
-            return DeferredSource(self._model, self._fields, self._folder)
-
-    @property
-    def fields(self) -> Mapping[str, Any]:
-        """Fields of the problem of this model, by name."""
-        return self._fields
-
-    @property
-    def folder(self) -> Path:
-        """Folder of the files, for messages."""
-        return self._folder
-
-    @property
-    def model(self) -> _core.ColmapModel | None:
-        """The files; None after the conversion, because callers may edit the reconstruction."""
-        return self._model
+            return DeferredSource(self.model, self.fields, self.folder)
 
     @property
     def has_changed(self) -> bool:
         """True if a file that is open, not in memory, was written to since it was read."""
-        return self._model is not None and self._model.has_changed
+        return self.model is not None and self.model.has_changed
 
     def reconstruction(self) -> pycolmap.Reconstruction:
         """Return the model as a reconstruction; every call returns the same object."""
         with self._lock:
             if self._reconstruction is None:
-                assert self._model is not None
-                self._reconstruction = _read_by_pycolmap(self._model, self._folder)
-                self._model = None
+                assert self.model is not None
+                self._reconstruction = _read_by_pycolmap(self.model, self.folder)
+                self.model = None
             return self._reconstruction
 
 
@@ -102,15 +87,11 @@ def _read_by_pycolmap(model: _core.ColmapModel, folder: Path) -> pycolmap.Recons
     """Return the reconstruction that pycolmap builds from the bytes of the files in memory."""
     require_pycolmap("the source of a problem as a pycolmap.Reconstruction")
     require_memory("pycolmap", PYCOLMAP)
-    import tempfile  # slow to import
-
     with interrupts_deferred():  # the import of pycolmap cannot be interrupted
         import pycolmap
     reconstruction = pycolmap.Reconstruction()
     # Use the files that were read: others may have their names now.
-    with tempfile.TemporaryDirectory(prefix="bundle-") as temporary:
-        for name, content in model.files().items():
-            (Path(temporary) / name).write_bytes(content)
+    with written(model.files()) as temporary:
         try:
             if model.is_binary:
                 reconstruction.read_binary(temporary)
@@ -223,7 +204,7 @@ def packed(source: Any) -> Any:
         source = source.reconstruction()
     if not is_reconstruction(source):
         return source
-    with _written({}) as folder:
+    with written({}) as folder:
         source.write_binary(folder)
         files = {path.name: path.read_bytes() for path in Path(folder).iterdir()}
     registered = set(source.reg_image_ids())
@@ -242,7 +223,7 @@ def packed(source: Any) -> Any:
 def unpacked(source: Any) -> Any:
     """Return the source that :func:`packed` made picklable."""
     if isinstance(source, PackedModel):
-        with _written(source.files) as folder:
+        with written(source.files) as folder:
             model, fields = _core.read_colmap_model(folder, may_be_empty=True)
         fields["cam_from_world"] = rig_arrays.placed(fields)
         return DeferredSource(model, fields, Path(source.folder))
@@ -252,7 +233,7 @@ def unpacked(source: Any) -> Any:
     import pycolmap  # not at start-up: takes longer than solving a small problem
 
     reconstruction = pycolmap.Reconstruction()
-    with _written(source.files) as folder:
+    with written(source.files) as folder:
         reconstruction.read_binary(folder)
     for camera_id in source.cameras_with_prior_focal_length:
         reconstruction.camera(camera_id).has_prior_focal_length = True
@@ -293,7 +274,7 @@ def source_records(source: Any) -> SourceRecords | None:
 def _records(source: Packed) -> SourceRecords:
     """Return the records of a reconstruction, including those of images without a pose."""
     try:
-        with _written(source.files) as folder:
+        with written(source.files) as folder:
             model, _ = _core.read_colmap_model(folder, may_be_empty=True)
     except InputError as error:
         message = str(error).replace(f"{folder}/", "")
@@ -328,7 +309,7 @@ def _records(source: Packed) -> SourceRecords:
 
 
 @contextmanager
-def _written(files: dict[str, bytes]) -> Iterator[str]:
+def written(files: dict[str, bytes]) -> Iterator[str]:
     """Yield a temporary folder with files."""
     import tempfile  # slow to import
 
@@ -350,10 +331,6 @@ def _frame(frame: pycolmap.Frame) -> _Frame:
 def _image(image: pycolmap.Image) -> _Image:
     keypoints = np.array([point.xy for point in image.points2D]).reshape(-1, 2)
     return _Image(image.image_id, image.name, image.camera_id, image.frame_id, keypoints)
-
-
-_Packed = Packed
-"""The name in pickles of version 0.1."""
 
 
 # Data of a file of another program that its problem lacks.

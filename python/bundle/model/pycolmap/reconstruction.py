@@ -29,7 +29,13 @@ from bundle.model import rig_arrays
 from bundle.model.cameras import camera_models
 from bundle.model.colmap.model_records import MAX_POINT_ID, ModelRecords, model_records
 from bundle.model.problem_arrays import ProblemArrays
-from bundle.model.pycolmap.problem_source import Packed, is_reconstruction, packed, unpacked
+from bundle.model.pycolmap.problem_source import (
+    Packed,
+    is_reconstruction,
+    packed,
+    unpacked,
+    written,
+)
 
 
 def fields_of(reconstruction: pycolmap.Reconstruction) -> dict[str, Any]:
@@ -163,7 +169,7 @@ class Observations:
             self.xy[rows],
         )
 
-    def by_point(self) -> tuple[NDArray[np.intp], NDArray[np.uint64], NDArray[np.int64]]:
+    def by_point(self) -> Order:
         """Return the order by point, image and keypoint, and ids and counts of the points."""
         order = np.argsort(self.point_id, kind="stable")  # images and keypoints ascend already
         sorted_ids = self.point_id[order]
@@ -200,10 +206,12 @@ class Observations:
         }
 
 
+Order = tuple[NDArray[np.intp], NDArray[np.uint64], NDArray[np.int64]]  # of `by_point`
 _KEYPOINT = np.dtype([("xy", "<f8", 2), ("point_id", "<u8")])  # in COLMAP's images.bin
-_IMAGE = struct.Struct("<I7dIxQ")  # id, pose, camera, empty name, number of keypoints
+_IMAGE_HEAD = 64  # bytes of id, pose and camera, before name and number of keypoints
 _POINT = struct.Struct("<Q35xQ")  # id; position, colour and error; length of the track
 _IMAGES_PER_FILE = 64
+_PART, _MOST_KEYPOINTS = 3, 100_000  # up to 3 times what is needed, reading all takes less
 
 
 def observations_and_tracks(
@@ -221,8 +229,16 @@ def observations_and_tracks(
     for first in range(0, max(len(images), 1), _IMAGES_PER_FILE):
         some = images[first : first + _IMAGES_PER_FILE]
         keypoints = [image.get_observation_points2D() for image in some]
-        of_images, of_points = _written(keypoints, [] if first else points)
-        records = _keypoints_in(of_images, keypoints)
+        # A model in which image ids count from 1, point ids from 0.
+        model = pycolmap.Reconstruction()
+        model.add_camera_with_trivial_rig(_identity_camera())
+        for row, of_image in enumerate(keypoints):
+            made = pycolmap.Image("", of_image, _identity_camera().camera_id, row + 1)
+            model.add_image_with_trivial_frame(made, pycolmap.Rigid3d())
+        for row, point in enumerate([] if first else points):
+            model.points3D[row] = point
+        of_images, of_points = _written(model)
+        records = _keypoints_in(of_images, [*range(1, 1 + len(some))], [*map(len, keypoints)])
         for found in records or map(records_from_objects, keypoints):
             start, end = end, end + len(found)
             xy[start:end], point_id[start:end] = found["xy"], found["point_id"]
@@ -232,20 +248,39 @@ def observations_and_tracks(
     return Observations(images, image, point_id, xy), elements
 
 
-def _written(
-    keypoints: list[pycolmap.Point2DList], points: list[pycolmap.Point3D]
-) -> tuple[bytes, bytes]:
-    """Return images.bin and points3D.bin of a model with these keypoints of images, and points.
+def small_model(
+    reconstruction: pycolmap.Reconstruction, named: frozenset[int]
+) -> tuple[Observations, Order, NDArray[np.float64]] | None:
+    """Return all observations, their order by point, and positions of the points.
 
-    Image ids count from 1, point ids from 0. Both are empty if there is no folder in memory.
+    None if the model is large beside the named images, or has errors. Its files take 0.1 us for an
+    observation; objects of points and of their other observations take 1 us each.
     """
-    model = pycolmap.Reconstruction()
-    model.add_camera_with_trivial_rig(_identity_camera())
-    for row, of_image in enumerate(keypoints):
-        image = pycolmap.Image("", of_image, _identity_camera().camera_id, row + 1)
-        model.add_image_with_trivial_frame(image, pycolmap.Rigid3d())
-    for _ in map(model.points3D.__setitem__, range(len(points)), points):
-        pass
+    if reconstruction.num_reg_images() > _PART * len(named):
+        return None
+    images = [reconstruction.image(key) for key in sorted(reconstruction.reg_image_ids())]
+    counts = [image.num_points2D() for image in images]
+    needed = sum(image.num_points3D for image in images if image.image_id in named)
+    if sum(counts) > min(_PART * needed, _MOST_KEYPOINTS):
+        return None
+    of_images, of_points = _written(reconstruction)
+    keypoints = _keypoints_in(of_images, [image.image_id for image in images], counts)
+    if not keypoints or not is_valid(reconstruction):
+        return None
+    records = np.concatenate(keypoints)
+    seen = np.flatnonzero(records["point_id"] != pycolmap.INVALID_POINT3D_ID)
+    row = np.repeat(np.arange(len(images), dtype=np.int32), counts)[seen]
+    found = Observations(images, row, records["point_id"][seen], records["xy"][seen])
+    order = found.by_point()
+    starts = np.cumsum(np.append(8, _POINT.size + 8 * order[2]))  # of points by id
+    if starts[-1] != len(of_points):
+        return None
+    heads = np.frombuffer(of_points, np.uint8)[starts[:-1, None] + np.arange(32)].view("<u8")
+    return (found, order, heads[:, 1:].view("<f8")) if (heads[:, 0] == order[1]).all() else None
+
+
+def _written(model: pycolmap.Reconstruction) -> tuple[bytes, bytes]:
+    """Return images.bin and points3D.bin; both are empty if there is no folder in memory."""
     name = f"bundle-{os.getpid()}-{threading.get_ident()}-{time.monotonic_ns()}"
     folder = Path("/dev/shm", name)
     try:
@@ -261,19 +296,16 @@ def _written(
         return b"", b""
 
 
-def _keypoints_in(content: bytes, keypoints: list[pycolmap.Point2DList]) -> list[NDArray[Any]]:
+def _keypoints_in(content: bytes, ids: list[int], counts: list[int]) -> list[NDArray[Any]]:
     """Return the records of the keypoints of each image; an empty list if the file has others."""
-    size = sum(_IMAGE.size + len(one) * _KEYPOINT.itemsize for one in keypoints)
-    records, start = [], 8
-    if len(content) != start + size:
-        return []
-    for row, of_image in enumerate(keypoints):
-        image_id, *_, count = _IMAGE.unpack_from(content, start)
-        if (image_id, count) != (row + 1, len(of_image)):
+    records, end = [], 8
+    for image_id, count in zip(ids, counts, strict=True):
+        start = content.find(b"\0", end + _IMAGE_HEAD) + 9
+        head, end = content[end : end + 4] + content[start - 8 : start], start + 24 * count
+        if head != struct.pack("<IQ", image_id, count) or end > len(content):
             return []
-        records.append(np.frombuffer(content, _KEYPOINT, count, start + _IMAGE.size))
-        start += _IMAGE.size + count * _KEYPOINT.itemsize
-    return records
+        records.append(np.frombuffer(content, _KEYPOINT, count, start))
+    return records if end == len(content) else []
 
 
 def _elements_in(content: bytes, points: list[pycolmap.Point3D]) -> NDArray[np.int64]:
@@ -511,9 +543,7 @@ def to_pycolmap(problem: ProblemArrays) -> pycolmap.Reconstruction:
     """
     source = vars(problem)["source"]
     records = model_records(problem, source)
-    import tempfile  # slow to import
-
-    with tempfile.TemporaryDirectory(prefix="bundle-") as folder:
+    with written({}) as folder:
         _core.write_colmap_records(folder, True, records)
         files = {path.name: path.read_bytes() for path in Path(folder).iterdir()}
     reconstruction: pycolmap.Reconstruction = unpacked(_pack(files, records, source))
