@@ -135,6 +135,20 @@ def test_jitter_of_times_is_found_beside_noise():
     assert ClockErrors.of(errors, 0 * rates, deltas, times) == ClockErrors()
 
 
+@pytest.mark.parametrize(("size", "least"), [(0.0, 0.0), (5e-3, 4e-3)])
+def test_wrong_poses_of_single_images_are_no_jitter(size, least):
+    rates, deltas, times = rotations()
+    rng = np.random.default_rng(3)
+    errors = errors_of(size * rng.normal(size=len(times)), rates, deltas)
+    errors += 1e-3 * rng.normal(size=errors.shape)
+    expected = ClockErrors.of(errors, rates, deltas, times)
+    shifts = np.zeros(len(times))
+    shifts[[20, 90]] = 0.1  # as if their times were wrong
+    found = ClockErrors.of(errors + errors_of(shifts, rates, deltas), rates, deltas, times)
+    assert (found.share > 0.5) == (expected.share > 0.5) == (size > 0)
+    assert least <= found.jitter < max(1.5 * expected.jitter, 1.5e-3)
+
+
 def test_noise_of_samples():
     rng = np.random.default_rng(0)
     stamps = 5_000_000 * np.arange(4000)

@@ -16,7 +16,8 @@ ones exceeds with a probability of 0.1 %.
 Causes. The rotations of images alone and of the gyroscope reveal errors of axes (``rotation_map``),
 and errors of single times: a time of image k that is off by x_k changes the rotation between images
 by w_{k+1} x_{k+1} - dR^T w_k x_k (``clock_offset``). A drift is x_k in proportion to the time.
-Without a drift, the x_k count as independent; the method of moments gives their variance. The
+Without a drift, the x_k count as independent; the method of moments gives their variance. A wrong
+pose of a single image has the residuals of a wrong time. The
 second differences of samples bound their white noise: std / sqrt(6), times the root of the period
 as a density.
 """
@@ -47,6 +48,7 @@ NOT_SEEN = 100.0  # px: error of an observation that has no projection
 FALSE_ALARM = 1e-3  # probability of a false alarm in a run
 LARGE_NOISE = 5.0  # calibrated over measured noise that is an error: samples never have less
 JITTER, JITTER_SHARE = 1.5e-3, 0.5  # s, share of the residuals' variance, from which times err
+WRONG_POSE = 4.0  # medians of the residuals to which those of single images are reduced
 DRIFT, DRIFT_SIGMAS = 4e-3, 5.0  # seconds over the video, and sigmas, from which clocks drift
 
 
@@ -136,6 +138,8 @@ class ClockErrors(NamedTuple):
         drift = float(along @ y / (along @ along))
         left = y - drift * along
         sigma = math.sqrt(float(left @ left / len(left) / (along @ along)))
+        lengths = np.repeat(np.linalg.norm(left.reshape(-1, 3), axis=1), 3)
+        left *= np.minimum(1.0, WRONG_POSE * np.median(lengths) / np.maximum(lengths, 1e-12))
         # Moments: y^T y and |A^T y|^2 of y = A x + e are linear in the variances of e and x.
         square = a.T @ a
         trace, norm = float(np.trace(square)), float((square**2).sum())

@@ -114,10 +114,8 @@ def _contradiction(known: Evidence, others: Sequence[ImuFinding]) -> ImuFinding 
         kind, cause = named[0], CAUSES[named[0]]
     turn = known.rotations
     if not cause and max(ANGLE, LIKELY * turn.angle_sigma) < turn.angle < TURNED:
-        kind, cause = (
-            "camera_from_imu",
-            f"camera_from_imu is probably turned by {turn.angle:.2g} deg",
-        )
+        kind = "camera_from_imu"
+        cause = f"camera_from_imu is probably turned by {turn.angle:.2g} deg"
     flags: tuple[str, ...] = ("--loss", "cauchy") if kind == "outliers" else ()
     if not cause:
         kind, cause = "unknown", CAUSES["unknown"]

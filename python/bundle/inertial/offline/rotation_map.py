@@ -126,10 +126,8 @@ class RotationMap(NamedTuple):
             x, y, z, w = camera_from_imu[:4]
             ordered = rotation_matrices(np.array([[y, z, w, x]]))[0]
             if _degrees(ordered.T @ right @ q) < NEAR:
-                return (
-                    "order",
-                    "the quaternion of camera_from_imu has the order w x y z, not x y z w",
-                )
+                words = "the quaternion of camera_from_imu has the order w x y z, not x y z w"
+                return "order", words
         axes = signed_axes(q)
         if axes is not None:
             return "gyro_axes", axes_sentence("gyroscope", axes)
