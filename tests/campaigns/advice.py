@@ -1,12 +1,13 @@
 """Commands of findings, followed as printed to the end: each must run, keep the flags, and help.
 
-python -m tests.campaigns.advice scenes COUNT [SEED]
+python -m tests.campaigns.advice scenes|held COUNT [SEED]
 python -m tests.campaigns.advice models [NAME ...]
 
 Scenes are those of tests.campaigns.findings, with zero to three planted faults and flags that a
-user might have given. Each command of each finding of the first run is followed; after it, the
-first command of each next run, until none is printed. The position error against the truth, after
-a similarity, may grow by at most 5 % at a step.
+user might have given, or (held) that hold something at its value in the start, which is wrong. Each
+command of each finding of the first run is followed; after it, the first command of each next run,
+until none is printed. The position error against the truth, after a similarity, may grow by at most
+5 % at a step.
 
 A weak scene may begin near the truth by chance, because two errors cancel. Where a step is worse,
 the flags of the user therefore also run on the scene without its planted errors of measurements,
@@ -64,6 +65,19 @@ USER = (
     ("--loss", "soft-l1", "--loss-scale", "2"),
 )
 """Flags that a user might have given."""
+HELD = (
+    ("--refine", "poses,points"),
+    ("--fix-images", "1,2,3"),
+    ("--fix-points", "1-20"),
+    ("--set", "image 1-3: position fixed"),
+    ("--set", "cameras *: f fixed"),
+)
+"""Flags that hold something, which the commands of findings about it drop."""
+DROPPED_BY = {
+    "rules": ("rules",),
+    "constant": ("fixed_camera_ids", "fixed_image_ids", "fixed_point_ids"),
+}
+"""Arguments that the commands of a kind of findings drop."""
 ORIGIN = np.array([500_000.0, 5_300_000.0, 100.0])
 """Place of the synthetic positions in EPSG:32632."""
 MODELS: dict[str, tuple[str, ...]] = {
@@ -145,7 +159,8 @@ def _chain(
     """Yield the steps that begin with a finding."""
     for _ in range(LONGEST):
         words = shlex.split(finding["command"])[1:]
-        faults = [f"lost {name}" for name in _lost(last, words)]
+        dropped = DROPPED_BY.get(finding["kind"].partition("_")[0], ())
+        faults = [f"lost {name}" for name in _lost(last, words) if name not in dropped]
         if _key(words) in known:
             faults.append("repeats a command")
         known = known | {_key(words)}
@@ -252,11 +267,13 @@ def held_out_error(whole: Problem, held: np.ndarray) -> Judge:
     return judge
 
 
-def scene_steps(seed: int, folder: Path) -> list[Step]:
+def scene_steps(
+    seed: int, folder: Path, given_flags: tuple[tuple[str, ...], ...] = USER
+) -> list[Step]:
     """Follow the findings of a seeded scene."""
     scene = findings.make(seed)
     rng = np.random.default_rng([seed, 7])
-    flags = list(USER[int(rng.integers(len(USER)))])
+    flags = list(given_flags[int(rng.integers(len(given_flags)))])
     has_sigmas = bool(rng.random() < 0.5)
     truth = scene.truth.projection_centers
     if "scale_drift" in scene.planted:  # planted into the positions: these are the truth
@@ -337,11 +354,14 @@ def summary(steps: list[Step]) -> str:
 def main() -> int:
     """Follow the findings of scenes or models and print what fails."""
     names: list[Any]
-    if sys.argv[1] == "scenes":
+    steps_of: Callable[[Any, Path], list[Step]]
+    if sys.argv[1] in {"scenes", "held"}:
         first = int(sys.argv[3]) if len(sys.argv) > 3 else 50_000
-        names, steps_of = list(range(first, first + int(sys.argv[2]))), scene_steps
+        names = list(range(first, first + int(sys.argv[2])))
+        flags = HELD if sys.argv[1] == "held" else USER
+        steps_of = functools.partial(scene_steps, given_flags=flags)
     else:
-        names, steps_of = sys.argv[2:] or list(MODELS), model_steps  # type: ignore[assignment]
+        names, steps_of = sys.argv[2:] or list(MODELS), model_steps
     steps: list[Step] = []
     for name in names:
         with tempfile.TemporaryDirectory() as folder:

@@ -123,6 +123,12 @@ def test_followed_advice_helps_and_ends(tmp_path):
     assert all(step.after < 0.3 * step.before for step in steps if "cauchy" not in step.words)
 
 
+def test_followed_advice_frees_what_is_held_at_a_wrong_value(tmp_path):
+    (step,) = advice.scene_steps(91_012, tmp_path, advice.HELD)
+    assert (step.kind, step.faults) == ("constant_points", ()) and "--fix-points" not in step.words
+    assert step.after < 0.2 * step.before
+
+
 def test_faults_of_advice_are_seen():
     words = ["refine", "a", "-o", "b", "--set", "camera 1: f fixed", "--rounds", "2"]
     assert advice._lost(words, [*words[:4], "--rounds", "3"]) == ["rules"]

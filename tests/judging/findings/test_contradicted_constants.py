@@ -9,6 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import bundle
+from bundle.judging.findings.contradicted_constants import is_notable
 from bundle.judging.findings.find import find
 from bundle.model.rig_arrays import compose
 from bundle.solving.constraints.rule_list import rules_of
@@ -163,6 +164,24 @@ def test_a_rule_that_holds_a_wrong_focal_length_is_named(rule):
     fall = 1 - free.summary.final_cost / bent.summary.final_cost
     assert found[0].evidence["share"] == pytest.approx(fall, abs=1e-3)
     assert "--set" not in found[0].command
+
+
+@pytest.mark.parametrize(
+    ("fall", "squares", "count", "redundancy", "expected"),
+    [
+        (11.0, 89.0, 1, 1000, True),
+        (9.0, 91.0, 1, 1000, False),  # below 10 %
+        (39.0, 100.0, 10, 100, False),  # T below 4 per term
+        (41.0, 100.0, 10, 100, True),
+        (5.0, 10.0, 1, 10, False),  # p = 0.025
+        (16.0, 10.0, 1, 10, True),
+        (11.0, 89.0, 0, 1000, False),
+        (11.0, 89.0, 1, 0, False),
+        (11.0, 0.0, 1, 1000, False),
+    ],
+)
+def test_a_notable_fall_is_large_and_significant(fall, squares, count, redundancy, expected):
+    assert is_notable(fall, squares, count, redundancy) == expected
 
 
 def test_one_constant_image_holds_the_gauge_alone(exact):
