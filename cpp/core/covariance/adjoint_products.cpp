@@ -24,6 +24,12 @@ void ForColumns(const ChartedFactor& factor, const ParameterLayout& layout, cons
   }
 }
 
+/// sqrt(rho') / sigma, by which J is weighted in J~.
+double RootWeight(const AdjustmentProblem& problem, const ObservationRows& rows) {
+  const double* const sigma = problem.observation_sigma;
+  return std::sqrt(rows.weight) / (sigma == nullptr ? 1 : sigma[rows.observation]);
+}
+
 }  // namespace
 
 /// To the problem's values plus e times a step.
@@ -153,14 +159,9 @@ AdjointRows AdjointComputation::Product(const double* a, double e) {
     Sums& to = sums[thread];
     const int camera = all_.image_camera[all_.observation_image[i]];
     const int num_params = all_.camera_models[camera]->num_params;
-    ObservationRows rows, moved;
+    ObservationRows rows;
     double local[2 * kMaxCameraParams];
-    const auto add = [&](const ObservationRows& by, const double* r) {
-      AddRows(by, r, point, to.cameras.data(), found.product.data() + n);
-      for (int k = 0; k < num_params; ++k) {
-        to.params[size_t(camera) * stride + k] += local[k] * r[0] + local[num_params + k] * r[1];
-      }
-    };
+    double* const params = &to.params[size_t(camera) * stride];
     if (!here.Evaluate(i, &rows, local)) return;
     const double* const r = rows.residual;
     double v[2] = {Dot(rows, 0, point, a), Dot(rows, 1, point, a)};
@@ -171,14 +172,18 @@ AdjointRows AdjointComputation::Product(const double* a, double e) {
     if (rows.weight == 0) return;
     const double bend = rows.bend * (v[0] * r[0] + v[1] * r[1]);
     for (int row = 0; row < 2; ++row) v[row] += bend * r[row];
-    add(rows, v);
+    AddRows(rows, v, point, to.cameras.data(), found.product.data() + n);
+    for (int k = 0; k < num_params; ++k)
+      params[k] += local[k] * v[0] + local[num_params + k] * v[1];
+    double by_point[3] = {}, by_params[kMaxCameraParams] = {};  // small differences, summed first
     for (const Place* place : {&ahead_, &behind_}) {
-      if (!place->evaluator.Evaluate(i, &moved, local) || moved.weight == 0) continue;
-      const double scale =
-          std::sqrt(rows.weight / moved.weight) / (place == &ahead_ ? 2 * e : -2 * e);
+      const double scale = RootWeight(all_, rows) / (place == &ahead_ ? 2 * e : -2 * e);
       const double scaled[2] = {scale * r[0], scale * r[1]};
-      add(moved, scaled);
+      place->evaluator.AddTransposed(i, scaled, to.cameras.data(), by_params, by_point);
     }
+    for (int k = 0; k < num_params; ++k) params[k] += by_params[k];
+    if (!layout().point_is_free(point)) return;
+    for (int k = 0; k < 3; ++k) found.product[n + 3 * size_t(point) + k] += by_point[k];
   });
   found.by_params.assign(size_t(all_.num_cameras) * stride, 0.0);
   for (const Sums& of : sums) {

@@ -155,6 +155,45 @@ void ObservationEvaluator::LossOf(const double residual[2], double rho[3]) const
   ValueOfLoss(loss_, loss_scale_, SquaredNorm(residual, 2), rho);
 }
 
+void ObservationEvaluator::AddTransposed(int64_t observation, const double v[2], double* unknowns,
+                                         double* params, double* point) const {
+  const int image = problem_.observation_image[observation];
+  const int camera = problem_.image_camera[image];
+  const CameraModel& model = *problem_.camera_models[camera];
+  const ImageShutter* const shutter = states_.shutter(image);
+  double residual[2];
+  ReprojectionJacobian j;
+  if (!EvaluateReprojection(model, states_.pose(image), states_.params(camera),
+                            points_ + 3 * int64_t{problem_.observation_point[observation]},
+                            problem_.observation_xy + 2 * observation, cheirality_, residual, &j,
+                            shutter)) {
+    return;
+  }
+  double local[kMaxLocal];
+  const auto pull = [v](const double* rows, int size, double* to) {
+    for (int k = 0; k < size; ++k) to[k] = v[0] * rows[k] + v[1] * rows[size + k];
+  };
+  double by_point[3];
+  pull(j.pose, kPoseSize, local);
+  pull(j.params, model.num_params, local + kPoseSize);
+  if (shutter != nullptr) pull(j.twist, kTwistSize, local + kFirstTwist);
+  pull(j.point, 3, by_point);
+  for (int k = 0; k < 3; ++k) point[k] += by_point[k];
+  for (int k = 0; k < model.num_params; ++k) params[k] += local[kPoseSize + k];
+  for (const LocalMap& map : maps_[image]) {
+    double* const to = unknowns + layout_.blocks()[map.block].offset;
+    const double* values = map.values.data();
+    for (size_t i = 0; i < map.columns.size(); ++i) {
+      const double of = local[map.columns[i]];
+      if (map.values.empty()) {
+        to[i] += of;
+        continue;
+      }
+      for (int k = 0; k < map.size; ++k) to[k] += of * *values++;
+    }
+  }
+}
+
 bool ObservationEvaluator::Evaluate(int64_t observation, ObservationRows* rows,
                                     double* by_params) const {
   const int image = problem_.observation_image[observation];

@@ -64,6 +64,11 @@ class ObservationEvaluator {
   /// by all parameters of the camera's model, 2 x their number.
   bool Evaluate(int64_t observation, ObservationRows* rows, double* by_params = nullptr) const;
 
+  /// Adds J^T v by the unknowns of the layout, all parameters of the camera's model and the point,
+  /// without sigma and loss; nothing if the observation does not count.
+  void AddTransposed(int64_t observation, const double v[2], double* unknowns, double* params,
+                     double* point) const;
+
   /// rho, rho' and rho'' of a residual over its sigma.
   void LossOf(const double residual[2], double rho[3]) const;
 
