@@ -88,6 +88,8 @@ py::dict Reliability(const py::object& problem, const py::dict& options,
   d["residuals"] = ToImmutableNumpy(std::move(output.residuals), {n, 2});
   d["leverages"] = ToImmutableNumpy(std::move(output.leverages), {n, 3});
   d["weights"] = ToImmutableNumpy(std::move(output.weights), {n});
+  d["least"] = ToImmutableNumpy(std::move(output.least), {n});
+  d["along"] = ToImmutableNumpy(std::move(output.along), {n, 2});
   const py::ssize_t m = count(output.factor_redundancy);
   d["factor_measurements"] = ToImmutableNumpy(std::move(output.factor_measurements), {m});
   d["factor_redundancy"] = ToImmutableNumpy(std::move(output.factor_redundancy), {m});

@@ -300,7 +300,7 @@ class CovarianceComputation {
   std::vector<int> PointsBeside(const ReliabilityOutput& found) const;
   void FindEffects(BlockValues inverse, ReliabilityOutput* found);
   void MovePoints(int first, const Eigen::MatrixXd& x, const Eigen::MatrixXd& own,
-                  const Eigen::MatrixXd& s, ReliabilityOutput* found);
+                  ReliabilityOutput* found);
   void SubtractEliminated(const PointBlocks& blocks, const Vector3& b, Eigen::MatrixXd* columns,
                           int k) const;
   // influence.cpp

@@ -21,29 +21,6 @@ constexpr double kNoVariance = 1e-12;
 /// Movements in one pass over the points, beside the seven columns of a gauge.
 constexpr int kAtOnce = Kernels::kMostMoved - kSimilarities;
 
-/// The least eigenvalue of I - h, and its direction.
-struct Weakest {
-  double redundancy;
-  double direction[2];
-};
-
-Weakest FindWeakest(double h00, double h01, double h11) {
-  const double half = 0.5 * (h00 - h11), root = std::sqrt(half * half + h01 * h01);
-  // Of the two forms of the eigenvector, the one without cancellation.
-  double x = half + root, y = h01;
-  if (half < 0) {
-    x = h01;
-    y = root - half;
-  }
-  const double norm = std::hypot(x, y);
-  Weakest found{1 - 0.5 * (h00 + h11) - root, {1, 0}};
-  if (norm > 0) {
-    found.direction[0] = x / norm;
-    found.direction[1] = y / norm;
-  }
-  return found;
-}
-
 /// C^+ of a covariance, whose rank is found in units of its sigmas.
 Eigen::MatrixXd PseudoInverse(const Eigen::MatrixXd& covariance) {
   const Eigen::VectorXd sigmas = covariance.diagonal().cwiseMax(0).cwiseSqrt();
@@ -80,10 +57,7 @@ void CovarianceComputation::FindWorst(const ReliabilityOptions& wanted,
                                       ReliabilityOutput* found) const {
   std::vector<std::pair<double, int64_t>> candidates;
   for (int64_t i = 0; i < view().num_observations; ++i) {
-    const double* const h = &found->leverages[3 * size_t(i)];
-    if (!(found->weights[i] > 0)) continue;
-    const double least = FindWeakest(h[0], h[1], h[2]).redundancy;
-    if (least >= wanted.least) candidates.emplace_back(least, i);
+    if (found->least[i] >= wanted.least) candidates.emplace_back(found->least[i], i);
   }
   const size_t count = std::min(candidates.size(), size_t(wanted.num_worst));
   std::partial_sort(candidates.begin(), candidates.begin() + static_cast<std::ptrdiff_t>(count),
@@ -98,7 +72,8 @@ void CovarianceComputation::FindWorst(const ReliabilityOptions& wanted,
 ///
 ///   x_c = C (b_c - Y_q b_q) with q its own point,      x_p = V_p^-1 b_p - Y_p^T x_c.
 ///
-/// Inner constraints subtract N s, with s = N^T x = K^T x_c + N_q^T V_q^-1 b_q (free_gauge.h).
+/// Inner constraints subtract N s, with s = N^T x = K^T x_c + N_q^T V_q^-1 b_q (free_gauge.h). As
+/// -Y_p^T N_c = N_p, only from x_c.
 void CovarianceComputation::FindEffects(BlockValues inverse, ReliabilityOutput* found) {
   const int count = static_cast<int>(found->worst.size()), n = system_.num_unknowns();
   if (count == 0) return;
@@ -110,10 +85,8 @@ void CovarianceComputation::FindEffects(BlockValues inverse, ReliabilityOutput* 
     ObservationRows rows;
     const int64_t i = found->worst[k].observation;
     system_.evaluator().Evaluate(i, &rows);
-    const double* const h = &found->leverages[3 * size_t(i)];
-    const Weakest weakest = FindWeakest(h[0], h[1], h[2]);
-    const double length = 1 / std::sqrt(weakest.redundancy);
-    const double u[2] = {length * weakest.direction[0], length * weakest.direction[1]};
+    const double length = 1 / std::sqrt(found->least[i]);
+    const double u[2] = {length * found->along[2 * i], length * found->along[2 * i + 1]};
     for (int b = 0; b < rows.num_blocks; ++b) {
       const int offset = layout().blocks()[rows.block[b]].offset;
       for (int c = 0; c < rows.size[b]; ++c) {
@@ -152,19 +125,18 @@ void CovarianceComputation::FindEffects(BlockValues inverse, ReliabilityOutput* 
   std::swap(system_.values(), inverse);
   for (int first = 0; first < count; first += kAtOnce) {
     const int size = std::min(kAtOnce, count - first);
-    MovePoints(first, x.middleCols(first, size), own.middleCols(first, size),
-               s.middleCols(first, size), found);
+    MovePoints(first, moved.middleCols(first, size), own.middleCols(first, size), found);
   }
 }
 
-/// Judges the movements of points with the effects from `first` on. One pass gives Y_p^T x and the
-/// points' part V_p^-1 N_p - Y_p^T y of Y = G N (free_gauge.h), which transforms the covariances
-/// that the leverages have left. Points of which there are rows only are transformed by blocks.
+/// Judges the movements of points with the effects from `first` on, which move the unknowns by x.
+/// The pass also gives the points' part V_p^-1 N_p - Y_p^T y of Y = G N (free_gauge.h), which
+/// transforms the covariances that the leverages have left. Points of which there are rows only are
+/// transformed by blocks.
 void CovarianceComputation::MovePoints(int first, const Eigen::MatrixXd& x,
-                                       const Eigen::MatrixXd& own, const Eigen::MatrixXd& s,
-                                       ReliabilityOutput* found) {
+                                       const Eigen::MatrixXd& own, ReliabilityOutput* found) {
   const auto n = static_cast<Eigen::Index>(system_.num_unknowns()), count = x.cols();
-  const Eigen::Index degrees = s.rows();
+  const Eigen::Index degrees = constraints_ == nullptr ? 0 : gauge_->degrees();
   const auto width = static_cast<int>((count + degrees + 3) / 4);
   Matrix by_unknown = Matrix::Zero(n, 4 * width);
   by_unknown.leftCols(count) = x;
@@ -173,38 +145,29 @@ void CovarianceComputation::MovePoints(int first, const Eigen::MatrixXd& x,
     constraints_->RowsOfUnknowns(0, static_cast<int>(n), rows_n.data(), rows_y.data());
     by_unknown.middleCols(count, degrees) = rows_y;
   }
-  std::vector<std::vector<ExternalEffect>> effects(system_.num_threads(), found->worst);
+  struct Largest {
+    double square = 0;
+    int point = -1;
+  };
+  std::vector<std::vector<Largest>> largest(system_.num_threads(), std::vector<Largest>(count));
+  std::vector<int> own_point;
+  for (Eigen::Index k = 0; k < count; ++k) {
+    own_point.push_back(view().observation_point[found->worst[first + k].observation]);
+  }
   std::vector<std::vector<double>> room(system_.num_threads(),
                                         std::vector<double>(4 * size_t(width)));
   using Columns = Eigen::Matrix<double, 3, Eigen::Dynamic, Eigen::RowMajor, 3, Kernels::kMostMoved>;
-  // `moved`: -Y_p^T of all columns; `covariance`: by G unless `is_transformed`.
-  const auto judge = [&](int p, const Matrix3& inverse, Columns moved, Matrix3 covariance,
-                         bool is_transformed, int thread) {
+  // `moved`: -Y_p^T of all columns.
+  const auto judge = [&](int p, Columns moved, const Matrix3& covariance, int thread) {
     for (Eigen::Index k = 0; k < count; ++k) {
-      if (view().observation_point[found->worst[first + k].observation] == p) {
-        moved.col(k) += own.col(k);
-      }
-    }
-    if (degrees > 0) {
-      const Columns of_n = gauge_->OfPoint(p);
-      moved.leftCols(count) -= of_n.lazyProduct(s);
-      const Columns of_y = inverse.lazyProduct(of_n) + moved.middleCols(count, degrees);
-      if (!is_transformed) {
-        constraints_->Transform(3, of_n.data(), of_y.data(), 3, of_n.data(), of_y.data(),
-                                covariance.data());
-      }
+      if (own_point[k] == p) moved.col(k) += own.col(k);
     }
     const Matrix3 information = covariance.inverse();
     double* const squares = room[thread].data();
     FindSquares(information.data(), moved.data(), width, squares);
     for (Eigen::Index k = 0; k < count; ++k) {
-      const double moved_by = std::sqrt(squares[k]);
-      ExternalEffect& effect = effects[thread][first + k];
-      if (!(moved_by > effect.point_sigmas ||
-            (moved_by == effect.point_sigmas && p < effect.point)))
-        continue;
-      effect.point = p;
-      effect.point_sigmas = moved_by;
+      Largest& of = largest[thread][k];
+      if (squares[k] > of.square || (squares[k] == of.square && p < of.point)) of = {squares[k], p};
     }
   };
   std::vector<uint8_t> is_in_lanes(view().num_points);
@@ -216,8 +179,16 @@ void CovarianceComputation::MovePoints(int first, const Eigen::MatrixXd& x,
   system_.FindMovements(
       by_unknown.data(), width, is_in_lanes,
       [&](int p, const double* inverse, const double* rows, int thread) {
-        judge(p, Eigen::Map<const Matrix3>(inverse), -Eigen::Map<const Columns>(rows, 3, 4 * width),
-              Eigen::Map<const Matrix3>(&output_.points[9 * size_t(p)]), false, thread);
+        const Columns moved = -Eigen::Map<const Columns>(rows, 3, 4 * width);
+        Matrix3 covariance = Eigen::Map<const Matrix3>(&output_.points[9 * size_t(p)]);
+        if (degrees > 0) {
+          const Columns of_n = gauge_->OfPoint(p);
+          const Columns of_y = Eigen::Map<const Matrix3>(inverse).lazyProduct(of_n) +
+                               moved.middleCols(count, degrees);
+          constraints_->Transform(3, of_n.data(), of_y.data(), 3, of_n.data(), of_y.data(),
+                                  covariance.data());
+        }
+        judge(p, moved, covariance, thread);
       });
   std::vector<PaddedRows> padded(system_.num_threads());
   system_.ForPoints(system_.num_threads(), by_rows,
@@ -232,19 +203,17 @@ void CovarianceComputation::MovePoints(int first, const Eigen::MatrixXd& x,
                                      .transpose()
                                      .lazyProduct(by_unknown.middleRows(block.offset, block.size));
                       }
-                      judge(p, Eigen::Map<const Matrix3>(blocks.inverse), moved,
-                            OfPoint(p, blocks, &padded[thread]), true, thread);
+                      judge(p, moved, OfPoint(p, blocks, &padded[thread]), thread);
                     });
-  for (const std::vector<ExternalEffect>& of_thread : effects) {
-    for (Eigen::Index k = 0; k < count; ++k) {
-      const ExternalEffect& one = of_thread[first + k];
-      ExternalEffect& most = found->worst[first + k];
-      if (one.point_sigmas > most.point_sigmas ||
-          (one.point_sigmas == most.point_sigmas && one.point >= 0 && one.point < most.point)) {
-        most.point = one.point;
-        most.point_sigmas = one.point_sigmas;
-      }
+  for (Eigen::Index k = 0; k < count; ++k) {
+    Largest most;
+    for (const std::vector<Largest>& of_thread : largest) {
+      const Largest& one = of_thread[k];
+      const bool is_before = one.square == most.square && one.point >= 0 && one.point < most.point;
+      if (one.square > most.square || is_before) most = one;
     }
+    found->worst[first + k].point = most.point;
+    found->worst[first + k].point_sigmas = std::sqrt(most.square);
   }
 }
 

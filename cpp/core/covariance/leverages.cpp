@@ -320,7 +320,7 @@ void ForLeverages(const ReducedSystem& system, const LongMatrix& inverse,
     system.FindLeverages(
         wanted.without_h, wanted.adjoint, wanted.covariances,
         [&](int64_t i, const ObservationLeverage& found) {
-          if (has_rows[system.problem().observation_point[i]] != 0) return;
+          if (!points.empty() && has_rows[system.problem().observation_point[i]] != 0) return;
           double rho[3];
           system.evaluator().LossOf(found.residual, rho);
           const double root = std::sqrt(rho[1]);

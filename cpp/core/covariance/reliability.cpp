@@ -2,6 +2,7 @@
 
 #include <Eigen/Core>
 #include <algorithm>
+#include <cmath>
 #include <limits>
 #include <map>
 #include <utility>
@@ -16,6 +17,21 @@ namespace {
 
 constexpr double kUnknown = std::numeric_limits<double>::quiet_NaN();
 
+/// Returns the least eigenvalue of I - h and writes its direction.
+double FindWeakest(double h00, double h01, double h11, double* direction) {
+  const double half = 0.5 * (h00 - h11), root = std::sqrt(half * half + h01 * h01);
+  // Of the two forms of the eigenvector, the one without cancellation.
+  double x = half + root, y = h01;
+  if (half < 0) {
+    x = h01;
+    y = root - half;
+  }
+  const double norm = std::sqrt(x * x + y * y);
+  direction[0] = norm > 0 ? x / norm : 1;
+  direction[1] = norm > 0 ? y / norm : 0;
+  return 1 - 0.5 * (h00 + h11) - root;
+}
+
 }  // namespace
 
 void CovarianceComputation::FindReliability(const ReliabilityOptions& wanted,
@@ -28,7 +44,7 @@ void CovarianceComputation::FindReliability(const ReliabilityOptions& wanted,
   FindDirections();
   const LongMatrix inverse = LongInverse();
   InvertAndCheck();
-  FindLeverages(inverse, wanted, found);
+  FindLeverages(inverse, wanted, found);  // by C as it is, which has more digits
   if (wanted.num_worst > 0) {
     FindWorst(wanted, found);
     // The poses' covariances need the blocks of the inverse, the movements the factor.
@@ -51,6 +67,8 @@ void CovarianceComputation::FindLeverages(const LongMatrix& inverse,
   found->residuals.assign(2 * n, kUnknown);
   found->leverages.assign(3 * n, kUnknown);
   found->weights.assign(n, kUnknown);
+  found->least.assign(n, kUnknown);
+  found->along.assign(2 * n, kUnknown);
   std::map<int, Eigen::MatrixXd> of_points;  // with factors of their own
   system_.ForFactors([&](const ReducedSystem::FactorRows& rows) {
     if (!rows.points.empty()) of_points.emplace(rows.points[0], Matrix3::Zero());
@@ -67,9 +85,12 @@ void CovarianceComputation::FindLeverages(const LongMatrix& inverse,
         const auto i = static_cast<size_t>(of.observation);
         std::copy_n(of.residual, 2, &found->residuals[2 * i]);
         found->weights[i] = of.weight;
-        found->leverages[3 * i] = of.h(0, 0);
-        found->leverages[3 * i + 1] = 0.5 * (of.h(0, 1) + of.h(1, 0));
-        found->leverages[3 * i + 2] = of.h(1, 1);
+        double* const h = &found->leverages[3 * i];
+        h[0] = of.h(0, 0);
+        h[1] = 0.5 * (of.h(0, 1) + of.h(1, 0));
+        h[2] = of.h(1, 1);
+        if (!(of.weight > 0)) return;
+        found->least[i] = FindWeakest(h[0], h[1], h[2], &found->along[2 * i]);
       },
       [&](int point, const PointBlocks&, const PointAssembler&, const PointLeverages& leverages) {
         const auto at = of_points.find(point);

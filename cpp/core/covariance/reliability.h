@@ -55,6 +55,8 @@ struct ReliabilityOutput {
   LargeVector<double> residuals;  ///< num_observations x 2: r~
   LargeVector<double> leverages;  ///< num_observations x 3: h_00, h_01, h_11
   LargeVector<double> weights;    ///< num_observations: rho' of the loss
+  LargeVector<double> least;      ///< num_observations: l; NaN also for a weight of 0
+  LargeVector<double> along;      ///< num_observations x 2: u, likewise
   /// Per factor; NaN if it has no value.
   std::vector<int> factor_measurements;   ///< its independent residuals
   std::vector<double> factor_redundancy;  ///< tr R_ii

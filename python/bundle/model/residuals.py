@@ -201,22 +201,6 @@ class Residuals:
         return np.hypot(self.xy[:, 0], self.xy[:, 1])
 
 
-def directions_of(h: _Floats) -> tuple[_Floats, _Floats]:
-    """Return the first eigenvectors of I - h and its eigenvalues (n, 2), ascending.
-
-    ``h``: (n, 3) entries h_00, h_01 and h_11 of symmetric matrices.
-    """
-    half = 0.5 * (h[:, 0] - h[:, 2])
-    mean, root = 0.5 * (h[:, 0] + h[:, 2]), np.sqrt(half**2 + h[:, 1] ** 2)
-    # Of the two forms of the eigenvector, the one without cancellation.
-    long = np.abs(half) + root
-    slope = h[:, 1] / np.where(long == 0, 1, long)
-    first = 1 / np.sqrt(1 + slope**2)
-    u = np.stack([first, slope * first], axis=1)
-    u[half < 0] = u[half < 0, ::-1]
-    return u, np.stack([1 - mean - root, 1 - mean + root], axis=1)
-
-
 def standardized_errors(problem: Problem, errors: _Floats, given: tuple[Any, Any, Any]) -> _Floats:
     """Return (n,) standardized errors [px]; ``errors`` (n,) where the leverage is unknown.
 
@@ -226,7 +210,9 @@ def standardized_errors(problem: Problem, errors: _Floats, given: tuple[Any, Any
     """
     out = _core.reliability(problem, *given, NOT_CHECKABLE, 0, False)
     known = out["weights"] > 0
-    u, redundancies = directions_of(out["leverages"][known])
+    u, least = out["along"][known], out["least"][known]
+    most = 2 - out["leverages"][known][:, ::2].sum(axis=1) - least
+    redundancies = np.stack([least, most], axis=1)
     x, y = out["residuals"][known].T
     along = np.stack([u[:, 0] * x + u[:, 1] * y, u[:, 0] * y - u[:, 1] * x], axis=1)
     own = along**2 / np.where(redundancies < NOT_CHECKABLE, np.nan, redundancies)

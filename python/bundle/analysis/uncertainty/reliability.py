@@ -56,7 +56,6 @@ from bundle.interface.option_fields import choice
 from bundle.interface.options import SolveOptions
 from bundle.io.files import Source
 from bundle.model.problem import Problem
-from bundle.model.residuals import directions_of
 from bundle.solving.prepare import Prepared, prepare
 from bundle.solving.result import Result
 
@@ -216,30 +215,29 @@ class _Rows:
     ) -> None:
         self.weight = out["weights"]
         self.used = self.weight > 0
-        h = np.where(self.used[:, None], out["leverages"], np.nan)
-        self.redundancy = 1 - h[:, ::2]
-        self.direction, redundancies = directions_of(h)
-        self.least = redundancies[:, 0]
-        self.direction[~self.used] = np.nan
-        self._sum = (self.redundancy[:, 0] + self.redundancy[:, 1])[self.used]
-        self.uncontrolled = self.used & (self.least < NOT_CHECKABLE)
-        checked = np.where(self.redundancy >= NOT_CHECKABLE, self.redundancy, np.nan)
-        self.standardized = out["residuals"] / (np.sqrt(checked) * factor)
-        least = np.where(self.uncontrolled, np.nan, self.least)
+        self._rows = slice(None) if self.used.all() else self.used
+        self.redundancy = 1 - out["leverages"][:, ::2]
+        self.redundancy[~self.used] = np.nan
+        self.direction, self.least = out["along"], out["least"]
+        self._sum = (self.redundancy[:, 0] + self.redundancy[:, 1])[self._rows]
+        self.uncontrolled = self.least < NOT_CHECKABLE
         sigma = 1.0 if start.observation_sigma is None else start.observation_sigma
-        with np.errstate(divide="ignore"):
-            spread = factor * sigma / np.sqrt(self.weight)
-        self.detectable = delta0 * spread / np.sqrt(least)
-        self.bound = delta0 * np.sqrt(np.maximum(1 - least, 0) / least)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            self.standardized = out["residuals"] / (factor * np.sqrt(self.redundancy))
+            self.detectable = delta0 * factor * sigma / np.sqrt(self.weight * self.least)
+            self.bound = delta0 * np.sqrt(np.maximum(1 - self.least, 0) / self.least)
+        self.standardized[self.redundancy < NOT_CHECKABLE] = np.nan
+        for of_checked in (self.detectable, self.bound):
+            of_checked[self.uncontrolled] = np.nan
         self.delta0 = delta0
 
     def count(self, owner: NDArray[Any], size: int) -> NDArray[np.int64]:
         """Return the number of used observations of each owner."""
-        return np.bincount(owner[self.used], minlength=size)
+        return np.bincount(owner[self._rows], minlength=size)
 
     def total(self, owner: NDArray[Any], size: int) -> _Floats:
         """Return the sum of the redundancies of each owner."""
-        return np.bincount(owner[self.used], self._sum, size).astype(float)
+        return np.bincount(owner[self._rows], self._sum, size).astype(float)
 
 
 def _images(start: Problem, rows: _Rows) -> tuple[ImageReliability, ...]:
