@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+import dataclasses
+import functools
+import json
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
 import pytest
 
+import bundle._core as _core
+from bundle.base.paths import write_cached
 from bundle.planning.inspection import (
     elimination_costs,
     factor_graph_time,
     pose_graph_time,
     problem_inspection,
 )
-from bundle.planning.inspection.machine_rates import Rates
+from bundle.planning.inspection.machine_rates import Rates, cache_path
 
 SECONDS = {
     "flop": 1e-10,
@@ -49,3 +57,17 @@ def predict_for_it(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(problem_inspection, "problem_rates", lambda *_, **__: RATES)
     patch.setattr(elimination_costs, "pose_graph_rates", of_pose_graphs)
     patch.setattr(elimination_costs, "factor_graph_rates", lambda **_: FACTOR_GRAPH_RATES)
+
+
+@functools.cache
+def cache() -> TemporaryDirectory[str]:
+    """Return a folder, XDG_CACHE_HOME of processes of their own, that has these rates."""
+    folder = TemporaryDirectory(prefix="bundle-cache-")
+    every = {"problem": SECONDS, "pose-graph": POSE_GRAPH_SECONDS}
+    tables = {(t, n): every[t] for t in every for n in {1, _core.hardware_threads()}}
+    tables |= {("factor-graph", 1): FACTOR_GRAPH_RATES.seconds}
+    for (table, num_threads), seconds in tables.items():
+        rates = Rates(num_threads=num_threads, seconds=seconds)
+        path = Path(folder.name) / "bundle" / cache_path(table, num_threads).name
+        write_cached(path, json.dumps(dataclasses.asdict(rates)))
+    return folder

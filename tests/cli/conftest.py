@@ -13,6 +13,7 @@ import pytest
 
 import bundle
 from bundle.cli.main import main
+from tests.made_up_machine import cache
 from tests.scenes import scene
 
 
@@ -34,10 +35,14 @@ def run(capsys: pytest.CaptureFixture[str]) -> Callable[..., Outcome]:
 
 
 def environment() -> dict[str, str]:
-    """The environment with this very package in front, and buffers as users have them."""
+    """The environment with this very package in front, and buffers as users have them.
+
+    Processes calibrate nothing, and leave the user's cache alone.
+    """
     package = str(Path(bundle.__file__).parent.parent)
     inherited = {k: v for k, v in os.environ.items() if k != "PYTHONUNBUFFERED"}
-    return {**inherited, "PYTHONPATH": package, "PYTHONWARNINGS": "error"}
+    own = {"PYTHONPATH": package, "PYTHONWARNINGS": "error", "XDG_CACHE_HOME": cache().name}
+    return inherited | own
 
 
 def command(*arguments: Any) -> list[str]:

@@ -95,10 +95,9 @@ def test_html_page(run, model, tmp_path):
     assert "bundle refine" in text
 
 
-def test_ctrl_c_ends_with_what_is_there(model, tmp_path):
-    env = {**environment(), "XDG_CACHE_HOME": str(tmp_path)}
+def test_ctrl_c_ends_with_what_is_there(model):
     with subprocess.Popen(
-        command("compare", model, "--repeat", 100), env=env, text=True,
+        command("compare", model, "--repeat", 100), env=environment(), text=True,
         stdout=subprocess.PIPE, stderr=subprocess.PIPE,
     ) as process:  # fmt: skip
         for line in process.stderr:
