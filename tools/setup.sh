@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# usage: tools/setup.sh PYTHON VENV EXTRAS
+# usage: tools/setup.sh PYTHON VENV [EXTRAS]
 #
 # Installs the Debian packages that are missing (and only then touches apt), makes the virtual
 # environment, and installs bundle into it in editable mode: Python sources are used where they
@@ -10,7 +10,7 @@ source tools/debian.sh
 
 python=$1
 venv=$2
-extras=$3
+extras=${3:-}
 
 require_python() {
   command -v "$python" >/dev/null ||
@@ -62,13 +62,13 @@ print(*project["build-system"]["requires"], sep="\n")')
   # Under its former name, bundle would own the same files, and uninstalling it later would take them.
   "$venv/bin/python" -m pip uninstall --quiet --quiet --yes bundle
   "$venv/bin/python" -m pip install --quiet "${requires[@]}" "cmake>=3.25" ninja
-  "$venv/bin/python" -m pip install --quiet --no-build-isolation --editable ".[$extras]"
+  "$venv/bin/python" -m pip install --quiet --no-build-isolation --editable ".${extras:+[$extras]}"
 }
 
 require_python
 mapfile -t packages < <(wanted_packages)
 install_packages "${packages[@]}"
-install_browser
+[[ ",$extras," != *,test,* ]] || install_browser
 make_venv
 install_bundle
 "$venv/bin/python" -c 'import bundle; print(f"bundle {bundle.__version__} is ready in '"$venv"'")'

@@ -309,7 +309,7 @@ def check_is_model(folder: Path) -> None:
         return
     found = f"found a folder without {', '.join(missing)}"
     above = [] if missing_model_files(folder.parent) else [folder.parent]
-    models = models_below(folder) or above
+    models = models_below(folder) or [*folder.glob("*/reconstruction.json")] or above
     if models:
         paths = " or ".join(shown(model) for model in models[:MOST_HINTS])
         more = f" (or {len(models) - MOST_HINTS} more)" if len(models) > MOST_HINTS else ""

@@ -66,9 +66,9 @@ def load_object(text: str) -> Any:
     try:
         return thing()
     except Exception as error:
-        raise user_error(
-            f"{shown(path)}: {name}(), called without arguments", error, path
-        ) from error
+        hint = " (check residuals by bundle.check_gradients)" * ("argument" in str(error))
+        place = f"{shown(path)}: {name}(), called without arguments{hint}"
+        raise user_error(place, error, path) from error
 
 
 def user_error(place: str, error: Exception, path: Path | None = None) -> InputError:
