@@ -187,6 +187,8 @@ def _uncertainty(results: Results) -> list[Target]:
             ]
             continue
         for who, limit in ((uncertainty.INNER, 20.0), (uncertainty.DIAGNOSIS, 60.0)):
+            if who not in of:
+                continue
             wall, memory = of[who]["wall"], of[who]["memory"]
             lines.append(
                 Target(f"{name}, {who}, seconds", wall.median if wall else None, limit, False)

@@ -7,7 +7,8 @@ conditional: they hold the images. Times are of the call alone. Both are given t
 which pycolmap uses one: wall times differ by more than CPU times do. A drive of 5000 images has no
 peer, whose memory does not suffice; its diagnosis counts too. It has one camera: with a lens for
 each image, nothing holds such a drive one way but noise, and the normal equations have no digits
-left for its covariance, which is refused.
+left for its covariance, which is refused. The CPU time of the reliability of all observations is to
+be compared with that of the covariance of all poses.
 
 Run: python -m benchmarks.uncertainty [--repeat N] [--threads N] [--timeout SECONDS]
 """
@@ -32,6 +33,7 @@ INNER, TWO_CAMERAS, DIAGNOSIS, THEIRS = (
     "bundle diagnosis",
     "pycolmap",
 )
+POSES, RELIABILITY, INFLUENCE = "bundle poses", "bundle reliability", "bundle influence"
 STREET: dict[str, Any] = {
     "scene": "street",
     "num_images": 1000,
@@ -62,6 +64,8 @@ class Case:
 CASES = (
     Case("lund_door", "colmap/lund_door", (INNER, TWO_CAMERAS, THEIRS)),
     Case(STREET_NAME, "", (INNER, TWO_CAMERAS, THEIRS)),
+    Case("lund_door, analyses", "colmap/lund_door", (POSES, RELIABILITY, INFLUENCE)),
+    Case("vr_opencv, analyses", "colmap/vr_opencv", (POSES, RELIABILITY, INFLUENCE)),
     Case(LARGE_NAME, "", (INNER, DIAGNOSIS)),
 )
 
