@@ -5,7 +5,8 @@ time into EuRoC V1_01 (30 s) and into six synthetic flights, and runs ``bundle v
 A run is wrong if it ends with exit 0 and a position error above 0.15 m (V1_01) or 0.3 m (flights),
 with a traceback, or with exit 1 without report or trajectory. Its cause is named if the text
 matches the pattern of the fault. Sequences without a fault must end with exit 0 and without a
-warning. Bases are V1_01, MOTION SEED (``"room 31"``) or all of them; each base gets each fault.
+warning. Bases are V1_01, MOTION SEED (``"room 31"``; ``"phone 34"`` has the sensors of a phone) or
+all of them; each base gets each fault.
 """
 
 from __future__ import annotations
@@ -36,7 +37,8 @@ Array = np.ndarray[Any, Any]
 Fault = Callable[[Sequence], Sequence]
 
 AT = 12.0  # s after the first sample
-FLIGHTS = tuple(f"{motion} {seed}" for seed in (31, 32, 33) for motion in ("loop", "room"))
+FLIGHTS = ("loop 31", "room 31", "loop 32", "room 32", "loop 33", "phone 34")
+PHONE = {"motion": "room", "imu_rate": 100, "imu_noise_scale": 2.0, "pixel_noise": 1.0}
 GOOD_REAL = 0.15
 GOOD_FLIGHT = 0.3
 
@@ -282,7 +284,8 @@ def base(name: str, folder: Path) -> tuple[Sequence, Path, float]:
         real = read_track_csv(data / "euroc_V1_01_tracks_imu_30s.csv")
         return real, data / "euroc_V1_01_ground_truth.csv", GOOD_REAL
     motion, seed = name.split()
-    flight = synthesize_flight(motion=motion, seed=int(seed))
+    given = PHONE if motion == "phone" else {"motion": motion}
+    flight = synthesize_flight(seed=int(seed), **given)
     truth = folder / f"{motion}{seed}.tum"
     save_tum(truth, flight.ground_truth.timestamps_ns, flight.ground_truth.states)
     return flight.sequence, truth, GOOD_FLIGHT
