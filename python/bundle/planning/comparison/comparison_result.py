@@ -276,27 +276,24 @@ def read_comparison(path: str | os.PathLike[str]) -> Comparison:
 
 def _comparison(report: Entry) -> Comparison:
     found = report["recommendation"]
-    return Comparison(
+    return _record(
+        Comparison,
+        report,
         problems=tuple(_problem(k, entry) for k, entry in enumerate(report["inputs"])),
         runs=tuple(map(_run, report["runs"])),
         profiles=tuple(map(_profile, report["profiles"])),
         recommendation=None if found is None else _recommendation(found),
         options=_options(report["options"]),
-        repeat=report["repeat"],
         timeout=report["timeout_in_seconds"],
-        memory_cap_in_bytes=report["memory_cap_in_bytes"],
-        interrupted=report["interrupted"],
         wall_time_in_seconds=report["wall_time"]["total"],
         environment=_record(Environment, report["environment"]),
-        perturb=report["perturb"],
-        seed=report["seed"],
     )
 
 
 def _problem(index: int, entry: Entry) -> ComparedProblem:
     path = entry["path"]
     name = f"problem {index + 1}" if path is None else path
-    return _record(ComparedProblem, {**entry, "name": name, "is_file": path is not None})
+    return _record(ComparedProblem, entry, name=name, is_file=path is not None)
 
 
 def _options(entry: Entry) -> SolveOptions:
@@ -311,49 +308,45 @@ def _method(entry: Entry) -> Method:
 
 def _run(entry: Entry) -> Run:
     unfinished, prediction = entry["unfinished"], entry["prediction"]
-    return Run(
+    return _record(
+        Run,
+        entry,
         problem=entry["input"],
         method=_method(entry["method"]),
         outcome=entry["outcome"].lower(),
-        message=entry["message"],
         measurements=tuple(map(_measurement, entry["measurements"])),
         unfinished=_columns(unfinished) if unfinished else None,
         prediction=None if prediction is None else _record(Prediction, prediction),
-        distance_in_sigmas=_number(entry["distance_in_sigmas"]),
-        num_points_elsewhere=entry["num_points_elsewhere"],
         minimum=-1 if entry["minimum"] is None else entry["minimum"],
     )
 
 
 def _measurement(entry: Entry) -> Measurement:
     added = entry["added_memory_in_bytes"]
-    changed = {
-        "summary": _record(Summary, {**entry["summary"], "processes": None}),
-        "iterations": _columns(entry["iterations"]),
-        "added_memory_in_bytes": -1 if added is None else added,
-    }
-    return _record(Measurement, {**entry, **changed})
+    return _record(
+        Measurement,
+        entry,
+        summary=_record(Summary, entry["summary"], processes=None),
+        iterations=_columns(entry["iterations"]),
+        added_memory_in_bytes=-1 if added is None else added,
+    )
 
 
 def _profile(entry: Entry) -> PerformanceProfile:
     ratios = tuple(math.inf if ratio is None else ratio for ratio in entry["ratios"])
-    return _record(
-        PerformanceProfile, {**entry, "method": _method(entry["method"]), "ratios": ratios}
-    )
+    return _record(PerformanceProfile, entry, method=_method(entry["method"]), ratios=ratios)
 
 
 def _recommendation(entry: Entry) -> Recommendation:
     foreseen = tuple(one and _method(one) for one in entry["foreseen"])
-    return _record(
-        Recommendation, {**entry, "method": _method(entry["method"]), "foreseen": foreseen}
-    )
+    return _record(Recommendation, entry, method=_method(entry["method"]), foreseen=foreseen)
 
 
-def _record(kind: type[_Kind], entry: Entry) -> _Kind:
+def _record(kind: type[_Kind], entry: Entry, **changed: Any) -> _Kind:
     """Return a dataclass from its fields in JSON: lists are tuples, and null is NaN in numbers."""
     values = {}
     for field in dataclasses.fields(kind):  # type: ignore[arg-type]
-        value = entry[field.name]
+        value = changed[field.name] if field.name in changed else entry[field.name]
         if value is None and field.type == "float":
             value = math.nan
         values[field.name] = tuple(value) if isinstance(value, list) else value
@@ -364,12 +357,7 @@ def _columns(rows: Sequence[Entry]) -> dict[str, NDArray[Any]]:
     """Return one array per entry of the iterations; numbers that are null become NaN."""
     if not rows:
         return {name: np.empty(0) for name in _TRACE}
-    return {name: np.array([_unknown(row[name]) for row in rows]) for name in rows[0]}
-
-
-def _unknown(value: Any) -> Any:
-    return math.nan if value is None else value
-
-
-def _number(value: float | None) -> float:
-    return math.nan if value is None else value
+    return {
+        name: np.array([math.nan if row[name] is None else row[name] for row in rows])
+        for name in rows[0]
+    }
