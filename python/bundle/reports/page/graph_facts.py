@@ -27,7 +27,7 @@ from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.model.rigid_motions import rotation_matrices
 from bundle.planning.inspection.elimination_costs import FactorGraphInspection
 from bundle.planning.inspection.problem_inspection import inspect
-from bundle.reports.terminal.graph_headline import graph_headline
+from bundle.reports.terminal.graph_headline import degrees_of_freedom, graph_headline
 from bundle.reports.terminal.inputs import contents_of
 
 Floats = NDArray[np.float64]
@@ -83,7 +83,9 @@ def facts_of_pose_graph(source: PoseGraph | PoseGraphResult) -> GraphFacts:
     assert isinstance(graph, PoseGraph)
     if result is None:
         chi2, before = np.asarray(pose_graph_chi2(graph)), np.full(graph.num_edges, np.nan)
-        headline = [f"chi2 now {number(float(chi2.sum()))}."]
+        total, degrees = float(chi2.sum()), max(degrees_of_freedom(graph), 1)
+        per_degree = f"{number(total / degrees)} per degree of freedom (a minimum has about 1)"
+        headline = [f"chi2 {number(total)} as given, {per_degree}."]
     else:
         chi2, before, headline = result.chi2_after, result.chi2_before, graph_headline(result)
     lines = graph.edge_lines.tolist()

@@ -92,10 +92,11 @@ def write_graph_report(
         *([Section(title="Convergence", figures=convergence)] if convergence else []),
         *([] if facts.inspection is None else [structure_section(facts.inspection)]),
     ]
-    short = "/".join(Path(name).parts[-2:]) or f"A graph of {facts.noun}s"
+    kind = "Factor graph" if isinstance(source, FactorGraph) else "Pose graph"
+    short = f"{kind} {'/'.join(Path(name).parts[-2:])}".rstrip()
     write_page(
         as_path(path),
-        f"Report on {name}" if name else "Report on a graph",
+        f"{kind} {name}".rstrip(),
         rendered(sections),
         None if data is None else {"scene": data},
         headline=f"{short}: {facts.headline[0].removesuffix('.')}",
