@@ -63,7 +63,7 @@ def judged(
     run.known, run.constraints = SimpleNamespace(priors=(PRIOR,)), (rule,)
     run.inertial, run.measured = inertial, ()
     run.found = SimpleNamespace(
-        problem=PROBLEM, initial_problem=START, options=OPTIONS, survey_checks="survey",
+        problem=PROBLEM, initial_problem=START, options=OPTIONS, survey_checks="survey", part=None,
         similarity=similarity,
         summary=SimpleNamespace(
             termination_type=end, is_solution_usable=usable, warning_kinds=warned
