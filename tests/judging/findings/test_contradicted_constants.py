@@ -9,6 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import bundle
+from bundle.judging.findings import contradicted_constants, repaired
 from bundle.judging.findings.contradicted_constants import is_notable
 from bundle.judging.findings.find import find
 from bundle.model.rig_arrays import compose
@@ -119,6 +120,21 @@ def test_constant_poses_and_points_are_named_if_they_are_wrong(exact, kind):
     assert shlex.split(found.command)[5:] == ["--threads", "1"]
     # The numbers that are held, without the gauge.
     assert found.evidence["dof"] == 18 - 7
+
+
+@pytest.mark.parametrize("kind", ["image", "point"])
+def test_solves_of_a_large_model_find_what_steps_of_a_small_one_find(exact, kind, monkeypatch):
+    ids = getattr(exact, f"{kind}_ids")[: {"image": 9, "point": 24}[kind] : 4].tolist()
+    options = {f"fixed_{kind}_ids": ids}
+    small = contradictions(moved(exact, ids, kind), **options)[0]
+    monkeypatch.setattr(contradicted_constants, "MOST_WORK", 0)
+    assert contradictions(exact, **options) == []
+    (large,) = contradictions(moved(exact, ids, kind), **options)
+    assert (large.kind, large.command) == (small.kind, small.command)
+    assert large.evidence["dof"] == pytest.approx(small.evidence["dof"], abs=7)  # by the gauge
+    assert large.evidence["share"] == pytest.approx(small.evidence["share"], abs=0.1)
+    monkeypatch.setattr(repaired, "is_affordable", lambda *_: False)
+    assert contradictions(moved(exact, ids, kind), **options) == []
 
 
 @pytest.mark.parametrize(("refined", "kind"), [("points", "image"), ("poses", "point")])

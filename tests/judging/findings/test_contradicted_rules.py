@@ -129,7 +129,7 @@ def test_a_rule_is_not_blamed_for_the_gauge_that_contradicts_it(refined):
 
 
 def test_of_a_large_model_only_a_pull_is_judged(refined, scene, monkeypatch):
-    monkeypatch.setattr(repaired, "is_affordable", lambda _: False)
+    monkeypatch.setattr(repaired, "is_affordable", lambda *_: False)
     k = scene.ground_truth.camera_params[0, 3] + 0.3
     weak, strong = (
         rules(refined, [f"camera 1: k prior {k} sigma {sigma}"]) for sigma in (0.001, 0.00001)

@@ -7,6 +7,7 @@ added terms: of the decreases lambda^2 of twice the cost by a Newton step with a
     T = (lambda^2 - lambda_0^2) / s^2
 
 is chi^2 with as many degrees of freedom as free parameters were added, if the constants are right.
+Of a large model, where a covariance is slow, the costs of two solves take the place of the steps.
 Constants from another model have an error of their own; T above 4 per term allows for it.
 
 A right calibration fails the test, too, where a free lens absorbs small errors of another kind: on
@@ -82,6 +83,25 @@ def is_notable(fall: float, squares: float, count: int, redundancy: int) -> bool
     return chi2_tail(statistic, count) < SIGNIFICANT and statistic > BY_TERM * count
 
 
+def _by_steps(measured: Measured, free: SolveOptions) -> tuple[float, float, int, int]:
+    """Return the arguments of is_notable for options that refine more, by steps of Newton."""
+    present, opened = Step(measured.whole, measured.options), Step(measured.whole, free)
+    redundancy = opened.num_residuals - opened.num_parameters
+    count = opened.num_parameters - present.num_parameters
+    return opened.decrease - present.decrease, opened.variance * redundancy, count, redundancy
+
+
+def _by_solves(measured: Measured, free: SolveOptions) -> tuple[float, float, int, int] | None:
+    """Return the same from solves, which take less than steps of large models."""
+    found = [solved_free(replace(measured, options=one)) for one in (measured.options, free)]
+    if found[0] is None or found[1] is None:
+        return None
+    held, opened = found[0].summary, found[1].summary
+    count = opened.num_parameters_reduced - held.num_parameters_reduced
+    redundancy = opened.num_residuals_reduced - opened.num_parameters_reduced
+    return 2 * (held.final_cost - opened.final_cost), 2 * opened.final_cost, count, redundancy
+
+
 def _name(key: Any) -> str:
     return ":".join(map(str, key)) if isinstance(key, tuple) else str(key)
 
@@ -90,22 +110,24 @@ def contradicted_constants(measured: Measured) -> tuple[Finding | None, Measured
     """Return the finding, or None, and the model without these constants if it was solved."""
     options, problem = measured.options, measured.whole
     held = [(one, ids) for one in HELD if (ids := one.ids(problem, options))]
-    if not held or measured.work > MOST_WORK or not measured.scale > SMALLEST_SCALE:
+    is_large = measured.work > MOST_WORK
+    if is_large:  # sensors, which are held by default, do not pay for two solves
+        held = [(one, ids) for one, ids in held if one.owner != "sensor"]
+    if not held or not measured.scale > SMALLEST_SCALE or (is_large and not measured.is_minimum):
         return None, None
     found: list[tuple[float, SolveOptions, Finding]] = []
     for one, ids in held:
         free = options.replace(refine={*options.refine, *one.names}, **{one.option: ()})
         try:
-            present, opened = Step(problem, options), Step(problem, free)
+            released = (_by_solves if is_large else _by_steps)(measured, free)
         except InputError:  # something is not determined
             continue
-        count = opened.num_parameters - present.num_parameters
-        fall = opened.decrease - present.decrease
-        redundancy = opened.num_residuals - opened.num_parameters
-        squares = opened.variance * redundancy
-        if not is_notable(fall, squares, count, redundancy) or explains_more(measured, opened):
+        if released is None or not is_notable(*released):
             continue
-        statistic, share = fall / opened.variance, fall / (squares + fall)
+        if not is_large and explains_more(measured, Step(problem, free)):
+            continue
+        fall, squares, count, redundancy = released
+        statistic, share = fall * redundancy / squares, fall / (squares + fall)
         command = measured.command.without(f"--fix-{one.owner}s", lambda _: True)
         # By name even if it is the default: options of COLMAP may hold them.
         refine = ["--refine", ",".join(free.refine).replace("_", "-")]
@@ -121,7 +143,7 @@ def contradicted_constants(measured: Measured) -> tuple[Finding | None, Measured
             command=command.refine(*refine),
             evidence={f"{one.owner}_ids": ids, "chi2": statistic, "dof": count, "share": share},
         )
-        found.append((opened.num_residuals * math.log(squares) + 2.0 * count, free, finding))
+        found.append((2.0 * (problem.num_observations * math.log(squares) + count), free, finding))
     if not found:
         return None, None
     _, free, best = min(found, key=lambda one: one[0])

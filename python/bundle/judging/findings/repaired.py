@@ -38,10 +38,10 @@ MOST_FREE_STEPS, FREE_TOLERANCE = 200, 1e-6
 """Limits of a solve without the positions, rules or constants that bend the model."""
 
 
-def is_affordable(measured: Measured) -> bool:
-    """Return True if the model is small enough to be solved again."""
-    whole = measured.whole
-    return whole.num_observations <= MOST_OBSERVATIONS and whole.num_images <= MOST_IMAGES
+def is_affordable(measured: Measured, times: int = 1) -> bool:
+    """Return True if the model is small enough, or times as large, to be solved again."""
+    whole, observations = measured.whole, times * MOST_OBSERVATIONS
+    return whole.num_observations <= observations and whole.num_images <= times * MOST_IMAGES
 
 
 def solved(
@@ -77,12 +77,13 @@ def solved(
 def solved_free(measured: Measured, gauge: str = "auto") -> Result | None:
     """Return the result far from the present values, with fewer constants than the model had.
 
-    None if that takes long, or if something is undetermined.
+    None if something is undetermined, or if the model is more than ten times as large as others
+    that are solved again: a user who gives a rule pays for its test.
     """
     options = measured.options.replace(
         max_num_iterations=MOST_FREE_STEPS, function_tolerance=FREE_TOLERANCE
     )
-    if not is_affordable(measured):
+    if not is_affordable(measured, 10):
         return None
     try:
         return solved(measured, measured.whole, options, measured.priors, gauge)
