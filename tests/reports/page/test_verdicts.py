@@ -170,6 +170,15 @@ def test_findings_that_are_given_are_those_of_the_page(told, solved):
     assert "weak joint" in found["Connection"]["number"]
 
 
+@pytest.mark.parametrize("kind", ["not_refined", "rules", "constant_poses", "constant_lens"])
+def test_what_hides_the_answer_leaves_it_unknown_and_without_a_command(told, solved, kind):
+    found = told(solved, findings=[Finding(kind=kind, sentence="A sentence.", command="bundle x")])
+    unknown = {"Outliers", "Images", "Lens model", "Positions"} & found.keys()
+    assert {found[name]["mark"] for name in unknown} == {"unknown"} and len(unknown) > 2
+    assert (found["Intrinsics"]["mark"] == "attention") == (kind == "constant_lens")
+    assert not any("bundle" in str(one) for one in found.values())
+
+
 @pytest.mark.parametrize(
     ("kind", "name"),
     [

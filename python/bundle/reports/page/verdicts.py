@@ -71,15 +71,15 @@ class Judged:
 
 def verdicts(given: Judged) -> list[Verdict]:
     """Return the verdicts that have a number, the most general first."""
-    is_start = any(finding.kind == "not_refined" for finding in given.findings)
+    is_hidden = any(one.kind.startswith(HIDING) for one in given.findings)
     found = []
     for answer, kinds in QUESTIONS:
         one = answer(given)
-        if one is not None and is_start and answer in OF_A_MINIMUM:
+        about = [each for each in given.findings if each.kind in kinds.split()]
+        if one is not None and is_hidden and not about and answer in OF_A_MINIMUM:
             found.append(Verdict(one.name, "unknown", one.number))
         elif one is not None:
-            about = [each for each in given.findings if each.kind in kinds.split()]
-            is_open = one.mark in SEVERE and not any(each.command for each in about)
+            is_open = one.mark in SEVERE and not (is_hidden or any(each.command for each in about))
             step = one.command or STEPS.get(answer, "diagnose")
             found.append(replace(_with_findings(one, about), command=_next(given, step) * is_open))
     return found
@@ -343,4 +343,6 @@ QUESTIONS: tuple[tuple[Callable[[Judged], Verdict | None], str], ...] = (
 """Functions that answer a question, and the kinds of findings about its subject."""
 
 OF_A_MINIMUM = (_outliers, _worst, _lens, _focal, _positions)
-"""Questions without an answer before a model is refined: errors of its start hide the answer."""
+HIDING = ("not_refined", "rules", "constant_")
+"""Questions without an answer beside kinds of findings: errors of a start hide the answer, and so
+does what is held at a wrong value."""
