@@ -349,7 +349,8 @@ def test_changes_are_sorted_and_it_pickles(small):
         order = np.argsort(-np.nan_to_num(np.abs(values - found.value), nan=-1), kind="stable")
         shown = order[np.isfinite(values[order])][:20]
         np.testing.assert_array_equal([one.value for one in found.changes], values[shown])
-        assert found.changes[0].what.startswith("point" if without == "points" else "image")
+        first = {"observations": "the observation of point", "points": "point", "images": "image"}
+        assert found.changes[0].what.startswith(first[without])
     again = pickle.loads(pickle.dumps(found))
     asked = bundle.influence(small, "f 1", without="points")
     for name in ("share", "without_observation", "without_point", "without_image"):

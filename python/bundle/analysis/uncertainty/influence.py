@@ -378,7 +378,7 @@ def _changes(
         name = f"image {start.image_names[image] or start.image_ids[image]}"
         if without == "images":
             return name
-        return f"{name}, point {start.point_ids[start.observation_point[row]]}"
+        return f"the observation of point {start.point_ids[start.observation_point[row]]} in {name}"
 
     return tuple(
         Change(
