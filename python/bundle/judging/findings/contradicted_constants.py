@@ -21,8 +21,9 @@ that explains most is named (H. Akaike, 1974): the others can imitate it.
 from __future__ import annotations
 
 import math
+from collections.abc import Set
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,7 +40,10 @@ from bundle.judging.findings.measured import SMALLEST_SCALE, Measured
 from bundle.judging.findings.repaired import solved_free
 from bundle.model.problem import Problem
 
-LENS = {"focal", "extra"}  # names in ``SolveOptions.refine``
+if TYPE_CHECKING:
+    from bundle.interface.summary import Summary
+    from bundle.solving.result import Result
+
 NOTABLE = 0.1  # smallest fall of the cost for which constants are named
 
 
@@ -49,7 +53,7 @@ class Held(NamedTuple):
     kind: str  # of the finding
     owner: str
     values: str  # the parameters in a sentence
-    names: frozenset[str]  # in ``SolveOptions.refine``
+    names: Set[str]  # in ``SolveOptions.refine``
     option: str  # option that holds the parameters of some owners
 
     def ids(self, problem: Problem, options: SolveOptions) -> list[Any]:
@@ -65,10 +69,10 @@ class Held(NamedTuple):
 
 
 HELD = (
-    Held("constant_lens", "camera", "parameters", frozenset(LENS), "fixed_camera_ids"),
-    Held("constant_poses", "image", "poses", frozenset({"poses"}), "fixed_image_ids"),
-    Held("constant_points", "point", "positions", frozenset({"points"}), "fixed_point_ids"),
-    Held("constant_sensors", "sensor", "poses", frozenset({SENSORS}), "fixed_sensors"),
+    Held("constant_lens", "camera", "parameters", {"focal", "extra"}, "fixed_camera_ids"),
+    Held("constant_poses", "image", "poses", {"poses"}, "fixed_image_ids"),
+    Held("constant_points", "point", "positions", {"points"}, "fixed_point_ids"),
+    Held("constant_sensors", "sensor", "poses", {SENSORS}, "fixed_sensors"),
 )
 
 
@@ -83,58 +87,61 @@ def is_notable(fall: float, squares: float, count: int, redundancy: int) -> bool
     return chi2_tail(statistic, count) < SIGNIFICANT and statistic > BY_TERM * count
 
 
-def _by_steps(measured: Measured, free: SolveOptions) -> tuple[float, float, int, int]:
-    """Return the arguments of is_notable for options that refine more, by steps of Newton."""
-    present, opened = Step(measured.whole, measured.options), Step(measured.whole, free)
+def release(held: Summary, free: Summary) -> tuple[float, float, int, int]:
+    """Return the arguments of is_notable for two solves, the second with fewer constants."""
+    count = free.num_parameters_reduced - held.num_parameters_reduced
+    redundancy = free.num_residuals_reduced - free.num_parameters_reduced
+    return 2 * (held.final_cost - free.final_cost), 2 * free.final_cost, count, redundancy
+
+
+def _by_steps(
+    measured: Measured, present: Step, free: SolveOptions
+) -> tuple[float, float, int, int] | None:
+    """Return the same for steps of Newton; None if a larger lens explains more."""
+    try:
+        opened = Step(measured.whole, free)
+    except InputError:
+        return None
     redundancy = opened.num_residuals - opened.num_parameters
     count = opened.num_parameters - present.num_parameters
-    return opened.decrease - present.decrease, opened.variance * redundancy, count, redundancy
-
-
-def _by_solves(measured: Measured, free: SolveOptions) -> tuple[float, float, int, int] | None:
-    """Return the same from solves, which take less than steps of large models."""
-    found = [solved_free(replace(measured, options=one)) for one in (measured.options, free)]
-    if found[0] is None or found[1] is None:
-        return None
-    held, opened = found[0].summary, found[1].summary
-    count = opened.num_parameters_reduced - held.num_parameters_reduced
-    redundancy = opened.num_residuals_reduced - opened.num_parameters_reduced
-    return 2 * (held.final_cost - opened.final_cost), 2 * opened.final_cost, count, redundancy
-
-
-def _name(key: Any) -> str:
-    return ":".join(map(str, key)) if isinstance(key, tuple) else str(key)
+    found = opened.decrease - present.decrease, opened.variance * redundancy, count, redundancy
+    return None if is_notable(*found) and explains_more(measured, opened) else found
 
 
 def contradicted_constants(measured: Measured) -> tuple[Finding | None, Measured | None]:
     """Return the finding, or None, and the model without these constants if it was solved."""
     options, problem = measured.options, measured.whole
-    held = [(one, ids) for one in HELD if (ids := one.ids(problem, options))]
     is_large = measured.work > MOST_WORK
-    if is_large:  # sensors, which are held by default, do not pay for two solves
-        held = [(one, ids) for one, ids in held if one.owner != "sensor"]
+    rows = HELD[:-1] if is_large else HELD  # sensors, held by default, do not pay for two solves
+    held = [(one, ids) for one in rows if (ids := one.ids(problem, options))]
     if not held or not measured.scale > SMALLEST_SCALE or (is_large and not measured.is_minimum):
         return None, None
-    found: list[tuple[float, SolveOptions, Finding]] = []
+    try:
+        present = solved_free(measured) if is_large else Step(problem, options)
+    except InputError:  # something is not determined
+        return None, None
+    found: list[tuple[float, Measured, Result | None, Finding]] = []
     for one, ids in held:
         free = options.replace(refine={*options.refine, *one.names}, **{one.option: ()})
-        try:
-            released = (_by_solves if is_large else _by_steps)(measured, free)
-        except InputError:  # something is not determined
+        model = replace(measured, options=free)
+        result = solved_free(model) if is_large else None
+        if isinstance(present, Step):
+            released = _by_steps(measured, present, free)
+        elif present is None or result is None:
             continue
+        else:
+            released = release(present.summary, result.summary)
         if released is None or not is_notable(*released):
-            continue
-        if not is_large and explains_more(measured, Step(problem, free)):
             continue
         fall, squares, count, redundancy = released
         statistic, share = fall * redundancy / squares, fall / (squares + fall)
         command = measured.command.without(f"--fix-{one.owner}s", lambda _: True)
         # By name even if it is the default: options of COLMAP may hold them.
         refine = ["--refine", ",".join(free.refine).replace("_", "-")]
-        refine = [] if free.refine == options.refine else refine
-        if free.refine_sensor_from_rig != options.refine_sensor_from_rig:
-            refine.append("--refine-sensor-from-rig")
-        names = named(one.owner, [_name(key) for key in ids])
+        refine *= free.refine != options.refine
+        sensors = free.refine_sensor_from_rig and not options.refine_sensor_from_rig
+        refine += ["--refine-sensor-from-rig"] * sensors
+        names = named(one.owner, [":".join(map(str, np.atleast_1d(key))) for key in ids])
         finding = Finding(
             kind=one.kind,
             sentence=f"The observations contradict the constant {one.values} of {names}: with free "
@@ -143,10 +150,9 @@ def contradicted_constants(measured: Measured) -> tuple[Finding | None, Measured
             command=command.refine(*refine),
             evidence={f"{one.owner}_ids": ids, "chi2": statistic, "dof": count, "share": share},
         )
-        found.append((2.0 * (problem.num_observations * math.log(squares) + count), free, finding))
+        found.append((problem.num_observations * math.log(squares) + count, model, result, finding))
     if not found:
         return None, None
-    _, free, best = min(found, key=lambda one: one[0])
-    model = replace(measured, options=free)
-    result = solved_free(model)
+    _, model, result, best = min(found, key=lambda one: one[0])
+    result = solved_free(model) if result is None else result
     return best, None if result is None else replace(model, whole=result.problem)

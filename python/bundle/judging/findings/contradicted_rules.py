@@ -25,14 +25,13 @@ from bundle.base.tails import chi2_limit
 from bundle.base.words import number, rounded
 from bundle.errors import brief, shown
 from bundle.interface.finding import Finding
-from bundle.judging.findings.contradicted_constants import is_notable
+from bundle.judging.findings.contradicted_constants import is_notable, release
 from bundle.judging.findings.measured import Measured
 from bundle.judging.findings.repaired import solved_free
 
 if TYPE_CHECKING:
     from bundle.solving.constraints.ends import RuleEnd
     from bundle.solving.constraints.rules import Rule
-    from bundle.solving.result import Result
 
 FAR = 5.0  # pull above which a rule is named without another solve
 NOTABLE = 0.01  # smallest notable rise of the cost by priors
@@ -57,8 +56,8 @@ def contradicted_priors(measured: Measured) -> tuple[Finding | None, Measured | 
     ends = rule_ends(applied, begin, measured.whole)
     # Planes need a gauge. Other rules are not to blame for a world that the gauge holds elsewhere.
     gauge = measured.options.gauge if any(rule.kind == "on" for rule in rules) else "auto"
-    held = _solved(measured, (), gauge)
-    free = None if held is None else _solved(measured, rules)
+    held = solved_free(measured, gauge)
+    free = None if held is None else solved_free(_without(measured, rules))
     if held is None or free is None:
         return _farthest(measured, ends), None
     pulls = [prior for end in rule_ends(applied, begin, held.problem) for prior in end.priors]
@@ -74,7 +73,7 @@ def contradicted_priors(measured: Measured) -> tuple[Finding | None, Measured | 
     found = _farthest(
         measured, ends, f"without {'it' if len(rules) == 1 else 'the rules'}, ", share
     )
-    return found, _without(measured, rules, free)
+    return found, replace(_without(measured, rules), whole=free.problem)
 
 
 def contradicted_holds(measured: Measured) -> tuple[Finding | None, Measured | None]:
@@ -91,31 +90,24 @@ def contradicted_holds(measured: Measured) -> tuple[Finding | None, Measured | N
     options = options.replace(fixed_point_ids={*options.fixed_point_ids}.difference(added))
     measured = replace(measured, constraints=given, options=options)
     rules = [rule for rule in given if rule.kind in {"fixed", "bounds", "ratio"}]
-    held = _solved(measured, ()) if 0 < len(rules) <= MOST_RULES else None
-    found = [(rule, _solved(measured, [rule])) for rule in rules if held is not None]
+    held = solved_free(measured) if 0 < len(rules) <= MOST_RULES else None
+    found = [(rule, solved_free(_without(measured, [rule]))) for rule in rules if held is not None]
     free = [(rule, result) for rule, result in found if result is not None]
     if held is None or not free:
         return None, None
     rule, best = min(free, key=lambda one: one[1].summary.final_cost)
-    cost, before = best.summary.final_cost, held.summary.final_cost
-    count = best.summary.num_parameters_reduced - held.summary.num_parameters_reduced
-    redundancy = best.summary.num_residuals_reduced - best.summary.num_parameters_reduced
-    if not is_notable(2 * (before - cost), 2 * cost, max(count, 1), redundancy):
+    fall, squares, count, redundancy = release(held.summary, best.summary)
+    if not is_notable(fall, squares, max(count, 1), redundancy):
         return None, None
-    share = 1 - cost / before
+    share = fall / (squares + fall)
     how = f"without it, the cost falls by {rounded(100 * share)} %"
-    return _finding(measured, rule, how, share=share), _without(measured, [rule], best)
+    free_model = replace(_without(measured, [rule]), whole=best.problem)
+    return _finding(measured, rule, how, share=share), free_model
 
 
-def _solved(measured: Measured, dropped: Sequence[Rule], gauge: str = "auto") -> Result | None:
-    """Return a model solved again without some rules; None if that fails or takes long."""
+def _without(measured: Measured, dropped: Sequence[Rule]) -> Measured:
     kept = [rule for rule in measured.constraints if rule not in dropped]
-    return solved_free(replace(measured, constraints=kept), gauge)
-
-
-def _without(measured: Measured, dropped: Sequence[Rule], free: Result) -> Measured:
-    kept = [rule for rule in measured.constraints if rule not in dropped]
-    return replace(measured, whole=free.problem, constraints=kept)
+    return replace(measured, constraints=kept)
 
 
 def _farthest(

@@ -279,6 +279,8 @@ def local_lens(result: Result, command: NextCommand) -> tuple[Finding, ...]:
     if part is None or part.rest is not None:
         return ()
     ids = sorted(set(part.shared_camera_ids).difference(result.options.fixed_camera_ids))
+    if not ids:
+        return ()
     before = rows_among(end.image_ids, start.image_ids)
     moves = (end.cam_from_world != start.cam_from_world[before]).any(axis=1)
     is_moved = np.zeros(end.num_points, bool)
