@@ -73,13 +73,22 @@ def record(scene: judge_scenes.JudgeScene) -> dict:
         cameras.append(cameras_of(*arguments))
         return cameras[0]
 
+    criteria = []
+    evidence_between = judgement.evidence_between
+
+    def compared(*arguments):
+        criteria.append(evidence_between(*arguments))
+        return criteria[0]
+
     with (
         mock.patch.object(validation_module, "fit_candidates", kept),
+        mock.patch.object(judgement, "evidence_between", compared),
         mock.patch.object(judgement, "cameras_of", known),
         mock.patch.object(judgement, "motion_test", tested),
     ):
         found = bundle.validate(scene.problem, num_threads=1)
     test = found.row_test
+    evidence = criteria[0] if criteria else np.zeros((len(fits), len(fits)))
     folds = folds_of(scene.problem, found.num_folds, found.seed)
     counts = ~are_repeated(scene.problem, folds)[found.observations]
     return {
@@ -102,6 +111,7 @@ def record(scene: judge_scenes.JudgeScene) -> dict:
             name: np.where(np.isfinite(values), values, -1.0).tolist()
             for name, values in vars(cameras[0]).items()
         },
+        "evidence": np.nan_to_num(evidence, posinf=1e9, neginf=-1e9).tolist(),
         "recommended": found.recommended,
         "row_test": None if test is None else [test.anisotropy, test.shear, test.size],
         "image": found.image[counts].tolist(),
@@ -172,6 +182,7 @@ def decided(entry: dict, rule: DecisionRule, *, veto: bool = True) -> int:
                 for name, values in entry["cameras"].items()
             }
         ),
+        np.array(entry["evidence"]),
     ).recommended
 
 
@@ -274,6 +285,7 @@ def compare_rules(entries: list[dict]) -> str:
         "clip 2": (replace(base, clip=2.0), True),
         "clip 10": (replace(base, clip=10.0), True),
         "cameras ignored": (replace(base, movement=1e9, price=1.0), True),
+        "criteria ignored": (replace(base, evidence=np.inf), True),
     }
     rows = [f"{'rule':16s} exact equivalent (held out) overfit  p90 position"]
     for name, (rule, veto) in rules.items():

@@ -1,10 +1,13 @@
 """Decision between candidates from arrays of errors."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy import stats
 
 from bundle.errors import InputError
+from bundle.judging.validation import judgement
 from bundle.judging.validation.validation_result import Cameras, DecisionRule, decide, jackknife
 
 
@@ -72,6 +75,32 @@ def test_jackknife_equals_its_definition():
     found = decide(errors, image, [1, 2]).standard_errors
     assert found[0] == pytest.approx(expected, rel=1e-12)
     assert found[1] == 0
+
+
+@pytest.mark.parametrize("evidence, share, refuted", [
+    (10.1, 1.02, True), (9.9, 1.02, False), (10.1, 1.009, False), (np.nan, 1.02, False),
+])  # fmt: skip
+def test_a_candidate_is_refuted_by_evidence_and_a_better_prediction(evidence, share, refuted):
+    errors, image = planted([share, 1.0], num_images=3, per_image=300, spread=0.0)
+    errors[0, image == 0] *= 1.3  # three images: the difference is not significant
+    errors[0, image == 1] /= 1.2
+    errors[0] *= share * np.sqrt((errors[1] ** 2).mean() / (errors[0] ** 2).mean())
+    criteria = np.array([[0.0, evidence], [-evidence, 0.0]])
+    rule = DecisionRule(clip=100.0)
+    assert decide(errors, image, [10, 20], rule=rule).recommended == 0
+    decision = decide(errors, image, [10, 20], rule=rule, criteria=criteria)
+    assert (decision.recommended, decision.is_equal.tolist()) == (int(refuted), [not refuted, True])
+    vetoed = decide(errors, image, [10, 20], ["", "rows"], rule, criteria=criteria)
+    assert vetoed.recommended == 0
+
+
+def test_losses_are_not_compared_and_a_fit_without_a_criterion_is_refuted(monkeypatch):
+    fits = [SimpleNamespace(candidate=SimpleNamespace(loss=one)) for one in ("cauchy",) * 3 + ("",)]
+    criteria = [(0.0, 7.0), (0.0, 2.0), (0.0, np.nan), (0.0, 1.0)]
+    monkeypatch.setattr(judgement, "_criteria", lambda *_: criteria)
+    nan, inf = np.nan, np.inf
+    expected = [[0, 5, -inf, nan], [-5, 0, -inf, nan], [inf, inf, nan, nan], [nan, nan, nan, 0]]
+    np.testing.assert_array_equal(judgement.evidence_between(fits, [], None), expected)
 
 
 def test_images_without_held_out_observations_do_not_count():

@@ -43,7 +43,16 @@ def test_a_record_repeats_its_decision(entries):
     for entry in entries:
         assert judge.decided(entry, DecisionRule()) == entry["recommended"]
     assert "1.000 [" in judge.table(entries)
-    assert len(judge.compare_rules(entries).splitlines()) == 10
+    assert len(judge.compare_rules(entries).splitlines()) == 11
+
+
+@pytest.mark.parametrize("seed", [4155, 4195])  # 4 and 5 images
+def test_the_criterion_tells_lenses_of_few_images_apart(seed):
+    entry = judge.record(judge_scenes.make(seed))
+    ignored = judge.decided(entry, DecisionRule(evidence=np.inf))
+    assert judge.measures(entry, ignored)["risk"] > 1.2
+    assert judge.measures(entry)["risk"] < judge.EQUIVALENT
+    assert not judge.measures(entry)["overfit"]
 
 
 def test_scenes_repeat_and_have_the_truth_that_they_state():

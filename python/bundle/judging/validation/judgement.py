@@ -106,13 +106,14 @@ def judged(
     normalized, others = normalized[: len(fits)], normalized[len(fits) :]
     certainties = [_certainty(fit) for fit in fits]
     compared, known = list(fits), list(certainties)
-    lacking = np.zeros(0, bool)
+    lacking, explained = np.zeros(0, bool), False
     if test is not None and rolling:
         found = motion_test(
             normalized[:, counts], others[:, counts], image[counts], list(rolling), rule
         )
         test = replace(test, fires=test.fires or found.is_motion)
-        if test.fires and found.explains:
+        explained = test.fires and found.explains
+        if explained:
             test = replace(test, gain=found.gain)
             lacking = are_clearly_worse(normalized[list(rolling)][:, counts], image[counts], rule)
             normalized[list(rolling)] = others
@@ -126,8 +127,13 @@ def judged(
         vetoes[k] = LACKING if lacks else ""
     num_intrinsics = [0 if fit.error else _num_intrinsics(fit) for fit in fits]
     cameras = cameras_of(compared, known)
-    decision = decide(normalized[:, counts], image[counts], num_intrinsics, vetoes, rule, cameras)
     criteria = _criteria(fits, certainties, fitting)
+    evidence = None  # motion that no shutter explains makes any larger lens more likely
+    if not fires or explained:
+        evidence = evidence_between(compared, known, fitting)
+    decision = decide(
+        normalized[:, counts], image[counts], num_intrinsics, vetoes, rule, cameras, evidence
+    )
     records = tuple(
         _record(
             fit, fitting, certainties[k], errors[k], clip, decision, k, criteria[k], vetoes[k],
@@ -276,6 +282,21 @@ def _criteria(
         for k, row in zip(known, values - values.min(axis=0), strict=True):
             found[k] = (float(row[0]), float(row[1]))
     return found
+
+
+def evidence_between(
+    fits: Sequence[CandidateFit], certainties: Sequence[Certainty], fitting: Fitting
+) -> _Floats:
+    """Return the (n, n) differences of the Bayesian criteria.
+
+    NaN between two losses. A fit without a criterion, whose covariance does not exist, has an
+    infinite one.
+    """
+    losses = np.array([fit.candidate.loss for fit in fits])
+    values = np.array([bic for _, bic in _criteria(fits, certainties, fitting)])
+    values[np.isnan(values)] = np.inf
+    with np.errstate(invalid="ignore"):  # inf - inf
+        return np.where(losses[:, None] == losses, values[:, None] - values, np.nan)
 
 
 def _record(
