@@ -181,7 +181,7 @@ def redundancy_figure(problem: Problem, redundancy: Array) -> Figure:
     """Return (n, 2) redundancies over the image plane of the camera, or kind, with the most."""
     counted = ~np.isnan(redundancy[:, 0])
     field = residual_fields(problem, Residuals(redundancy, counted), 1)[0]
-    note = "Mean share of an error that its own residual shows; where it is pale, errors hide."
+    note = "Mean share of an error that its own residual shows; where it is near 0, errors hide."
     cells = Cells(field.mean.mean(axis=2), 1.0, "of an error")
     return over_image(field.box, "redundancy", "Redundancy over the images", cells, note=note)
 

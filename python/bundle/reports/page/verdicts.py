@@ -79,9 +79,11 @@ def verdicts(given: Judged) -> list[Verdict]:
         if one is not None and is_hidden and not about and answer in OF_A_MINIMUM:
             found.append(Verdict(one.name, "unknown", one.number))
         elif one is not None:
-            is_open = one.mark in SEVERE and not (is_hidden or any(each.command for each in about))
-            step = one.command or STEPS.get(answer, "diagnose")
-            found.append(replace(_with_findings(one, about), command=_next(given, step) * is_open))
+            judged = _with_findings(one, about)
+            command = next((each.command for each in about if each.command), "")
+            if not command and judged.mark in SEVERE and not is_hidden:
+                command = _next(given, one.command or STEPS.get(answer, "diagnose"))
+            found.append(replace(judged, command=command))
     return found
 
 
