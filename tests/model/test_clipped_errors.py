@@ -1,4 +1,4 @@
-"""Statistics of errors that count at most as a clip."""
+"""Statistics of errors that are limited to a clip."""
 
 import numpy as np
 import pytest

@@ -32,7 +32,7 @@
 ///
 ///   dP = -[q]x dw + dt + R dX,    C_ww = (g q^T + q g^T) / 2 - (g.q) I,    C_wX = -[g]x R.
 ///
-/// At a minimum every V and S, held along the gauge, is positive definite. Elsewhere they may not
+/// At a minimum every V, and S with a fixed gauge, is positive definite. Elsewhere they may not
 /// be; the factor is then that of J~^T J~. The factor lacks second derivatives of rigs and ties of
 /// twists, and of factors. Callers therefore solve for a by conjugate gradients with it as
 /// preconditioner: one product shows that nothing is missing.

@@ -107,7 +107,7 @@ class CovarianceComputation {
                      why);
   }
 
-  /// If a dense S is constrained along the gauge (FreeGauge::Hold), an undetermined direction
+  /// If the gauge of a dense S is fixed (FreeGauge::Hold), an undetermined direction
   /// spreads over all unknowns. Then the unknown with the failed pivot is not meaningful and is not
   /// named.
   [[noreturn]] void NotDetermined(int unknown, const std::string& found) const {

@@ -273,7 +273,8 @@ FactorGraphSpectrum FindFactorGraphSpectrum(const FactorGraph& graph, const Line
     return MatrixXd(d.asDiagonal() * system.Product(d.asDiagonal() * x));
   };
   // The lowest eigenvalues may differ by many powers of ten: a round finds those of similar size,
-  // the next round searches beside them. A shift then limits the rounding errors that they cause.
+  // the next round searches the orthogonal complement of their vectors. A shift then limits the
+  // rounding errors that they cause.
   const int wanted = std::min(num_null + kModes, size);
   const double tolerance = num_null > 0 ? kSettled : kEnoughDigits;
   MatrixXd lowest(size, 0);

@@ -7,8 +7,8 @@
 ///
 ///   t -= J_r dt dbg,      dp -= 1/2 M dt^2 dba,      dv -= M dt dba,
 ///
-/// then the covariance of the biases grows by s_b^2 dt I. C <- A C A^T applies the transition of
-/// the rows to C, and then to the transpose.
+/// then the covariance of the biases grows by s_b^2 dt I. For C <- A C A^T, a transition A is
+/// applied to the rows of C, C is transposed, and A is applied to its rows again.
 ///
 /// GTSAM's PreintegratedCombinedMeasurements has the same structure with three differences: its
 /// accelerometer bias comes before the gyroscope bias; its bias residual is b_i - b_j, so that the

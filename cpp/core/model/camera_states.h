@@ -20,7 +20,7 @@ using PoseAnchors = std::vector<PoseAnchor>;
 /// The camera parameters of a problem at one state, expanded once per evaluation so that an
 /// observation only reads them: rotation, translation and left Jacobian of each image, its shutter,
 /// parameters of each camera. Poses of rig images follow from their frames and sensors
-/// (factors/rig_pose.h); their coordinates here are the local ones.
+/// (factors/rig_pose.h) and are given in the local coordinates of that file.
 ///
 /// A state is defined relative to its anchors: a candidate needs the anchors of the state from
 /// which its step starts.

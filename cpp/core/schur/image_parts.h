@@ -4,7 +4,7 @@
 ///
 /// The parameters that an image depends on are divided into parts: its *own* (its pose, and the
 /// parameters of its camera if no other image uses them), its *camera's* and its *sensor's*. Images
-/// of a frame have one own part, the pose of the frame. A part has the columns that any of its
+/// of a frame share one such part, the pose of the frame. A part has the columns that any of its
 /// images refines. Assembler assigns these columns to unknowns.
 
 #include <cstdint>

@@ -266,7 +266,7 @@ def _bin(low: float, high: float) -> str:
 
 
 def _checker(summary: GradientCheckerSummary) -> str:
-    words = [f"Ceres' own finds {summary.num_agreed} of {summary.num_probes} correct"]
+    words = [f"Ceres finds {summary.num_agreed} of {summary.num_probes} correct"]
     if summary.num_false_alarms:
         words.append(
             f"{plural(summary.num_false_alarms, 'false alarm')} (entries near zero, "

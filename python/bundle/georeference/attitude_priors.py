@@ -59,7 +59,7 @@ from bundle.model.rigid_motions import quaternion_from_matrix
 Array = NDArray[np.float64]
 
 LEAST_SIGMA, MOST_SIGMA = 1e-12, 1e12
-"""Range of standard deviations in degrees, whose squares must be numbers beside all others."""
+"""Range of standard deviations in degrees, whose squares neither overflow nor vanish in sums."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -48,7 +48,7 @@ THREADS = (0,)
 REPEAT = 3  # number of runs of each method
 TIMEOUT = 60.0  # seconds after which a solve is stopped
 SECONDS_NOT_REPEATED = 10.0
-"""Time of a run in seconds from which it is not repeated, because its spread is small."""
+"""Time in seconds above which a run is not repeated, because its spread is small."""
 LARGEST_PERTURBATION = 0.5
 
 COMPARED = {

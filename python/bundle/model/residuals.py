@@ -238,7 +238,7 @@ def residuals(problem: Problem, cheirality: str = "auto") -> Residuals:
     return Residuals(xy, counted)
 
 
-# Robust statistics of reprojection errors: each error counts at most as the clip.
+# Robust statistics of reprojection errors: each error is limited to the clip.
 #
 # A model may have no projection of an observation that it was not fitted to: the point is behind
 # the camera, or outside the range of the lens. This error has no finite value. One point near the
@@ -256,9 +256,9 @@ class ClippedErrors:
         num_observations: number of observations, with and without a projection.
         rmse: sqrt(mean ||r||^2) over the observations with a projection; not clipped.
         median: median over all observations; infinite if most have no projection.
-        clipped_rmse: the RMSE of errors that count at most as the clip.
-        share_clipped: share of observations that count as the clip.
-        clip: largest error that counts, in pixels.
+        clipped_rmse: the RMSE with each error limited to the clip.
+        share_clipped: share of observations whose error is limited.
+        clip: limit of an error in pixels, and the error without a projection.
         num_without_projection: number of observations without a projection.
     """
 

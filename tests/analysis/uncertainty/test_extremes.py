@@ -156,7 +156,7 @@ def test_two_pieces_of_a_world_are_refused():
 
 @pytest.mark.parametrize("apart", [1, 2, 4])
 def test_a_refusal_accuses_no_image_that_is_well_known(apart):
-    """A dense S is held along the gauge, which spreads what is not known over all images."""
+    """Fixing the gauge of a dense S spreads what is not known over all images."""
     problem = scene(num_images=6, num_points=60)
     lost = (problem.observation_image == apart) & (problem.observation_point % 30 > 0)
     with pytest.raises(bundle.InputError, match=r"^problem: .*rank") as refused:

@@ -243,7 +243,7 @@ def test_rigs_of_opensfm(tmp_path) -> None:
     assert (again.num_frames, again.num_sensors) == (3, 1)
     instances["1"]["translation"][0] += 0.1  # the shots are elsewhere than the rig says
     foreign.write_opensfm(truth, tmp_path / "q", rig_cameras=rig_cameras, rig_instances=instances)
-    with pytest.raises(bundle.InputError, match="rig_instances: 1: expected the poses"):
+    with pytest.raises(bundle.InputError, match="rig_instances: 1: expected a pose"):
         bundle.load(tmp_path / "q")
 
 

@@ -62,7 +62,7 @@ PROBLEMS = ("collapsed_points", "unsupported_camera_models")
 FEW_FOR_POSE, SMALL_DIFFERENCE, MOST_LOOSE = 15, 20.0, 20
 LARGEST = 1e50  # derivatives beyond this limit, whose products would overflow, are ignored
 OPEN_ROTATION = 0.3
-"""Standard deviation [rad], for noise of 1 px, from which a rotation is not determined."""
+"""Standard deviation [rad], for noise of 1 px, above which a rotation counts as undetermined."""
 UNUSABLE = 0.01
 """Share of observations with collapsed points above which a refined model is unusable."""
 NAMED = 5  # number of ids in a sentence

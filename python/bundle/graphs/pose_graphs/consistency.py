@@ -86,7 +86,7 @@ class ClosureConsistency:
 
 
 def closure_consistency(graph: PoseGraph, num_threads: int = 1) -> ClosureConsistency:
-    """Find the largest set of pairwise consistent closures of a graph with whole odometry."""
+    """Find the largest set of pairwise consistent closures of a graph with complete odometry."""
     closures = np.flatnonzero(graph.is_closure)
     if len(closures) > MOST_CLOSURES:
         raise InputError(

@@ -207,8 +207,8 @@ def _samples(known: Evidence) -> ImuFinding | None:
     words, faults = sample_faults(known.bad, known.stamps, known.place)
     return ImuFinding(
         "imu_samples",
-        f"Some samples of the IMU are not measurements: {words}. Up to {LONGEST_BRIDGE:g} s count "
-        "as a gap.",
+        f"Some samples of the IMU are not measurements: {words}. They are "
+        f"treated as gaps, of at most {LONGEST_BRIDGE:g} s.",
         (),
         {"faults": faults},
     )

@@ -400,7 +400,7 @@ def _check_agreement(
         for image, _ in instance:
             if angle[image] > _TOLERANCE or shift[image] > _TOLERANCE * max(spread, 1e-300):
                 raise InputError(
-                    f"{node.place}: rig_instances: {name}: expected the poses of its shots, found "
-                    f"a difference of {np.degrees(angle[image]):.3g} degrees and "
+                    f"{node.place}: rig_instances: {name}: expected a pose that agrees with "
+                    f"its shots, found a difference of {np.degrees(angle[image]):.3g} degrees and "
                     f"{shift[image]:.3g} units"
                 )

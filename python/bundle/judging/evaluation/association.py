@@ -30,10 +30,10 @@ from bundle.model.sequence.sequence import other_unit
 FEWEST = 3  # number of shared poses that an alignment needs
 
 NANOSECONDS = 10**14
-"""Whole numbers in names from which they are nanoseconds; as seconds, three million years."""
+"""Least integer in a name that is read as nanoseconds; as seconds, three million years."""
 
 EARLIEST_CLOCK = 10**8
-"""Whole numbers in names from which they are seconds; as a clock, since 1973."""
+"""Least integer in a name that is read as seconds of a clock; its date is in 1973."""
 
 _NO_STAMPS = "expected names that are time stamps, because the other input has time stamps only"
 LATEST_STAMP = Decimal(2**63)

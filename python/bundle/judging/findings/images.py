@@ -191,8 +191,8 @@ def image_residuals(
     return Finding(
         kind="image_residuals",
         sentence=f"{len(order)} {noun(len(order), 'image has', 'images have')} larger or "
-        f"systematic residuals (noise against the median image): {words}. They are "
-        f"{number(100 * share)} % of the squares.",
+        f"systematic residuals (noise relative to the median image): {words}. "
+        f"They have {number(100 * share)} % of the sum of squares.",
         command=measured.command.refine(*huber) if gains else "",
         evidence={
             "image_ids": [int(problem.image_ids[image]) for image in order],

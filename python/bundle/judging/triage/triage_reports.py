@@ -424,7 +424,7 @@ def find_prior(two: Difference) -> TriageCause | None:
         dense = f"; {two.new.densest:.0f} variables are coupled with as many others"
     return TriageCause(
         cause="prior-densifies",
-        sentence=f"A prior densifies: nnz(Lambda) {times(ratio)} with as many variables "
+        sentence=f"A prior makes Lambda denser: nnz(Lambda) {times(ratio)} with as many variables "
         f"({two.new.columns:.0f} columns){dense}. nnz(L) {times(two.ratio('factor_nonzeros'))}.",
         evidence=evidence,
     )

@@ -187,7 +187,7 @@ class ValidatedCandidate(Candidate):
         fitted_clipped_rmse: the same RMSE, clipped at ``clip`` pixels.
         held_out_rmse: RMSE of predictions of held-out observations, clipped at ``clip`` pixels.
         held_out_median: their median.
-        share_clipped: share of the predictions that count as the clip.
+        share_clipped: share of the predictions whose error is limited to the clip.
         num_without_projection: number of held-out observations without a projection.
         score: RMS of the normalised predictions, clipped, in sigmas.
         difference: score minus the score of the best candidate.

@@ -24,7 +24,7 @@ LEGEND = (
     "gap: final cost / best cost - 1; spread: (slowest - fastest) / median of the repeats; sigmas: "
     "distance from the solution of the best cost; MB: peak memory of the process"
 )
-POINTS = "points: points at other positions; the distance ignores them"
+POINTS = "points: number of points at other positions, which the distance ignores"
 DETAILS = (
     "to: seconds until within that gap; cpu/wall: CPU time of all threads / wall time; load: "
     "average of the last minute"
