@@ -248,7 +248,7 @@ def test_each_kind_of_input_has_its_flags(run):
     [
         (("--width", "0"), "--width: expected more than 0, found 0"),
         (("--width", "99"), "--width: expected at most 9, found 99"),
-        (("--wood", "elm"), "--wood: invalid choice: expected one of oak, red-fir, found 'elm'"),
+        (("--wood", "elm"), "--wood: expected one of oak, red-fir, found 'elm'"),
         (("--widht", "3"), "unrecognized arguments: --widht; did you mean --width?"),
         (("--json", "in/images.bin"), "in/images.bin: the report would replace the file of INPUT"),
         (("--html", "o.npz"), "o.npz: the page would replace the file of --output"),

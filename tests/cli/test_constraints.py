@@ -81,7 +81,7 @@ def test_rules_of_a_file_and_of_the_command_line(run, model, backend):
         (["--set", "camera 1: f prior 2 %", "--fix-cameras", "1"], "--set: expected a prior"),
         (["--set", ""], "--set: expected TARGET"),
         (["--constraints", "nowhere.txt"], "nowhere.txt"),
-        (["--constraints", ""], "argument --constraints"),
+        (["--constraints", ""], "--constraints: "),
     ],
 )
 def test_a_rule_that_does_not_fit_ends_in_one_line(run, model, words, start):

@@ -82,7 +82,7 @@ def test_model_first_then_sharing(run, tmp_path):
         (("--camera-model", "OPENC"), "error: --camera-model: "),
         (("--camera-model", "EQUIRECTANGULAR"), "error: camera 1: "),
         (("--share-cameras", "1,9"), "error: --share-cameras: "),
-        (("--share-cameras", "every"), "error: argument --share-cameras: "),
+        (("--share-cameras", "every"), "error: --share-cameras: "),
         (("--share-cameras", "all", "--split-cameras"), "error: --split-cameras: "),
     ],
 )

@@ -6,6 +6,7 @@ import pytest
 
 from bundle.cli import parser
 from bundle.cli.main import COMMANDS, command_parser
+from bundle.errors import InputError
 
 
 @pytest.mark.parametrize(
@@ -37,6 +38,9 @@ from bundle.cli.main import COMMANDS, command_parser
         (["refine", "MODEL", "-o", "x", "--control-points", "f"], ["mean --gcp?"]),
         (["refine", "MODEL", "-o", "x", "--filter"], ["mean --rounds?"]),
         (["refine", "MODEL", "-o", "x", "--report", "x.html"], ["mean --html?"]),
+        (["report", "MODEL", "--html", "x.html"], ["--html; did you mean -o? (see"]),
+        (["report", "MODEL", "--page=x.html"], ["mean -o?"]),
+        (["merge", "MODEL", "MODEL", "--html", "x.html"], ["compare have --html"]),
         (["convert", "MODEL", "x", "--lens", "OPENCV"], ["mean --camera-model?"]),
         (["validate", "MODEL", "--lens", "OPENCV"], ["mean --camera-models?"]),
         (["validate", "MODEL", "--kernel", "huber"], ["mean --losses?"]),
@@ -67,6 +71,22 @@ def test_misspelt(run, model, words, suggested):
     assert suggested or ("mean" not in err and "has" not in err)
 
 
+@pytest.mark.parametrize("name", COMMANDS)
+def test_a_word_in_place_of_a_number_is_refused_in_the_same_words(name):
+    command = command_parser().commands()[name]
+    numbers = [action for action in command._actions if action.type in (int, float)]
+    assert numbers or name not in ("refine", "compare", "synth")
+    for action in numbers:
+        count = action.nargs if isinstance(action.nargs, int) else 1
+        kind = "a whole number" if action.type is int else "a number"
+        for word in ("two", "1,5", "", "9" * 5000 + "x"):
+            with pytest.raises(InputError) as refused:
+                command.parse_args([action.option_strings[-1], *[word] * count])
+            flags = "/".join(action.option_strings)
+            assert str(refused.value).startswith(f"{flags}: expected {kind}, found '{word[:9]}")
+            assert len(str(refused.value)) < 200
+
+
 def test_other_words_for_a_command_belong_to_one_command():
     words = [word for row in COMMANDS.values() for word in row.also.split()]
     assert len(words) == len(set(words)) > 20
@@ -75,9 +95,10 @@ def test_other_words_for_a_command_belong_to_one_command():
 
 def test_other_words_for_a_flag_are_no_flags_of_its_command():
     known: set[str] = set()
-    for command in ("refine", "validate"):  # they have all flags of the table
+    for command in ("refine", "validate", "report"):  # they have all flags of the table
         flags = {*command_parser().commands()[command].flags()}
-        own = {flag: said for flag, said in parser.ELSEWHERE.items() if flag in flags}
+        table = parser.ELSEWHERE.items()
+        own = {key: said for key, said in table if key.removeprefix(f"{command} ") in flags}
         words = " ".join(own.values()).split()
         assert len({*words} - flags) == len(words) > 5
         known |= {*own}

@@ -21,6 +21,7 @@ from bundle.cli.option_flags import (  # noqa: F401 (in rows)
     argument,
     either,
     fields,
+    file_argument,
     group,
     options,
     own_options,
@@ -173,10 +174,8 @@ INPUT_FORMAT = group(
         help="image sizes of a file without sizes (Bundler, NVM): one size in pixels, `unknown`, "
         "or COLMAP's database.db, with a size for each name (default: from the photographs)",
     ),
-    argument(
+    file_argument(
         "--image-list",
-        metavar="FILE",
-        type=a_path,
         help="names of the images of a Bundler model (default: list.txt beside it or in the folder "
         "above)",
     ),
@@ -339,10 +338,8 @@ DEMO_FOLDER = argument(
 
 # Knowledge besides the pixels
 
-RIG_CONFIG = argument(
+RIG_CONFIG = file_argument(
     "--rig-config",
-    metavar="FILE",
-    type=a_path,
     help="make rigs by COLMAP's rig_config.json: images whose names differ only in their prefix "
     "form a frame; missing poses of sensors are means over the frames (default: the rigs of INPUT)",
 )
@@ -387,10 +384,8 @@ def placing() -> tuple[Declaration, ...]:
 
 # Single commands
 
-COLMAP_OPTIONS = argument(
+COLMAP_OPTIONS = file_argument(
     "--colmap-options",
-    metavar="FILE",
-    type=a_path,
     help="take options from the project.ini of `colmap bundle_adjuster`, with COLMAP's "
     "defaults for options that the file lacks; flags replace them (default: none)",
 )

@@ -8,14 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bundle.base.records import dataclass
-from bundle.cli.option_flags import argument, fields, group, naming_flags
-from bundle.cli.path_checks import (
-    a_path,
-    page_path,
-    reconstruction,
-    telemetry_path,
-    trajectory_path,
-)
+from bundle.cli.option_flags import argument, fields, file_argument, group, naming_flags
+from bundle.cli.path_checks import page_path, reconstruction, telemetry_path, trajectory_path
 from bundle.errors import InputError
 from bundle.interface.window_options import TrackingOptions
 
@@ -47,24 +41,18 @@ class InertialFiles:
 
 IMU = group(
     "samples of an IMU between the images of a video",
-    argument(
+    file_argument(
         "--imu",
-        metavar="FILE",
-        type=a_path,
         help="samples: timestamp in ns, rates in rad/s, forces in m/s^2, comma separated, as "
         "EuRoC's (default: none)",
     ),
-    argument(
+    file_argument(
         "--frame-times",
-        metavar="FILE",
-        type=a_path,
         help="lines of image name and time in ns on the clock of the camera; only with --imu "
         "(default: none)",
     ),
-    argument(
+    file_argument(
         "--calibration",
-        metavar="FILE",
-        type=a_path,
         action="append",
         help="calibration.yaml, or Kalibr's camchain-imucam.yaml and, in a second --calibration, "
         "imu.yaml: camera_from_imu, noise, time offset; only with --imu (default: none)",
@@ -94,10 +82,8 @@ RECORDED = (
 """Destinations of the flags of ``RECORDING``, which inputs without images refuse."""
 RECORDING = group(
     "images of a visual-inertial sequence",
-    argument(
+    file_argument(
         "--calibration",
-        metavar="FILE",
-        type=a_path,
         action="append",
         help="calibration in place of that in the sequence: calibration.yaml, or Kalibr's "
         "camchain-imucam.yaml and, given by a second --calibration or beside it, imu.yaml "
@@ -111,18 +97,14 @@ RECORDING = group(
         "cam0)",
         use=6,
     ),
-    argument(
+    file_argument(
         "--imu",
-        metavar="FILE",
-        type=a_path,
         help="samples of the IMU for a video: a csv of stamp, angular rate x y z [rad/s], specific "
         "force x y z [m/s^2]; stamps are integers of nanoseconds, or seconds with a decimal point",
         use=7,
     ),
-    argument(
+    file_argument(
         "--frame-times",
-        metavar="FILE",
-        type=a_path,
         help="times of the frames of a video, one a line, on the clock of --imu (default: the "
         "constant rate of the video, from 0)",
     ),
@@ -156,10 +138,8 @@ ODOMETRY = (
         "tz, qx qy qz qw; z is up",
         use=1,
     ),
-    argument(
+    file_argument(
         "--ground-truth",
-        metavar="FILE",
-        type=a_path,
         help="compare with it: EuRoC's csv or a TUM file",
         use=4,
     ),
@@ -186,10 +166,8 @@ ODOMETRY = (
             "by closures",
             use=20,
         ),
-        argument(
+        file_argument(
             "--loops",
-            metavar="FILE",
-            type=a_path,
             help="closures: csv of first_timestamp_ns, second_timestamp_ns, tx ty tz, qx qy qz qw "
             "of the IMU at the second time in its frame at the first, sigmas in metres and "
             "degrees; or a g2o file whose ids are the stamps",

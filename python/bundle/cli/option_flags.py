@@ -35,6 +35,11 @@ def argument(*names: str, **settings: Any) -> Declaration:
     return lambda to: vars(to.add_argument(*names, **settings)).update(use=use)
 
 
+def file_argument(*names: str, **settings: Any) -> Declaration:
+    """Declare an argument for a file that is read."""
+    return argument(*names, **{"metavar": "FILE", "type": a_path, **settings})
+
+
 def fields(kind: str | type, *which: Any, **helps: Any) -> Declaration:
     """Declare the flags of an option class; see :func:`add_fields`."""
     return lambda to: add_fields(to, kind, *which, **helps)

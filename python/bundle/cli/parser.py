@@ -15,6 +15,7 @@ from bundle.cli.error_lines import print_out
 from bundle.errors import InputError, brief, nearest, shown
 
 HELP_COLUMN, WIDEST = 28, 100
+_NUMBERS: Mapping[Any, str] = {int: "a whole number", float: "a number"}
 MOST_FLAGS = 30  # flags of a command up to which ``--help`` shows all of them
 
 
@@ -110,7 +111,8 @@ class Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """Raise the error as one line that also refers to the help."""
         with naming_config(self.config):
-            raise InputError(f"{shown(message)} (see {self.prog} --help)")
+            words = shown(message.removeprefix("argument "))
+            raise InputError(f"{words} (see {self.prog} --help)")
 
     def _print_message(self, message: str, file: Any = None) -> None:
         """Print help and versions; unlike the base class, raise an error if printing fails."""
@@ -190,6 +192,15 @@ class Parser(argparse.ArgumentParser):
         self.taken.append((action, list(arg_strings)))
         return super()._get_values(action, arg_strings)
 
+    def _get_value(self, action: argparse.Action, arg_string: str) -> Any:
+        """Convert a word; unlike the base class, name the expected kind of number."""
+        try:
+            return super()._get_value(action, arg_string)
+        except argparse.ArgumentError as error:
+            if action.type in _NUMBERS:
+                error.message = f"expected {_NUMBERS[action.type]}, found {brief(arg_string)}"
+            raise
+
     def _match_argument(self, action: argparse.Action, arg_strings_pattern: str) -> int:
         """Return the number of values; unlike the base class, name values that are missing."""
         try:
@@ -226,7 +237,7 @@ class Parser(argparse.ArgumentParser):
         expected = f"one of {', '.join(names)}, found {str(value)!r}{near}"
         if is_command:
             self.error(f"expected a command, {expected}")
-        raise argparse.ArgumentError(action, f"invalid choice: expected {expected}")
+        raise argparse.ArgumentError(action, f"expected {expected}")
 
 
 # Config files: TOML whose keys are the flags of a command without their hyphens.
@@ -327,10 +338,12 @@ ELSEWHERE = {
     "--share-cameras": "--share-intrinsics --shared-intrinsics --single-camera --share",
     "--share": "--share-intrinsics --shared-intrinsics --single-camera --share-cameras",  # validate
     "--html": "--report --page",
+    "report -o": "--html --page",
     "--camera-model": "--lens --lens-model --distortion-model",
     "--rounds": "--filter --filter-outliers --outliers",
 }
-"""Flags of other tools (g2o, GTSAM, Metashape, COLMAP), by the flag that means the same here."""
+"""Flags of other tools (g2o, GTSAM, Metashape, COLMAP), by the flag that means the same here; that
+of one command after its name."""
 
 
 def unknown_flag(found: str, command: str, flags: Mapping[str, Iterable[str]]) -> str:
@@ -342,12 +355,13 @@ def unknown_flag(found: str, command: str, flags: Mapping[str, Iterable[str]]) -
     if not name.startswith("-"):
         return f"unrecognized arguments: {found}"
     own = flags.get(command, ())
-    words = {flag + end: said for flag, said in ELSEWHERE.items() for end in ("", "s", "es")}
+    named = {key.removeprefix(f"{command} "): said for key, said in ELSEWHERE.items()}
+    words = {flag + end: said for flag, said in named.items() for end in ("", "s", "es")}
     spellings = {word: flag for flag in own for word in [flag, *words.get(flag, "").split()]}
     meant = nearest(name, spellings)
     others = {other: tuple(names) for other, names in flags.items() if other != command}
     having = [other for other, names in others.items() if name in names]
-    if having:
+    if having and name not in spellings:
         listed = " and ".join(filter(None, [", ".join(having[:3][:-1]), having[:3][-1]]))
         meant += f"; {listed} {'has' if len(having) == 1 else 'have'} {name}"
     elif not meant:
