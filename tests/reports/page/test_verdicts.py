@@ -163,6 +163,16 @@ def test_given_findings_hide_no_warning_and_no_suspicion(tmp_path):
     assert all(words in text for words in solved.summary.warnings)
 
 
+def test_a_command_is_shown_once_by_the_line_of_its_subject(tmp_path, solved):
+    about = Finding(kind="not_converged", sentence="Steps.", command="bundle x")
+    other = Finding(kind="without_a_line", sentence="Other.", command="bundle y")
+    write_report(solved, tmp_path / "page.html", findings=[about, other])
+    text = Page(tmp_path / "page.html").text
+    body = text[: text.index("Steps.")], text[text.index("Steps.") :]
+    assert [part.count("bundle x") for part in body] == [1, 0]
+    assert [part.count("bundle y") for part in body] == [0, 1]
+
+
 def test_findings_that_are_given_are_those_of_the_page(told, solved):
     given = [Finding(kind="weak_joint", sentence="A <joint>.", command="bundle info 'a b'")]
     found = told(solved, findings=given)

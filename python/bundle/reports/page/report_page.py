@@ -202,6 +202,7 @@ class _Page:
             )
         )  # fmt: skip
         self.data["verdicts"], self.data["findings"] = judged, findings
+        shown = [one.command for one in judged]
         sets = self._sets(found)
         rows = rows_of_sets(sets)
         observed = len(np.unique(problem.image_camera[problem.observation_image]))
@@ -238,7 +239,7 @@ class _Page:
             "" if counts else tag("p", escape(self.notes[-1]), class_="warn"),
             tag(
                 "div",
-                tag("div", verdict_list(judged), findings_list(findings)),
+                tag("div", verdict_list(judged), findings_list(findings, shown)),
                 self._scene(found),
                 class_="first",
             ),

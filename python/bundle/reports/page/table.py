@@ -102,17 +102,20 @@ def rendered(sections: Iterable[Section | str]) -> list[str]:
     return made
 
 
-def findings_list(findings: Sequence[Finding]) -> str:
-    """Return findings with their commands; those beyond the third are folded away."""
-    drawn = [_finding(found) for found in findings]
+def findings_list(findings: Sequence[Finding], shown: Iterable[str] = ()) -> str:
+    """Return findings; those beyond the third are folded away.
+
+    ``shown``: commands that the page already shows.
+    """
+    drawn = [_finding(found, found.command not in {"", *shown}) for found in findings]
     if len(drawn) <= MOST_FINDINGS + 1:
         return "".join(drawn)
     summary = tag("summary", f"{len(drawn) - MOST_FINDINGS} more findings")
     return "".join(drawn[:MOST_FINDINGS]) + tag("details", summary, *drawn[MOST_FINDINGS:])
 
 
-def _finding(found: Finding) -> str:
-    command = command_box(found.command) if found.command else ""
+def _finding(found: Finding, has_command: bool) -> str:
+    command = command_box(found.command) if has_command else ""
     kind = "finding problem" if found.is_problem else "finding"
     return tag("div", tag("p", prose(found.sentence)), command, class_=kind)
 

@@ -3,7 +3,7 @@
 A mark is "attention" if a finding is about the question, or if the number is beyond the first of
 two limits; "problem" beyond the second. docs/report.md lists numbers and limits. Medians of errors
 tolerate outliers, which have a line of their own; systematic residuals below 0.3 times the noise do
-no harm; a single image is not a problem.
+no harm.
 """
 
 from __future__ import annotations
@@ -79,11 +79,8 @@ def verdicts(given: Judged) -> list[Verdict]:
         if one is not None and is_hidden and not about and answer in OF_A_MINIMUM:
             found.append(Verdict(one.name, "unknown", one.number))
         elif one is not None:
-            judged = _with_findings(one, about)
-            command = next((each.command for each in about if each.command), "")
-            if not command and judged.mark in SEVERE and not is_hidden:
-                command = _next(given, one.command or STEPS.get(answer, "diagnose"))
-            found.append(replace(judged, command=command))
+            step = _next(given, one.command or STEPS.get(answer, "diagnose"))
+            found.append(_with_findings(one, about, step * (not is_hidden)))
     return found
 
 
@@ -119,14 +116,16 @@ def verdict_list(found: Iterable[Verdict]) -> str:
     return tag("dl", *rows, class_="verdicts")
 
 
-def _with_findings(one: Verdict, about: Collection[Finding]) -> Verdict:
-    """Return a verdict that names the findings about its subject and is as severe as these."""
+def _with_findings(one: Verdict, about: Collection[Finding], step: str) -> Verdict:
+    """Return a verdict as severe as the findings about its subject, with names and a command."""
     order = ("unknown", "good", "attention", "problem")
     marks = [one.mark, *("problem" if each.is_problem else "attention" for each in about)]
     named = dict.fromkeys(each.kind.replace("_", " ") for each in about)
-    known = f"{one.name.lower()} {one.number}"
+    known = f"{one.name} {one.number}".lower()
     words = [one.number, *(name for name in named if name not in known)]
-    return Verdict(one.name, max(marks, key=order.index), "; ".join(words))
+    mark = max(marks, key=order.index)
+    command = next((each.command for each in about if each.command), step * (mark in SEVERE))
+    return Verdict(one.name, mark, "; ".join(words), command)
 
 
 def _mark(value: float, first: float, second: float = math.inf) -> str:
@@ -322,26 +321,20 @@ STEPS: dict[Callable[[Judged], Verdict | None], str] = {
 """The next command of a question, by its function; of the others it is `bundle diagnose`."""
 
 QUESTIONS: tuple[tuple[Callable[[Judged], Verdict | None], str], ...] = (
-    (_solve, "rules constant_poses constant_points constant_sensors"),
+    (_solve, "not_converged rules constant_poses constant_points constant_sensors"),
     (_place, "positions attitudes gps_offset control_points"),
-    (
-        _error,
-        "not_refined not_converged far_start shifted_pixels no_observations "
-        "unsupported_camera_models observations_outside_image",
-    ),
+    (_error, "not_refined far_start shifted_pixels no_observations unsupported_camera_models "
+             "observations_outside_image"),
     (_held_out, ""),
     (_outliers, "outliers gross_errors observations_behind_camera"),
     (_worst, "motion image_residuals"),
     (_lens, "lens_model folding_distortion absurd_distortion"),
-    (
-        _focal,
-        "undetermined_intrinsics constant_lens local_lens shared_lens focal_drift "
-        "absurd_focal_lengths",
-    ),
+    (_focal, "undetermined_intrinsics constant_lens local_lens shared_lens focal_drift "
+             "absurd_focal_lengths"),
     (_positions, "scale_drift no_covariance images_with_few_observations undetermined_poses"),
     (_tracks, "duplicate_points collapsed_points far_points points_not_seen points_seen_once"),
     (_connection, "weak_joint disconnected images_without_observations"),
-)
+)  # fmt: skip
 """Functions that answer a question, and the kinds of findings about its subject."""
 
 OF_A_MINIMUM = (_outliers, _worst, _lens, _focal, _positions)
