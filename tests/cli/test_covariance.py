@@ -7,6 +7,7 @@ import pytest
 
 import bundle
 from bundle.cli.main import main
+from bundle.georeference.local_frame import LocalFrame
 from tests.scenes import make_problem
 
 
@@ -50,3 +51,29 @@ def test_parts_rules_and_losses(model, tmp_path):
         assert len(file["pose_ids"]) == len(file["point_ids"]) == 0
         assert np.isnan(file["camera_covariance"][:, 3, 3]).all()
         assert str(file["robust"]) == "sandwich"
+
+
+def test_lengths_are_in_metres_where_measurements_determine_the_scale(model, tmp_path, capsys):
+    problem = bundle.load(model)
+    centers = problem.projection_centers
+    fixes = [bundle.PositionPrior(i + 1, centers[i], 0.01) for i in range(4)]
+    level = bundle.GravityPrior(1, [0.0, 1.0, 0.0], 1.0)
+    assert bundle.covariance(model, priors=fixes).unit == "m"
+    assert bundle.influence(model, "baseline 1 2", priors=fixes).unit == "m"
+    assert bundle.covariance(model, priors=[level]).unit == bundle.covariance(model).unit == ""
+
+    file, report = tmp_path / "gps.csv", tmp_path / "c.json"
+    places = LocalFrame.about([47.0, 8.0, 400.0]).to_geodetic(centers)
+    lines = zip(problem.image_names, places.tolist(), strict=True)
+    rows = [",".join(map(str, [name, *place])) for name, place in lines]
+    file.write_text("\n".join(["image,latitude,longitude,altitude", *rows, ""]))
+    words = ("covariance", model, "-o", tmp_path / "c.npz", "--json", report, "--quiet")
+    assert run(*words, "--gps", file, "--verbose") == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "(median / 95th percentile): rotation [rad]" in said and "length unit" not in said
+    assert said.count("translation [m]") == said.count("point [m]") == 2  # headline and table
+    assert json.loads(report.read_text())["unit"] == "m"
+    assert run(*words) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "length unit of the model" in said and "[m]" not in said
+    assert json.loads(report.read_text())["unit"] == ""

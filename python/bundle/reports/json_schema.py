@@ -88,8 +88,8 @@ _REPORTS = {
     "environment",
     "convert": "output lost:tuple[str,...] tracking",
     "covariance": "analysis.uncertainty.covariance_result.Covariance options gauge scale robust "
-    "sigma0 dof cameras:list relative:list points_without_parallax:list held_pose_ids output notes "
-    "wall_time",
+    "sigma0 dof unit cameras:list relative:list points_without_parallax:list held_pose_ids output "
+    "notes wall_time",
     "diagnose": "analysis.diagnosis.diagnosis_result.Diagnosis.* options ok rank_gap digits:dict "
     "wall_time",
     "dry-run": "run:str reads:list writes:list flags:str",

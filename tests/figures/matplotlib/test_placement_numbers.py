@@ -57,6 +57,7 @@ def covariances(problem, rng):
         ),
         sigma0=0.5,
         dof=100,
+        unit="m",
         gauge="inner",
         scale="sigma0",
         notes=("A note.",),

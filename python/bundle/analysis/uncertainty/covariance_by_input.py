@@ -139,16 +139,11 @@ class Recipe:
                 factor = sigma0 * sigma0
             else:
                 out = run(*_scaled(ready.start, layout.options, sigma0))
-        return self._result(out, pairs, dof, sigma0, factor, tuple(notes))
+        known = {"sigma0": sigma0, "dof": dof, "notes": tuple(notes)}
+        return self._result(out, pairs, factor, known | {"unit": length_unit(ready).strip()})
 
     def _result(
-        self,
-        out: dict[str, Any],
-        pairs: list[tuple[int, int]],
-        dof: int,
-        sigma0: float,
-        factor: float,
-        notes: tuple[str, ...],
+        self, out: dict[str, Any], pairs: list[Any], factor: float, known: dict[str, Any]
     ) -> Covariance:
         problem = self.request.problem
         refuse_rounding(problem, out)
@@ -183,12 +178,10 @@ class Recipe:
             relative_ids=freeze(np.array(pairs, np.int64).reshape(-1, 2)),
             relative_covariance=relative if factor == 1 else freeze(relative * factor),
             null_point_ids=freeze(np.array(problem.point_ids[null[null < num_points]], np.int64)),
-            sigma0=sigma0,
-            dof=dof,
             gauge=self.gauge,
             scale=self.scale,
             robust=self.robust,
-            notes=notes,
+            **known,
             **shutters,
             _relative=replace(self, of=("poses",)).compute,
         )
@@ -207,6 +200,18 @@ LARGEST = 1e50
 """Limit of coordinates; gauges need fourth powers, which would exceed the range of doubles."""
 
 FAR = 100.0  # multiple of the median distance of points from the median of the cameras
+
+
+def length_unit(prepared: Prepared) -> str:
+    """Return " m" if positions, control points or scale bars determine the scale, else ""."""
+    if not prepared.placed.groups:  # most refinements, which need none of these
+        return ""
+    from bundle.georeference.prior_alignment import ProblemPriors
+    from bundle.georeference.scale_bars import FoundBars
+    from bundle.georeference.target_priors import TargetPriors
+
+    metric = ProblemPriors | TargetPriors | FoundBars
+    return " m" if any(isinstance(one, metric) for one in prepared.placed.groups) else ""
 
 
 def at_control_points(prepared: Prepared) -> Prepared:

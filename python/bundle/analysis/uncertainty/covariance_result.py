@@ -94,6 +94,7 @@ class Covariance(SavedBlocks):
             "sigma0": sigmas of observations and edges are multiplied by sigma0.
         robust: "weights" or "sandwich".
         notes: sentences with remarks on the covariance.
+        unit: length unit: "m" if measurements determine the scale, "" for that of the model.
     """
 
     pose_ids: _Ids
@@ -117,6 +118,7 @@ class Covariance(SavedBlocks):
     scale: str
     robust: str = "weights"
     notes: tuple[str, ...] = ()
+    unit: str = ""
     twist_covariance: _Floats = no_rows(float, 0, 6, 6)
     readout_covariance: _Floats = no_rows(float)
     _relative: Callable[[list[tuple[int, int]]], Covariance] | None = field(

@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 import bundle._core as _core
 from bundle.analysis.uncertainty.covariance_by_input import (
     at_control_points,
+    length_unit,
     refuse_huge,
     request_at,
 )
@@ -31,9 +32,6 @@ from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
 from bundle.base.words import number
 from bundle.errors import InputError
-from bundle.georeference.prior_alignment import ProblemPriors
-from bundle.georeference.scale_bars import FoundBars
-from bundle.georeference.target_priors import TargetPriors
 from bundle.interface.analysis_options import GAUGE, WITHOUT
 from bundle.interface.option_class import takes_options
 from bundle.interface.option_fields import choice
@@ -246,12 +244,6 @@ def differentiate(
     if not out["variance"] > 0:
         raise InputError(f"on: expected a quantity that varies, found {quantity.text}, a constant")
     return prepared, quantity, out
-
-
-def length_unit(prepared: Prepared) -> str:
-    """Return " m" if positions, control points or scale bars determine the scale, else ""."""
-    metric = ProblemPriors | TargetPriors | FoundBars
-    return " m" if any(isinstance(one, metric) for one in prepared.placed.groups) else ""
 
 
 def names_of_markers(prepared: Prepared) -> dict[str, int]:

@@ -31,8 +31,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bundle.analysis.uncertainty.covariance_by_input import request_at
-from bundle.analysis.uncertainty.influence import differentiate, length_unit, names_of_markers
+from bundle.analysis.uncertainty.covariance_by_input import length_unit, request_at
+from bundle.analysis.uncertainty.influence import differentiate, names_of_markers
 from bundle.analysis.uncertainty.joint_covariance import (
     Joint,
     Rows,

@@ -246,10 +246,11 @@ def certainty_sections(
     if num_null := len(given.null_point_ids):
         count = plural(num_null, "point", grouped=True)
         words += f" {count} without parallax: the unobservable direction is left out."
+    unit = given.unit or "length unit"
     rows = [
-        _row("position of a camera, worst direction [length unit]", known.position_sigmas),
+        _row(f"position of a camera, worst direction [{unit}]", known.position_sigmas),
         _row("rotation of a camera, worst axis [degrees]", known.angles),
-        _row("point, worst direction [length unit]", known.point_sigmas),
+        _row(f"point, worst direction [{unit}]", known.point_sigmas),
     ]
     head = ["standard deviation", "count", "median", "95th percentile", "largest"]
     table = Table.of(head, [row for row in rows if row])

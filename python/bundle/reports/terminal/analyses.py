@@ -86,11 +86,13 @@ def uncertainties(
     """Return the report on a reconstruction or a pose graph; ``target`` has the matrices."""
     pose = _sigmas(cov.pose_covariance)
     cameras: list[Section] = []
-    data: dict[str, Any] = {"gauge": cov.gauge, "robust": cov.robust}
+    names = ("gauge", "robust", "scale", "sigma0", "dof", "unit", "notes")
+    data: dict[str, Any] = {name: getattr(cov, name) for name in names}
     if isinstance(given, Problem):
-        spread = [("rotation [rad]", pose[:, :3]), ("translation", pose[:, 3:])]
-        spread.append(("point", _sigmas(cov.point_covariance)))
-        gauge, whole, warnings = cov.gauge.replace("_", " "), "of the model", _null_points(cov)
+        unit = f" [{cov.unit}]" * bool(cov.unit)
+        spread = [("rotation [rad]", pose[:, :3]), (f"translation{unit}", pose[:, 3:])]
+        spread.append((f"point{unit}", _sigmas(cov.point_covariance)))
+        gauge, warnings = cov.gauge.replace("_", " "), _null_points(cov)
         cameras = _cameras(given, cov)
         sigmas = zip(cov.camera_ids, _sigmas(cov.camera_covariance), strict=True)
         data["cameras"] = [
@@ -101,7 +103,7 @@ def uncertainties(
     else:
         parts = [pose[:, :2], pose[:, 2:]] if pose.shape[1] == 3 else [pose[:, 3:], pose[:, :3]]
         spread = [*zip(("translation", "rotation [rad]"), parts, strict=True)]
-        gauge, whole, warnings = _held(cov), "of the graph", [*cov.notes]
+        gauge, warnings = _held(cov), [*cov.notes]
         data["held_pose_ids"] = cov.held_pose_ids
     sigma0 = f"{number(cov.sigma0)} ({plural(cov.dof, 'degree')} of freedom)"
     facts = [("gauge", gauge), ("sigma0", sigma0), ("scale", _scale(cov))]
@@ -110,7 +112,7 @@ def uncertainties(
         command="covariance",
         input=about_input(path, given),
         headline=[
-            _sigmas_in_words(spread, whole),
+            _sigmas_in_words(spread, cov),
             f"sigma0 {sigma0}; gauge {cov.gauge.replace('_', ' ')}.",
         ],
         warnings=warnings,
@@ -123,11 +125,7 @@ def uncertainties(
         data={
             "options": dict(options),
             **data,
-            "scale": cov.scale,
-            "sigma0": cov.sigma0,
-            "dof": cov.dof,
             "relative": [{"ids": ids, "covariance": values} for ids, values in pairs],
-            "notes": cov.notes,
             "output": {"path": target, "format": "npz"},
             "wall_time": {"total": wall_time},
         },
@@ -143,14 +141,15 @@ def _held(cov: Covariance) -> str:
     return f"{cov.gauge}: {held[cov.gauge]}"
 
 
-def _sigmas_in_words(parts: Sequence[tuple[str, NDArray[np.float64]]], unit: str) -> str:
+def _sigmas_in_words(parts: Sequence[tuple[str, NDArray[np.float64]]], cov: Covariance) -> str:
     said = []
     for name, values in _lengths(parts):
         median, p95 = map(number, np.percentile(values, [50, 95]))
         said.append(f"{name} {median} / {p95}")
     if not said:
         return "No variable is free: there is no standard deviation."
-    return f"Sigma (median / 95th percentile, length unit {unit}): {', '.join(said)}."
+    unit = f", length unit of the {'graph' if cov.is_of_graph else 'model'}" * (not cov.unit)
+    return f"Sigma (median / 95th percentile{unit}): {', '.join(said)}."
 
 
 def _scale(cov: Covariance) -> str:
