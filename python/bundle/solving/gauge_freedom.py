@@ -286,7 +286,7 @@ class _Count:
         pairs = np.stack(
             [self._piece[problem.observation_image[held]], problem.observation_point[held]], axis=1
         )
-        for piece, point in np.unique(pairs, axis=0).tolist():
+        for piece, point in np.unique(pairs, axis=0, return_counts=True)[0].tolist():
             rows = np.zeros((3, self._width))
             rows[:, 7 * piece : 7 * piece + 7] = self._point_motion(self._points[point])
             self._norms += (rows**2).sum(axis=0)
@@ -294,9 +294,9 @@ class _Count:
 
     def add_factors(self, factors: list[Factor]) -> None:
         """Add the equations of factors: their linearized residuals under the motions."""
-        from bundle.graphs.factors.problem_factors import ProblemFactors
-
         for factor in factors:
+            from bundle.graphs.factors.problem_factors import ProblemFactors  # slow to import
+
             keys, information = ProblemFactors(self._problem, [factor]).information()
             motion = np.vstack([self._motion(kind, index, size) for kind, index, size in keys])
             values, vectors = np.linalg.eigh(information)

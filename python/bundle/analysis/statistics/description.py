@@ -13,6 +13,7 @@ from bundle.analysis.statistics.suspicions import (
     summarize,
     suspicions,
 )
+from bundle.base.arrays import distinct
 from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
 from bundle.base.words import number, pixels, plural
@@ -270,11 +271,11 @@ def rig_summaries(problem: Problem) -> tuple[RigSummary, ...]:
         )
 
     summaries = []
-    for rig_id in np.unique(problem.frame_rig_ids).tolist():
+    for rig_id in distinct(problem.frame_rig_ids).tolist():
         rows = np.flatnonzero(problem.sensor_rig_ids == rig_id).tolist()
         first = [sensor(references[rig_id], -1, rig_id)] if rig_id in references else []
         others = [sensor(int(problem.sensor_camera_ids[row]), row, rig_id) for row in rows]
-        used = np.unique(problem.image_frame[rig == rig_id])
+        used = distinct(problem.image_frame[rig == rig_id])
         summaries.append(
             RigSummary(
                 rig_id=rig_id,

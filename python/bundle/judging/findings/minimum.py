@@ -108,9 +108,10 @@ def under_its_loss(measured: Measured) -> Measured:
 
     `info` does not know the loss of the solve, but the model is a minimum of it.
     """
+    if measured.is_minimum or measured.options.loss != "trivial":
+        return measured
     found = np.array([decreases for _, _, decreases in _steps(measured)])
-    is_known = measured.is_minimum or measured.options.loss != "trivial"
-    if is_known or not found.size or not 2 * found[:, 2].max() < found[:, :2].max(axis=0).min():
+    if not found.size or not 2 * found[:, 2].max() < found[:, :2].max(axis=0).min():
         return measured
     command = measured.command.after("--loss", "cauchy")
     return replace(measured, options=measured.options.replace(loss="cauchy"), command=command)
