@@ -10,6 +10,7 @@ from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bundle.base.arrays import at, check_type
 from bundle.errors import InputError, brief
@@ -183,3 +184,8 @@ def named_images(argument: str, problem: Problem, pattern: str) -> list[int]:
             f"{argument}: expected ids or names of images, found no image named {pattern!r}"
         )
     return found
+
+
+def are_in(ids: NDArray[np.int64], some: frozenset[int]) -> NDArray[np.bool_]:
+    """Return a mask of the ids in a set; for a few ids faster than NumPy's isin (20 us)."""
+    return np.fromiter(map(some.__contains__, ids.tolist()), bool, len(ids))

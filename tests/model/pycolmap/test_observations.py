@@ -193,17 +193,29 @@ def _many_keypoints(model):
     model.add_image_with_trivial_frame(image, pycolmap.Rigid3d())
 
 
-@pytest.mark.parametrize("change", [_exchanged, _many_keypoints, _cut, "few images"])
+def _tracks_cut(folder):
+    path = module.Path(folder, "points3D.bin")
+    path.write_bytes(_cut(path.read_bytes()))
+    return module._core.read_colmap_model(folder)
+
+
+def _an_image_less(folder):
+    model = images_alone(2)
+    model.deregister_frame(sorted(model.reg_frame_ids())[0])
+    model.write_binary(folder)
+    return module._core.read_colmap_model(folder)
+
+
+@needs_memory_folder
+@pytest.mark.parametrize(
+    "change", [_exchanged, _many_keypoints, _tracks_cut, _an_image_less, "few images"]
+)
 def test_objects_are_read_of_large_models_and_of_those_with_errors(monkeypatch, change):
     model = images_alone(2)
     named = frozenset(sorted(model.reg_image_ids())[: 2 if change == "few images" else 4])
-    if change is _cut:
-        read = module.Path.read_bytes
-        monkeypatch.setattr(
-            module.Path,
-            "read_bytes",
-            lambda path: _cut(read(path)) if path.name == "points3D.bin" else read(path),
-        )
+    if change in (_tracks_cut, _an_image_less):  # as by another thread
+        write = module._written
+        monkeypatch.setattr(module, "_written", lambda made, _: write(made, change))
     elif callable(change):
         assert small_model(model, named) is not None
         change(model)

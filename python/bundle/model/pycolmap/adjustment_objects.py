@@ -21,6 +21,7 @@ from bundle.base.arrays import check_type
 from bundle.base.records import dataclass
 from bundle.errors import InputError
 from bundle.interface.colmap_options import ColmapAdjustment, colmap_adjustment
+from bundle.model.problem_keys import are_in
 from bundle.model.pycolmap.reconstruction import (
     Observations,
     check_elements,
@@ -202,21 +203,26 @@ def adjusted_fields(
 ) -> AdjustedFields:
     """Read the observations of named images and points, without points with shorter tracks."""
     is_whole = len(config.images) == reconstruction.num_reg_images()
-    listed = [] if is_whole else sorted(config.variable_points | config.constant_points)
+    listed = frozenset[int]() if is_whole else config.variable_points | config.constant_points
     points, positions = list[pycolmap.Point3D](), list[Any]()
     if listed and (model := small_model(reconstruction, config.images)):
-        observations, (order, ids, tracks), xyz = model
-        named = np.array([image.image_id in config.images for image in observations.images])
-        taken = (named[observations.image] | np.isin(observations.point_id, listed))[order]
-        seen = np.bincount(np.repeat(np.arange(len(ids)), tracks)[taken], minlength=len(ids))
-        order = order[taken]
+        images, found = model  # checked, and in the order of points, images and keypoints
+        image, point = found["observation_image"], found["observation_point"]
+        xyz, point_ids = found["points"], found["point_ids"]
+        taken = are_in(found["image_ids"], config.images)[image]
+        taken |= are_in(point_ids, listed)[point]
+        tracks = np.bincount(point, minlength=len(point_ids))
+        seen = np.bincount(point[taken], minlength=len(point_ids))
+        order = np.flatnonzero(taken)
+        ids = point_ids.view(np.uint64)
+        observations = Observations(images, image, ids[point], found["observation_xy"])
     else:
         observations, elements = observations_and_tracks(
             [reconstruction.image(key) for key in sorted(config.images)],
-            list(map(reconstruction.point3D, listed)),
+            list(map(reconstruction.point3D, sorted(listed))),
         )
         if listed:
-            elements[:, 2] = ids_of_points(listed)[elements[:, 2]]
+            elements[:, 2] = ids_of_points(sorted(listed))[elements[:, 2]]
             observations = observations.joined(_outside(reconstruction, config.images, elements))
         order, ids, seen = observations.by_point()
         try:
@@ -226,11 +232,11 @@ def adjusted_fields(
             raise
         tracks, positions = lengths_of_tracks(points), list(map(attrgetter("xyz"), points))
         xyz = np.frombuffer(b"".join(positions)).reshape(-1, 3)
-    point_ids = ids_of_points(ids.tolist())
-    are_read = is_whole | np.isin(point_ids, listed)
-    check_lengths(point_ids, tracks, seen, (seen > tracks) | (are_read & (seen < tracks)))
-    if is_whole and not is_valid(reconstruction):
-        fields_of(reconstruction)  # names the fault
+        point_ids = ids_of_points(ids.tolist())
+        are_read = is_whole | are_in(point_ids, listed)
+        check_lengths(point_ids, tracks, seen, (seen > tracks) | (are_read & (seen < tracks)))
+        if is_whole and not is_valid(reconstruction):
+            fields_of(reconstruction)  # names the fault
     used = (tracks >= min_track_length) & (seen > 0)
     observations = observations.taken(order[np.repeat(used, seen)])
     images, seen, tracks = observations.images, seen[used], tracks[used]

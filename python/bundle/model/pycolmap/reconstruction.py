@@ -12,10 +12,11 @@ import os
 import struct
 import threading
 import time
+from collections.abc import Callable
 from itertools import chain, compress
 from operator import attrgetter
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import pycolmap
@@ -169,7 +170,7 @@ class Observations:
             self.xy[rows],
         )
 
-    def by_point(self) -> Order:
+    def by_point(self) -> tuple[NDArray[np.intp], NDArray[np.uint64], NDArray[np.int64]]:
         """Return the order by point, image and keypoint, and ids and counts of the points."""
         order = np.argsort(self.point_id, kind="stable")  # images and keypoints ascend already
         sorted_ids = self.point_id[order]
@@ -206,7 +207,7 @@ class Observations:
         }
 
 
-Order = tuple[NDArray[np.intp], NDArray[np.uint64], NDArray[np.int64]]  # of `by_point`
+T = TypeVar("T")
 _KEYPOINT = np.dtype([("xy", "<f8", 2), ("point_id", "<u8")])  # in COLMAP's images.bin
 _IMAGE_HEAD = 64  # bytes of id, pose and camera, before name and number of keypoints
 _POINT = struct.Struct("<Q35xQ")  # id; position, colour and error; length of the track
@@ -237,8 +238,8 @@ def observations_and_tracks(
             model.add_image_with_trivial_frame(made, pycolmap.Rigid3d())
         for row, point in enumerate([] if first else points):
             model.points3D[row] = point
-        of_images, of_points = _written(model)
-        records = _keypoints_in(of_images, [*range(1, 1 + len(some))], [*map(len, keypoints)])
+        of_images, of_points = _written(model, _contents) or (b"", b"")
+        records = _keypoints_in(of_images, [*map(len, keypoints)])
         for found in records or map(records_from_objects, keypoints):
             start, end = end, end + len(found)
             xy[start:end], point_id[start:end] = found["xy"], found["point_id"]
@@ -250,56 +251,49 @@ def observations_and_tracks(
 
 def small_model(
     reconstruction: pycolmap.Reconstruction, named: frozenset[int]
-) -> tuple[Observations, Order, NDArray[np.float64]] | None:
-    """Return all observations, their order by point, and positions of the points.
+) -> tuple[list[pycolmap.Image], dict[str, Any]] | None:
+    """Return the images of all observations, and the fields of a problem.
 
-    None if the model is large beside the named images, or has errors. Its files take 0.1 us for an
+    None if the model is large beside the named images, or has errors. Its files take 0.2 us for an
     observation; objects of points and of their other observations take 1 us each.
     """
     if reconstruction.num_reg_images() > _PART * len(named):
         return None
     images = [reconstruction.image(key) for key in sorted(reconstruction.reg_image_ids())]
-    counts = [image.num_points2D() for image in images]
     needed = sum(image.num_points3D for image in images if image.image_id in named)
-    if sum(counts) > min(_PART * needed, _MOST_KEYPOINTS):
+    if sum(image.num_points2D() for image in images) > min(_PART * needed, _MOST_KEYPOINTS):
         return None
-    of_images, of_points = _written(reconstruction)
-    keypoints = _keypoints_in(of_images, [image.image_id for image in images], counts)
-    if not keypoints or not is_valid(reconstruction):
+    _, fields = _written(reconstruction, _core.read_colmap_model) or (None, None)
+    if not fields or fields["image_ids"].tolist() != [image.image_id for image in images]:
         return None
-    records = np.concatenate(keypoints)
-    seen = np.flatnonzero(records["point_id"] != pycolmap.INVALID_POINT3D_ID)
-    row = np.repeat(np.arange(len(images), dtype=np.int32), counts)[seen]
-    found = Observations(images, row, records["point_id"][seen], records["xy"][seen])
-    order = found.by_point()
-    starts = np.cumsum(np.append(8, _POINT.size + 8 * order[2]))  # of points by id
-    if starts[-1] != len(of_points):
-        return None
-    heads = np.frombuffer(of_points, np.uint8)[starts[:-1, None] + np.arange(32)].view("<u8")
-    return (found, order, heads[:, 1:].view("<f8")) if (heads[:, 0] == order[1]).all() else None
+    return images, fields
 
 
-def _written(model: pycolmap.Reconstruction) -> tuple[bytes, bytes]:
-    """Return images.bin and points3D.bin; both are empty if there is no folder in memory."""
+def _written(model: pycolmap.Reconstruction, read: Callable[[str], T]) -> T | None:
+    """Return what is read from the files of a model; None if there is no folder in memory."""
     name = f"bundle-{os.getpid()}-{threading.get_ident()}-{time.monotonic_ns()}"
     folder = Path("/dev/shm", name)
     try:
         folder.mkdir(0o700)
         try:
             model.write_binary(folder)
-            return (folder / "images.bin").read_bytes(), (folder / "points3D.bin").read_bytes()
+            return read(str(folder))
         finally:
             for path in folder.iterdir():
                 path.unlink()
             folder.rmdir()
-    except (OSError, ValueError):  # no such folder, or pycolmap cannot write there
-        return b"", b""
+    except (OSError, ValueError):  # no such folder, or files that cannot be written or read
+        return None
 
 
-def _keypoints_in(content: bytes, ids: list[int], counts: list[int]) -> list[NDArray[Any]]:
+def _contents(folder: str) -> tuple[bytes, bytes]:
+    return Path(folder, "images.bin").read_bytes(), Path(folder, "points3D.bin").read_bytes()
+
+
+def _keypoints_in(content: bytes, counts: list[int]) -> list[NDArray[Any]]:
     """Return the records of the keypoints of each image; an empty list if the file has others."""
     records, end = [], 8
-    for image_id, count in zip(ids, counts, strict=True):
+    for image_id, count in enumerate(counts, 1):
         start = content.find(b"\0", end + _IMAGE_HEAD) + 9
         head, end = content[end : end + 4] + content[start - 8 : start], start + 24 * count
         if head != struct.pack("<IQ", image_id, count) or end > len(content):
