@@ -106,6 +106,19 @@ def added(gyro: object, accel: object, since: float = 0.0) -> Fault:
     return fault
 
 
+def warming(gyro: object, accel: object, seconds: float = 8.0) -> Fault:
+    """Biases that approach their sizes exponentially."""
+
+    def fault(given: Recording, _: np.random.Generator) -> Recording:
+        share = 1 - np.exp(-given.seconds / seconds)[:, None]
+        return given._replace(
+            gyro=given.gyro + share * np.asarray(gyro),
+            accel=given.accel + share * np.asarray(accel),
+        )
+
+    return fault
+
+
 def noisy(factor: float) -> Fault:
     """More noise of the samples than the calibration has."""
 
@@ -188,7 +201,10 @@ TURN = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]
 
 FAULTS: dict[str, Fault] = {
     **{f"turned {size} {'xyz'[k]}": turned(k, size) for k in range(3) for size in (2.0, 5.0, 10.0)},
-    "arm 10 cm": posed(lambda pose: pose + 0.1 * np.eye(7)[4]),
+    **{
+        f"arm 10 cm {'xyz'[k]}": posed(lambda pose, k=k: pose + 0.1 * np.eye(7)[4 + k])
+        for k in range(3)
+    },
     "arm in mm": posed(lambda pose: pose * [1, 1, 1, 1, 1e3, 1e3, 1e3]),
     "inverted": posed(inverted),
     "order w x y z": posed(lambda pose: pose[[3, 0, 1, 2, 4, 5, 6]]),
@@ -209,6 +225,10 @@ FAULTS: dict[str, Fault] = {
     "accel bias 0.5": added(0, [0.5, 0, 0]),
     "accel bias 1": added(0, [0, 1.0, 0]),
     "accel bias jumps": added(0, [0.5, 0, 0], 10.0),
+    "accel bias steps": added(0, [0, 0.2, 0.1], 8.0),
+    "gyro bias steps": added([0, 0.01, 0], 0, 6.0),
+    "accel warms up": warming([0, 0, 0], [0.2, 0.2, 0.1]),
+    "gyro warms up": warming([0.01, 0.02, 0], [0, 0, 0]),
     "noise 10": noisy(10),
     "noise 30": noisy(30),
     "calibrated noise 100": calibrated(100),

@@ -6,8 +6,8 @@ from scipy.spatial.transform import Rotation
 
 from bundle.inertial.offline.imu_agreement import Agreement, ClockErrors, ClockOffset
 from bundle.inertial.offline.imu_findings import Evidence, imu_findings
-from bundle.inertial.offline.path_tests import ArmError, ForceScale
 from bundle.inertial.offline.rotation_map import RotationMap
+from bundle.inertial.offline.score_tests import Score
 from bundle.model.sequence.sequence_findings import BadStretch
 
 ARM = np.array([0, 0, 0, 1, 0.1, 0, 0])
@@ -25,8 +25,7 @@ def known(intervals=QUIET, chi2=100.0, **changes):
             "is_quadratic": False,
             "rotations": MAP,
             "far": ("accel_axes", ""),
-            "arm": ArmError,
-            "forces": ForceScale,
+            "held": lambda: None,
             "clocks": ClockErrors(),
             "offset": ClockOffset(),
             "noise": (0.3, 0.3),
@@ -109,52 +108,60 @@ def test_outliers_under_a_quadratic_loss_are_the_cause():
         assert (first.flags == ("--loss", "cauchy")) == (cause == "outliers")
 
 
-def test_a_wrong_arm_with_the_right_one_if_nothing_else_is_wrong():
-    def arm():
-        return ArmError(np.array([0.0, -0.1, 0.0]), 1e-4 * np.eye(3))
+def wrong(kind, x, sigma, along=(1.0,), **more):
+    return lambda: Score(kind, np.array(along), x, sigma, movement=0.047, **more)
 
-    (found,) = imu_findings(known(arm=arm))
+
+def test_a_value_that_is_held_wrongly_if_nothing_else_is_wrong():
+    arm = wrong("arm", -0.1, 0.01, (0.0, 1.0, 0.0), gain=1210.0)
+    (found,) = imu_findings(known(held=arm))
     assert (found.kind, found.is_problem, found.flags) == ("arm", False, ())
     assert found.evidence["translation"] == pytest.approx([0.1, -0.1, 0])
     assert (found.evidence["metres"], found.evidence["metres_sigma"]) == pytest.approx((0.1, 0.01))
     assert "10 +- 1 cm" in found.sentence and "0.100, -0.100, 0.000" in found.sentence
-    assert kinds(arm=pytest.fail, offset=ClockOffset(0.02, 1e-3)) == ["imu_clocks"]
-    assert kinds(arm=arm, forces=pytest.fail) == ["arm"]
-    first = imu_findings(known(chi2=2400.0, arm=arm))[0]
-    assert (first.kind, first.evidence["cause"]) == ("imu_contradiction", "arm")
-
-
-def test_a_wrong_scale_of_forces_if_nothing_else_is_wrong():
-    def forces():
-        return ForceScale(1.1, 0.02, 0.047)
-
-    (found,) = imu_findings(known(forces=forces))
-    assert (found.kind, found.is_problem) == ("accel_scale", False)
+    first, second = imu_findings(known(chi2=2400.0, held=arm))
+    assert (first.evidence["cause"], second.kind) == ("arm", "arm")
+    (found,) = imu_findings(known(held=wrong("accel_scale", 0.1, 0.02)))
     assert found.evidence == {"ratio": 1.1, "ratio_sigma": 0.02, "movement": 0.047}
     assert "1.100 +- 0.02 times" in found.sentence and "by 4.7 %" in found.sentence
-    assert kinds(forces=pytest.fail, offset=ClockOffset(0.02, 1e-3)) == ["imu_clocks"]
-    alone = known(chi2=2400.0, forces=lambda: forces()._replace(gain=1210.0))
-    first, second = imu_findings(alone)
-    assert (first.evidence["cause"], second.kind) == ("accel_scale", "accel_scale")
-
-
-def test_a_scale_of_forces_that_explains_less_than_half_of_a_contradiction_is_not_its_cause():
-    (first,) = imu_findings(
-        known(chi2=2400.0, forces=lambda: ForceScale(1.1, 0.02, 0.047, gain=1190.0))
-    )
-    assert first.evidence["cause"] == "unknown"
+    (found,) = imu_findings(known(held=wrong("gyro_scale", 0.015, 0.001)))
+    assert (found.kind, found.evidence["ratio"]) == ("gyro_scale", pytest.approx(1.015))
+    turn = wrong("camera_from_imu", 0.02, 0.001, (0.0, 0.0, 1.0))
+    (found,) = imu_findings(known(held=turn))
+    assert found.evidence["degrees"] == pytest.approx(np.degrees(0.02))
+    assert found.evidence["quaternion"] == pytest.approx([0, 0, np.sin(0.01), np.cos(0.01)])
 
 
 @pytest.mark.parametrize(
-    ("degrees", "sigma", "cause"),
-    [(2.0, 0.45, "camera_from_imu"), (2.0, 0.55, "unknown"), (0.9, 0.2, "unknown")],
+    ("kind", "words"), [("gyro_bias", "gyroscope"), ("accel_bias", "accelerometer")]
 )
-def test_a_turn_of_four_sigmas_is_a_likely_cause_of_a_contradiction(degrees, sigma, cause):
-    rotations = turned(degrees)._replace(sigma=np.full(3, np.radians(sigma)))
-    assert kinds(rotations=rotations) == []
-    first = imu_findings(known(chi2=2400.0, rotations=rotations))[0]
-    assert first.evidence["cause"] == cause
-    assert ("is probably turned by 2 deg" in first.sentence) == (cause != "unknown")
+def test_a_bias_that_changes_names_its_size_and_time(kind, words):
+    step = wrong(kind, -0.5, 0.02, (0.0, 1.0, 0.0), interval=17)
+    (found,) = imu_findings(known(held=step))
+    assert (found.kind, found.is_problem) == (kind, False)
+    evidence = dict(found.evidence)
+    assert evidence.pop("step") == pytest.approx([0, -0.5, 0])
+    assert evidence == {
+        "step_sigma": 0.02, "seconds": pytest.approx(3.41), "row": 682, "movement": 0.047,
+    }  # fmt: skip
+    for part in (words, "0.5 +- 0.02 ", "3.41 s (line 684)", "by 4.7 %", f"{kind}_random_walk of"):
+        assert part in found.sentence
+    assert f"of {0.5 / 9.8**0.5:.1g} " in found.sentence  # the video has 9.8 s
+
+
+def test_values_that_are_held_are_tested_unless_a_cause_is_known():
+    assert kinds(held=pytest.fail, noise=(6.0, 0.3)) == ["imu_noise"]
+    step = wrong("accel_bias", 0.5, 0.02, (1.0, 0.0, 0.0), gain=1210.0)
+    intervals = QUIET.copy()
+    intervals[17] = 60.0
+    assert kinds(intervals=intervals, held=step) == ["accel_bias", "imu_interval"]
+    assert kinds(offset=ClockOffset(0.02, 1e-3), held=step) == ["accel_bias", "imu_clocks"]
+
+
+def test_a_held_value_that_explains_less_than_half_of_a_contradiction_is_not_its_cause():
+    for gain, cause in ((1190.0, "unknown"), (1210.0, "accel_bias")):
+        step = wrong("accel_bias", 0.5, 0.02, (1.0, 0.0, 0.0), gain=gain)
+        assert imu_findings(known(chi2=2400.0, held=step))[0].evidence["cause"] == cause
 
 
 def test_the_next_command_of_a_contradiction():
@@ -184,6 +191,22 @@ def test_samples_that_are_no_measurements():
     ]  # fmt: skip
     assert "line 602: gyroscope frozen, 111 samples from 3.00 to 5.04 s" in found.sentence
     assert "line 902: gyroscope spike, 1 sample at 4.50 s" in found.sentence
+
+
+@pytest.mark.parametrize(("lost", "is_named"), [(24, False), (26, True)])
+def test_lost_samples_from_a_hundredth_on(lost, is_named):
+    gone = np.concatenate([400 + np.arange(lost // 2), 1200 + np.arange(lost // 2)])
+    stamps = np.delete(5_000_000 * np.arange(2524), gone)  # 2,500 or 2,498 are left
+    assert kinds(stamps=stamps) == is_named * ["imu_samples"]
+    single = np.delete(5_000_000 * np.arange(2500), np.arange(10, 2000, 2))
+    assert kinds(stamps=single[:990]) == []  # half the rate
+    if is_named:
+        (found,) = imu_findings(known(stamps=stamps, bad=(fault(),)))
+        assert found.evidence["faults"][1] == {
+            "kind": "lost", "sensor": "both", "first_row": 399, "last_row": 1187,
+            "num_samples": 26, "seconds": pytest.approx(1.995),
+        }  # fmt: skip
+        assert "line 402: 26 samples lost from 2.00 to 6.07 s; line 602: gyro" in found.sentence
 
 
 def test_a_turned_camera_from_imu_with_the_right_one():

@@ -10,7 +10,7 @@ import bundle
 from bundle import InputError
 from bundle.inertial.offline import imu_adjustment as adjustment
 from bundle.inertial.offline.image_intervals import ImageIntervals, likely_kinds, read_image_times
-from bundle.inertial.offline.imu_agreement import MOST, ClockOffset, clock_offset
+from bundle.inertial.offline.imu_agreement import MOST, ClockOffset, clock_offset, noise_scale_of
 from bundle.inertial.offline.inertial_result import ImuSamples
 from bundle.inertial.offline.inertial_start import (
     ACCEL_BIAS_SIGMA,
@@ -251,7 +251,7 @@ def test_images_may_be_at_the_ends_and_an_offset_may_lead_beyond():
 
 def test_noise_of_the_imu_by_the_rate_of_images():
     def scale(seconds, given=None):
-        return adjustment._noise_scale((1e9 * seconds * np.arange(9)).astype(np.int64), given)
+        return noise_scale_of((1e9 * seconds * np.arange(9)).astype(np.int64), given)
 
     assert scale(0.25) == pytest.approx(5.0)
     assert scale(1.0) == pytest.approx(10.0)

@@ -41,6 +41,7 @@ from bundle.inertial.offline.imu_agreement import (
     ClockOffset,
     cauchy_cost,
     noise_ratios,
+    noise_scale_of,
     quietest_ratio,
 )
 from bundle.inertial.offline.imu_findings import LONG_ARM, Evidence, imu_findings, sample_faults
@@ -57,11 +58,25 @@ from bundle.inertial.offline.motion_solve import (
     MotionState,
     solved_with_motions,
 )
-from bundle.inertial.offline.path_tests import ArmError, ForceScale, LeastCost, arm_error, few_steps
-from bundle.inertial.offline.rotation_map import RotationMap, accel_axes, axes_sentence
+from bundle.inertial.offline.rotation_map import (
+    ANGLE,
+    SCALE,
+    RotationMap,
+    accel_axes,
+    axes_sentence,
+)
+from bundle.inertial.offline.score_tests import (
+    Change,
+    LeastCost,
+    Score,
+    few_steps,
+    largest_score,
+    unit,
+    walk_slopes,
+)
 from bundle.inertial.preintegration.preintegration import Preintegration
 from bundle.inertial.vio.window_frame import ImuInterval
-from bundle.interface.option_fields import choice, number
+from bundle.interface.option_fields import choice
 from bundle.interface.options import SolveOptions
 from bundle.interface.solve_record import Progress
 from bundle.model.problem import Problem
@@ -80,9 +95,6 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-NOISE_SCALE, AT_INTERVAL = 5.0, 0.25
-"""Factor on the noise densities of data sheets, which do not include vibration, for images at this
-interval in seconds."""
 LEAST_IMAGES = 5
 MOST_STEPS = 200  # least limit of iterations for the images alone, which take milliseconds each
 LARGEST_TURN = math.pi / 2  # beyond it, consecutive images have hardly any point in common
@@ -142,18 +154,12 @@ def adjust_with_imu(
     )
     images = _images_alone(alone, plan, progress)
     imu_samples = choice("imu_samples", imu_samples, ("auto", *RULES))
-    scale = _noise_scale(bodies.stamps, imu_noise_scale)
+    scale = noise_scale_of(bodies.stamps, imu_noise_scale)
     case = _Case(
-        problem=problem,
-        bodies=bodies,
-        noise=noise.scaled(scale, walks=False),
-        priors=alone.priors,
-        options=options,
-        progress=progress,
-        images=images,
-        samples=samples,
+        problem=problem, bodies=bodies, noise=noise.scaled(scale, walks=False), priors=alone.priors,
+        options=options, progress=progress, images=images, samples=samples,
         place=place or (lambda row: f"IMU sample {row}"),
-    )
+    )  # fmt: skip
     best = min(
         (_adjusted(case, video, clock) for video, clock in _videos(case, imu_samples)),
         key=lambda found: found.cost + CLEAR * found.clock.lowers_cost,
@@ -171,31 +177,20 @@ def adjust_with_imu(
     if any(finding.is_problem for finding in findings) and not summary.interrupted:
         summary = dataclasses.replace(summary, is_solution_usable=False)
     finished = dataclasses.replace(
-        last,
-        summary=summary,
-        problem=state.problem,
-        initial_problem=problem,
+        last, summary=summary, problem=state.problem, initial_problem=problem,
         similarity=best.similarity,
         edits=(Edit("alignment", problem, moved(problem, best.similarity)),),
-    )
+    )  # fmt: skip
     return InertialAdjustment(
-        result=finished,
-        similarity=best.similarity,
+        result=finished, similarity=best.similarity,
         scale=align_centers(problem.projection_centers, state.problem.projection_centers).scale,
-        start=best.start,
-        timestamps_ns=bodies.stamps[back],
-        velocities=state.velocities[back],
-        gyro_biases=state.biases[back, :3],
-        accel_biases=state.biases[back, 3:],
-        imu_cost=float(costs[: len(bodies) - 1].sum()),
-        noise_scale=scale,
-        num_solves=len(best.results),
-        clock=best.clock,
-        imu_samples=best.video.kind,
-        gauge_freedom=_gauge_freedom(case, state.problem),
-        agreement=known.agreement,
+        start=best.start, timestamps_ns=bodies.stamps[back], velocities=state.velocities[back],
+        gyro_biases=state.biases[back, :3], accel_biases=state.biases[back, 3:],
+        imu_cost=float(costs[: len(bodies) - 1].sum()), noise_scale=scale,
+        num_solves=len(best.results), clock=best.clock, imu_samples=best.video.kind,
+        gauge_freedom=_gauge_freedom(case, state.problem), agreement=known.agreement,
         findings=findings,
-    )
+    )  # fmt: skip
 
 
 class _Case(NamedTuple):
@@ -257,12 +252,11 @@ class _Adjusted(NamedTuple):
         )  # fmt: skip
         return self._replace(state=state, results=[*self.results, result])
 
-    def motions(self, case: _Case, forces: float = 1.0) -> list[Preintegration]:
-        """Return the motions between bodies, integrated at the biases, with forces divided."""
-        intervals = [
-            dataclasses.replace(interval, accel=interval.accel / forces)
-            for interval in self.video.at(self.clock.seconds if self.clock.is_clear else 0.0)
-        ]
+    def motions(self, case: _Case, change: Change | None = None) -> list[Preintegration]:
+        """Return the motions between bodies, integrated at the biases."""
+        intervals = self.video.at(self.clock.seconds if self.clock.is_clear else 0.0)
+        if change is not None:
+            intervals = [change.of_samples(k, one) for k, one in enumerate(intervals)]
         return preintegrated(intervals, case.noise, self.state.biases[:-1], self.video.rule)
 
     def settled(self, case: _Case) -> _Adjusted:
@@ -362,32 +356,32 @@ def _accel_axes(case: _Case, intervals: list[ImuInterval], rule: str) -> str:
     )
 
 
-def _arm_error(case: _Case, found: _Adjusted, noise: ImuNoise) -> ArmError:
-    problem, bodies = case.images.problem, case.bodies
-    return arm_error(
-        bodies.imu_rotations(problem), bodies.centers(problem), bodies.arms(problem),
-        bodies.axes(problem), found.motions(case), noise,
-    )  # fmt: skip
-
-
-def _force_scale(case: _Case, found: _Adjusted, agreement: Agreement) -> ForceScale:
-    if found.has_ended:
-        return ForceScale()
+def _held(
+    case: _Case, found: _Adjusted, agreement: Agreement, rotations: RotationMap
+) -> Score | None:
     shortly = case._replace(options=few_steps(case.options), progress=None)
     has_scale = case.is_metric or case.priors
 
-    def least(forces: float) -> LeastCost:
-        start = found.state if has_scale else found.state.scaled(1 / forces)
-        end = found._replace(state=start).solved(shortly, found.motions(case, forces))
-        result = end.results[-1]
-        if result.summary.interrupted:
-            raise KeyboardInterrupt
-        costs, count = np.asarray(result.factor_costs_after), len(case.bodies) - 1
-        motions, priors = float(costs[:count].sum()), float(costs[count:].sum())
-        images = result.summary.final_cost - motions - priors
-        return LeastCost(images, motions, priors, case.bodies.centers(end.state.problem))
+    def solved(change: Change, **options: Any) -> tuple[Result, LeastCost]:
+        start = found.state if has_scale else found.state.scaled(1 / change.forces)
+        there = shortly._replace(
+            bodies=change.of_bodies(case.bodies), options=shortly.options.replace(**options)
+        )
+        end = found._replace(state=start).solved(there, found.motions(case, change))
+        return end.results[-1], LeastCost.of(end.results[-1], end.state, case.bodies)
 
-    return ForceScale.of(least, agreement.images_variance, agreement.variance)
+    motions, noise, likely = found.motions(case), case.noise, []
+    if rotations.angle > ANGLE / 2:
+        likely.append(Score("camera_from_imu", unit(rotations.turn)))
+    if abs(rotations.scale - 1) > SCALE / 2:
+        likely.append(Score("gyro_scale"))
+    return largest_score(
+        lambda change: solved(change)[1],
+        lambda change: solved(change, max_num_iterations=0)[1].motions,
+        likely,
+        walk_slopes(found.state.biases, np.array([one.duration for one in motions]), noise),
+        agreement,
+    )
 
 
 def _evidence(case: _Case, found: _Adjusted, noise_scale: float) -> Evidence:
@@ -410,24 +404,15 @@ def _evidence(case: _Case, found: _Adjusted, noise_scale: float) -> Evidence:
         intervals = video.at(clock.seconds if clock.is_clear else 0.0)
         far = "accel_axes", _accel_axes(case, intervals, video.rule)
     return Evidence(
-        agreement=agreement,
-        is_converged=last.summary.termination_type == "CONVERGENCE",
-        is_quadratic=case.options.loss == "trivial",
-        rotations=rotations,
-        far=far,
-        arm=lambda: _arm_error(case, found, density),
-        forces=lambda: _force_scale(case, found, agreement),
-        clocks=video.clock_errors(case.between, case.noise, clock),
-        offset=clock,
-        noise=noise_ratios(*case.samples, density),
-        quietest=quietest_ratio(*case.samples, density),
-        noise_scale=noise_scale,
-        camera_from_imu=case.bodies.body_from_imu,
-        bad=bad_stretches(*case.samples[1:]),
-        stamps=case.samples.timestamps_ns,
-        place=case.place,
+        agreement=agreement, is_converged=last.summary.termination_type == "CONVERGENCE",
+        is_quadratic=case.options.loss == "trivial", rotations=rotations, far=far,
+        held=lambda: None if found.has_ended else _held(case, found, agreement, rotations),
+        clocks=video.clock_errors(case.between, case.noise, clock), offset=clock,
+        noise=noise_ratios(*case.samples, density), quietest=quietest_ratio(*case.samples, density),
+        noise_scale=noise_scale, camera_from_imu=case.bodies.body_from_imu,
+        bad=bad_stretches(*case.samples[1:]), stamps=case.samples.timestamps_ns, place=case.place,
         begins=case.bodies.stamps[:-1],
-    )
+    )  # fmt: skip
 
 
 def _filtered(case: _Case, found: _Adjusted, plan: RunPlan) -> _Adjusted:
@@ -482,16 +467,3 @@ def _checked(bodies: ImuBodies, options: SolveOptions) -> SolveOptions:
         gauge="none",
         linear_solver_type="sparse_schur" if solver == "auto" else solver,
     )
-
-
-def _noise_scale(stamps: NDArray[np.int64], given: float | None) -> float:
-    """Return the factor on the noise densities.
-
-    The errors of a tracked point are correlated from image to image: images at a higher rate hold
-    more observations, but not more information. Without a smaller noise of the IMU, they would
-    outweigh it.
-    """
-    if given is not None:
-        return number("imu_noise_scale", given, above=0)
-    interval = 1e-9 * float(np.median(np.diff(stamps)))
-    return max(NOISE_SCALE * math.sqrt(interval / AT_INTERVAL), 1.0)

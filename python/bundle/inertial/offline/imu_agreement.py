@@ -33,6 +33,7 @@ from numpy.typing import NDArray
 
 from bundle.base.tails import chi2_bound, chi2_median
 from bundle.inertial.preintegration.preintegration import Preintegration
+from bundle.interface.option_fields import number
 from bundle.model.losses import evaluate_loss
 from bundle.model.problem import Problem
 from bundle.model.residuals import reprojection_errors
@@ -148,6 +149,24 @@ class ClockErrors(NamedTuple):
         variance = max(float(np.linalg.solve(moments, right)[1]), 0.0)
         share = min(variance * trace / float(left @ left), 1.0) if left.any() else 0.0
         return ClockErrors(math.sqrt(variance), share, drift, sigma)
+
+
+NOISE_SCALE, AT_INTERVAL = 5.0, 0.25
+"""Factor on the noise densities of data sheets, which do not include vibration, for images at this
+interval in seconds."""
+
+
+def noise_scale_of(stamps: NDArray[np.int64], given: float | None) -> float:
+    """Return the factor on the noise densities.
+
+    The errors of a tracked point are correlated from image to image: images at a higher rate hold
+    more observations, but not more information. Without a smaller noise of the IMU, they would
+    outweigh it.
+    """
+    if given is not None:
+        return number("imu_noise_scale", given, above=0)
+    interval = 1e-9 * float(np.median(np.diff(stamps)))
+    return max(NOISE_SCALE * math.sqrt(interval / AT_INTERVAL), 1.0)
 
 
 def noise_ratios(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -19,24 +20,27 @@ from bundle.inertial.offline.imu_agreement import (
     ClockErrors,
     ClockOffset,
 )
-from bundle.inertial.offline.path_tests import ArmError, ForceScale
-from bundle.inertial.offline.rotation_map import ANGLE, TURNED, RotationMap
-from bundle.model.rigid_motions import quaternion_from_matrix, rotation_matrices
-from bundle.model.sequence.sequence_findings import LONGEST_BRIDGE, UNDERSTATED, BadStretch
+from bundle.inertial.offline.rotation_map import RotationMap
+from bundle.inertial.offline.score_tests import Score
+from bundle.model.rigid_motions import quaternion_from_vector, quaternion_multiply
+from bundle.model.sequence.sequence_findings import GAP, LONGEST_BRIDGE, UNDERSTATED, BadStretch
 
 Array = NDArray[np.float64]
 
+LOST = 0.01  # share of the samples from which lost ones are a cause
 OUTLIERS = 4.0  # variance factor under a quadratic loss from which outliers rule the cost
-EXPLAINED = 0.5  # share of a contradiction that a scale of forces, its cause, explains: 0.7 or more
-LIKELY = 4.0  # sigmas of a turn of at least a degree that is likely if images and IMU contradict
+EXPLAINED = 0.5  # share of a contradiction that a held value, its cause, explains: 0.6 or more
+ACCEL = "accelerometer", "m/s^2"
 LONG_ARM = 3.0  # distance in metres between camera and IMU from which millimetres are likely
 
 CAUSES = {
-    "imu_samples": "samples are no measurements",
+    "imu_samples": "samples are no measurements, or lost",
     "camera_from_imu": "camera_from_imu is turned",
     "arm": "the arm of camera_from_imu is wrong",
     "accel_scale": "the scale of the forces is wrong",
     "gyro_scale": "the scale of the rates is wrong",
+    "gyro_bias": "the bias of the gyroscope jumps or drifts",
+    "accel_bias": "the bias of the accelerometer jumps or drifts",
     "imu_clocks": "the times of images are wrong",
     "imu_noise": "the calibrated noise is wrong",
     "unknown": "camera_from_imu, the clocks, the intrinsics or the noise of the IMU is wrong",
@@ -48,11 +52,11 @@ class ImuFinding(NamedTuple):
     """Finding without its command line."""
 
     # "imu_contradiction", "imu_samples", "imu_interval", "camera_from_imu", "arm", "accel_scale",
-    # "gyro_scale", "imu_clocks" or "imu_noise"
+    # "gyro_scale", "gyro_bias", "accel_bias", "imu_clocks" or "imu_noise"
     kind: str
     sentence: str  # the fact with its numbers
-    flags: tuple[str, ...]  # flags that the next command adds; none: no command helps
     evidence: Mapping[str, Any]  # numbers behind the sentence
+    flags: tuple[str, ...] = ()  # flags that the next command adds; none: no command helps
     is_problem: bool = False  # True if the result is not usable
 
 
@@ -64,8 +68,7 @@ class Evidence(NamedTuple):
     is_quadratic: bool  # True without a robust loss
     rotations: RotationMap  # map between the rotations
     far: tuple[str, str]  # cause of a contradiction, "imu_clocks" or "accel_axes", and its sentence
-    arm: Callable[[], ArmError]  # error of the arm; called if nothing else is wrong
-    forces: Callable[[], ForceScale]  # scale of the forces; called if the arm is right
+    held: Callable[[], Score | None]  # value that is held wrongly; called without another cause
     clocks: ClockErrors  # errors of single times
     offset: ClockOffset  # offset of the clocks
     noise: tuple[float, float]  # calibrated noise densities over those of the samples
@@ -88,9 +91,9 @@ def imu_findings(known: Evidence) -> tuple[ImuFinding, ...]:
         )
         if one is not None
     ]  # fmt: skip
-    if not others:  # the test of the arm does not depend on the forces
-        last = _arm(known) or _forces(known)
-        others = [] if last is None else [last]
+    if not _causes(others):
+        last = _held(known)
+        others = others if last is None else [last, *others]
     first = _contradiction(known, others)
     return tuple(others if first is None else [first, *others])
 
@@ -103,7 +106,7 @@ def _contradiction(known: Evidence, others: Sequence[ImuFinding]) -> ImuFinding 
     kind, cause = known.rotations.cause(known.camera_from_imu)
     arm = float(np.linalg.norm(known.camera_from_imu[4:]))
     too_small = max(1 / (one * known.noise_scale) if one else 0.0 for one in known.noise)
-    named = [one.kind for one in others if one.kind in CAUSES and "offset" not in one.evidence]
+    named = _causes(others)
     if known.is_quadratic and agreement.images_variance > OUTLIERS:
         kind, cause = "outliers", "the images have outliers, and no robust loss was given"
     if not cause:
@@ -112,10 +115,6 @@ def _contradiction(known: Evidence, others: Sequence[ImuFinding]) -> ImuFinding 
         kind, cause = "arm", f"camera_from_imu has an arm of {arm:.3g} m: is it in millimetres?"
     if not cause and named:
         kind, cause = named[0], CAUSES[named[0]]
-    turn = known.rotations
-    if not cause and max(ANGLE, LIKELY * turn.angle_sigma) < turn.angle < TURNED:
-        kind = "camera_from_imu"
-        cause = f"camera_from_imu is probably turned by {turn.angle:.2g} deg"
     flags: tuple[str, ...] = ("--loss", "cauchy") if kind == "outliers" else ()
     if not cause:
         kind, cause = "unknown", CAUSES["unknown"]
@@ -133,44 +132,70 @@ def _contradiction(known: Evidence, others: Sequence[ImuFinding]) -> ImuFinding 
         "imu_contradiction",
         f"Images and IMU contradict each other: their joint cost is {ratio:.3g} times what their "
         f"noise explains, largest at {seconds:.2f} s ({known.place(row)}){state}: {cause}.",
-        flags,
         {
             "cause": kind, "chi2": agreement.chi2, "freedom": agreement.freedom,
             "bound": agreement.bound, "seconds": seconds, "row": row,
         },
+        flags,
         is_problem=True,
     )  # fmt: skip
 
 
-def _forces(known: Evidence) -> ImuFinding | None:
-    found, agreement = known.forces(), known.agreement
-    part = found.gain / (max(agreement.images_variance, 1.0) * agreement.chi2)
-    if not found.is_wrong or (agreement.is_contradicted and part < EXPLAINED):
+def _causes(found: Sequence[ImuFinding]) -> list[str]:
+    return [one.kind for one in found if one.kind in CAUSES and "offset" not in one.evidence]
+
+
+def _held(known: Evidence) -> ImuFinding | None:
+    agreement = known.agreement
+    least = EXPLAINED * agreement.chi2 * max(agreement.images_variance, 1.0)
+    found = known.held()
+    if found is None or (agreement.is_contradicted and found.gain < least):
         return None
+    if found.kind == "camera_from_imu":
+        return _turned_by(known, found.x * found.along, found.sigma)
+    if found.kind == "gyro_scale":
+        return _rates(1 + found.x)
+    words = {"accel_scale": _forces, "arm": _arm}.get(found.kind, _bias)
+    return words(known, found)
+
+
+def _forces(_: Evidence, found: Score) -> ImuFinding:
+    ratio = 1 + found.x
     return ImuFinding(
         "accel_scale",
-        f"The forces of the accelerometer are {found.ratio:.3f} +- {found.sigma:.1g} times those "
+        f"The forces of the accelerometer are {ratio:.3f} +- {found.sigma:.1g} times those "
         f"of images and gravity, which moves the positions by {100 * found.movement:.2g} %: its "
         "scale is wrong, and so is the scale of the result.",
-        (),
-        {"ratio": found.ratio, "ratio_sigma": found.sigma, "movement": found.movement},
+        {"ratio": ratio, "ratio_sigma": found.sigma, "movement": found.movement},
     )
 
 
-def _arm(known: Evidence) -> ImuFinding | None:
-    found = known.arm()
-    if not found.is_wrong:
-        return None
-    right = known.camera_from_imu[4:] + found.shift
-    size, sigma = found.size
+def _arm(known: Evidence, found: Score) -> ImuFinding:
+    right = known.camera_from_imu[4:] + found.x * found.along
     words = ", ".join(f"{value:.3f}" for value in right)
     return ImuFinding(
         "arm",
-        f"The arm of camera_from_imu is off by {100 * size:.2g} +- "
-        f"{100 * sigma:.1g} cm: the path of the images gives the translation {words}.",
-        (),
-        {"metres": size, "metres_sigma": sigma, "translation": right.tolist()},
+        f"The arm of camera_from_imu is off by {100 * abs(found.x):.2g} +- "
+        f"{100 * found.sigma:.1g} cm: images and IMU agree best with the translation {words}.",
+        {"metres": abs(found.x), "metres_sigma": found.sigma, "translation": right.tolist()},
     )
+
+
+def _bias(known: Evidence, found: Score) -> ImuFinding:
+    row, seconds = _when(known, found.interval)
+    duration = 1e-9 * float(known.begins[-1] - known.begins[0])
+    sensor, unit = ("gyroscope", "rad/s") if found.kind == "gyro_bias" else ACCEL
+    return ImuFinding(
+        found.kind,
+        f"The bias of the {sensor} changes faster than its random walk: a step of "
+        f"{abs(found.x):.2g} +- {found.sigma:.1g} {unit} at {seconds:.2f} s ({known.place(row)}) "
+        f"moves the positions by {100 * found.movement:.2g} %. If the sensor warms up, "
+        f"{found.kind}_random_walk of {abs(found.x) / duration**0.5:.1g} allows for it.",
+        {
+            "step": (found.x * found.along).tolist(), "step_sigma": found.sigma,
+            "seconds": seconds, "row": row, "movement": found.movement,
+        },
+    )  # fmt: skip
 
 
 def _when(known: Evidence, interval: int) -> tuple[int, float]:
@@ -202,14 +227,24 @@ def sample_faults(
 
 
 def _samples(known: Evidence) -> ImuFinding | None:
-    if not known.bad:
-        return None
     words, faults = sample_faults(known.bad, known.stamps, known.place)
+    since = 1e-9 * (known.stamps - known.stamps[0])
+    steps = np.diff(since) / np.median(np.diff(since))
+    gaps = np.flatnonzero(steps > GAP)
+    count = round(float((steps[gaps] - 1).sum()))
+    if count > LOST * len(since):
+        first, last = int(gaps[0]), int(gaps[-1]) + 1
+        when = f"from {since[first]:.2f} to {since[last]:.2f} s"
+        gone = f"{known.place(first + 1)}: {plural(count, 'sample')} lost {when}"
+        words = f"{gone}; {words}" if words else gone
+        values = "lost", "both", first, last, count, float(since[first])
+        faults.append(dict(zip(FAULT, values, strict=True)))
+    if not faults:
+        return None
     return ImuFinding(
         "imu_samples",
-        f"Some samples of the IMU are not measurements: {words}. They are "
+        f"Some samples of the IMU are no measurements, or lost: {words}. They are "
         f"treated as gaps, of at most {LONGEST_BRIDGE:g} s.",
-        (),
         {"faults": faults},
     )
 
@@ -218,19 +253,19 @@ def _turned(known: Evidence) -> ImuFinding | None:
     found = known.rotations
     if not found.is_turned or known.rotations.cause(known.camera_from_imu)[0]:
         return None
-    right = rotation_matrices(known.camera_from_imu[None, :4])[0] @ found.rotation
-    quaternion = quaternion_from_matrix(right[None])[0]
+    return _turned_by(known, found.turn, math.radians(found.angle_sigma))
+
+
+def _turned_by(known: Evidence, turn: Array, sigma: float) -> ImuFinding:
+    given, by = known.camera_from_imu[None, :4], quaternion_from_vector(turn[None])
+    quaternion = quaternion_multiply(given, by)[0]
+    angle, spread = math.degrees(float(np.linalg.norm(turn))), math.degrees(sigma)
     words = ", ".join(f"{value:.5f}" for value in quaternion)
     return ImuFinding(
         "camera_from_imu",
-        f"The rotation of camera_from_imu is off by {found.angle:.2f} +- {found.angle_sigma:.1g} "
+        f"The rotation of camera_from_imu is off by {angle:.2f} +- {spread:.1g} "
         f"degrees: the rotations of the images give the quaternion {words}.",
-        (),
-        {
-            "degrees": found.angle,
-            "degrees_sigma": found.angle_sigma,
-            "quaternion": quaternion.tolist(),
-        },
+        {"degrees": angle, "degrees_sigma": spread, "quaternion": quaternion.tolist()},
     )
 
 
@@ -239,12 +274,15 @@ def _scaled(known: Evidence) -> ImuFinding | None:
     is_clipped = any((one.kind, one.sensor) == ("saturated", "gyro") for one in known.bad)
     if is_clipped or not found.is_scaled or found.cause(known.camera_from_imu)[0]:
         return None
+    return _rates(1 / found.scale)
+
+
+def _rates(ratio: float) -> ImuFinding:
     return ImuFinding(
         "gyro_scale",
-        f"The rates of the gyroscope are {1 / found.scale:.3f} times those of the images: its "
+        f"The rates of the gyroscope are {ratio:.3f} times those of the images: its "
         "scale or the focal length is wrong.",
-        (),
-        {"ratio": 1 / found.scale},
+        {"ratio": ratio},
     )
 
 
@@ -258,7 +296,6 @@ def _times(known: Evidence) -> ImuFinding | None:
             f"The clocks of camera and IMU drift by {1e6 * found.drift:.3g} +- "
             f"{1e6 * found.drift_sigma:.1g} us per s, {1e3 * found.drift * duration:.3g} ms in "
             "this video.",
-            (),
             {"drift": found.drift, "drift_sigma": found.drift_sigma},
         )
     if not (found.jitter > JITTER and found.share > JITTER_SHARE):
@@ -268,7 +305,6 @@ def _times(known: Evidence) -> ImuFinding | None:
         f"The clocks of camera and IMU do not agree from image to image: errors of "
         f"{1e3 * found.jitter:.2g} ms of single times explain {100 * found.share:.0f} % of the "
         "difference between the rotations.",
-        (),
         {"jitter": found.jitter, "share": found.share},
     )
 
@@ -281,7 +317,6 @@ def _offset(known: Evidence) -> ImuFinding | None:
         "imu_clocks",
         f"The clocks of camera and IMU differ by {1e3 * clock.seconds:.2f} +- "
         f"{1e3 * clock.sigma:.1g} ms. The result is corrected for it; add it to time_offset.",
-        (),
         {"offset": clock.seconds, "offset_sigma": clock.sigma},
     )
 
@@ -293,8 +328,8 @@ def _noise(known: Evidence) -> ImuFinding | None:
             "imu_noise",
             f"Even where the samples are quietest, their noise is {known.quietest:.3g} times that "
             "of the calibration: the IMU has too much weight.",
-            ("--imu-noise-scale", f"{known.quietest:.2g}"),
             {"ratio": 1 / known.quietest},
+            ("--imu-noise-scale", f"{known.quietest:.2g}"),
         )
     if ratio <= LARGE_NOISE:
         return None
@@ -303,7 +338,6 @@ def _noise(known: Evidence) -> ImuFinding | None:
         "imu_noise",
         f"The calibrated noise of the {sensor} is {ratio:.3g} times that of its samples: the IMU "
         "has too little weight to determine the scale.",
-        (),
         {"sensor": sensor, "ratio": ratio},
     )
 
@@ -319,7 +353,6 @@ def _intervals(known: Evidence) -> ImuFinding | None:
         "imu_interval",
         f"Images and IMU contradict each other in {plural(len(wrong), 'interval')} between images,"
         f" most at {seconds:.2f} s ({known.place(row)}).",
-        (),
         {
             "intervals": wrong, "chi2": agreement.interval_chi2[wrong].tolist(),
             "rows": [row for row, _ in rows], "seconds": [when for _, when in rows],

@@ -128,7 +128,11 @@ def solve_inertial_start(
     covariance = np.linalg.pinv(reduced.T @ reduced) * max(rms, 1e-9) ** 2
     velocities = np.empty_like(centers)
     for part, segment in zip(parts, found, strict=True):
-        _velocities(part, segment, x, rotations, motions, times, velocities)
+        left = segment.known - segment.shared @ x
+        own: Any = np.linalg.lstsq(segment.own, left, rcond=None)[0]
+        _, _, v, w = _integrals(part, rotations, motions)
+        t = times[part[0] : part[-1] + 1] - times[part[0]]
+        velocities[part[0] : part[-1] + 1] = own[3:] + np.outer(t, x[1:4]) + v + w @ x[4:7]
     return InertialStart(
         scale=float(x[0]),
         scale_sigma=float(np.sqrt(covariance[0, 0]) / abs(x[0])) if x[0] != 0 else np.inf,
@@ -214,21 +218,6 @@ def segment_rows(
     stacked = np.column_stack([by_shared, known])
     projected = stacked - basis @ (basis.T @ stacked)
     return _Rows(projected, part[0], by_own, by_shared, known)
-
-
-def _velocities(
-    part: range,
-    segment: _Rows,
-    x: Array,
-    rotations: Array,
-    motions: list[Preintegration],
-    times: Array,
-    out: Array,
-) -> None:
-    own: Any = np.linalg.lstsq(segment.own, segment.known - segment.shared @ x, rcond=None)[0]
-    _, _, v, w = _integrals(part, rotations, motions)
-    t = times[part[0] : part[-1] + 1] - times[part[0]]
-    out[part[0] : part[-1] + 1] = own[3:] + np.outer(t, x[1:4]) + v + w @ x[4:7]
 
 
 # Placement of a reconstruction with an IMU: metres, z up, then heading and shift of its priors.

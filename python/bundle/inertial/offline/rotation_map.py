@@ -86,6 +86,13 @@ class RotationMap(NamedTuple):
         return _degrees(rotation * np.linalg.det(rotation))
 
     @property
+    def turn(self) -> Array:
+        """Rotation vector (3,) of Q, or of -Q if that is the rotation, in rad."""
+        rotation = self.rotation * np.linalg.det(self.rotation)
+        turned: Array = vector_from_quaternion(quaternion_from_matrix(rotation[None]))[0]
+        return turned
+
+    @property
     def angle_sigma(self) -> float:
         """Standard deviation of the angle in degrees."""
         return math.degrees(float(self.sigma.max()))
