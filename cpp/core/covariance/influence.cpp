@@ -1,6 +1,5 @@
 #include "core/covariance/influence.h"
 
-#include <Eigen/Cholesky>
 #include <Eigen/Core>
 #include <Eigen/Jacobi>
 #include <algorithm>
@@ -59,10 +58,10 @@ double WithoutObservation(const Eigen::Matrix2d& h, const Eigen::Vector2d& along
 double WithoutPoint(const Eigen::MatrixXd& leverages, const Eigen::VectorXd& along,
                     const Eigen::VectorXd& residual) {
   const Eigen::Index size = leverages.rows();
-  const Eigen::LLT<Eigen::MatrixXd> factor(Eigen::MatrixXd::Identity(size, size) - leverages);
-  if (factor.info() != Eigen::Success) return kNotComputed;
-  const double pivot = factor.matrixLLT().diagonal().cwiseAbs2().minCoeff();
-  return pivot < kNoRedundancy ? kNotComputed : along.dot(factor.solve(residual));
+  Eigen::VectorXd solved;
+  const bool is_certain = SolveByCholesky(Eigen::MatrixXd::Identity(size, size) - leverages,
+                                          residual, kNoRedundancy, &solved);
+  return is_certain ? along.dot(solved) : kNotComputed;
 }
 
 }  // namespace

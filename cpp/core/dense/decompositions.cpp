@@ -92,6 +92,22 @@ bool SolveByCholesky(const MatrixXf& a, const MatrixXf& b, MatrixXf* x) {
   return SolvePositive(a, b, x);
 }
 
+bool SolveByCholesky(const MatrixXd& a, const VectorXd& b, double least, VectorXd* x) {
+  const Eigen::LLT<MatrixXd> llt(a);
+  if (llt.info() != Eigen::Success) return false;
+  if (llt.matrixLLT().diagonal().cwiseAbs2().minCoeff() < least) return false;
+  *x = llt.solve(b);
+  return true;
+}
+
+bool InvertByCholesky(const ConstColumns& a, Eigen::Ref<MatrixXd> inverse) {
+  const Eigen::LLT<MatrixXd> llt(a);
+  if (llt.info() != Eigen::Success) return false;
+  inverse.setIdentity();
+  llt.solveInPlace(inverse);
+  return true;
+}
+
 MatrixXd SolveSemidefinite(const MatrixXd& a, const MatrixXd& b, double epsilon) {
   VectorXd scale = a.diagonal();
   for (double& entry : scale) entry = entry > 0 ? 1 / std::sqrt(entry) : 0;

@@ -7,6 +7,11 @@
 
 namespace bundle {
 
+template <typename Scalar>
+using ConstColumnsOf = Eigen::Ref<const Eigen::Matrix<Scalar, Eigen::Dynamic, Eigen::Dynamic>, 0,
+                                  Eigen::OuterStride<>>;
+using ConstColumns = ConstColumnsOf<double>;
+
 /// A = V diag(values) V^T of a symmetric matrix; only the lower triangle is read.
 struct SymmetricEigen {
   Eigen::VectorXd values;   ///< ascending
@@ -50,6 +55,14 @@ Eigen::MatrixXd InverseOfCholesky(const Eigen::MatrixXd& matrix);
 bool SolveByCholesky(const Eigen::MatrixXd& a, const Eigen::MatrixXd& b, Eigen::MatrixXd* x);
 bool SolveByCholesky(const Eigen::MatrixXf& a, const Eigen::MatrixXf& b, Eigen::MatrixXf* x);
 
+/// The same for one b. Returns false if the square of a pivot is less than `least`.
+bool SolveByCholesky(const Eigen::MatrixXd& a, const Eigen::VectorXd& b, double least,
+                     Eigen::VectorXd* x);
+
+/// A^-1 by the Cholesky factor; reads the lower triangle. Returns false if A is not positive
+/// definite.
+bool InvertByCholesky(const ConstColumns& a, Eigen::Ref<Eigen::MatrixXd> inverse);
+
 /// X of A X = B, for A positive semidefinite and B in its range; X is zero in the null space. The
 /// rank is determined with A's diagonal scaled to 1: eigenvalues up to `epsilon` times the largest
 /// and A's size count as zero.
@@ -58,11 +71,6 @@ Eigen::MatrixXd SolveSemidefinite(const Eigen::MatrixXd& a, const Eigen::MatrixX
 
 /// x of A x = b. For a singular A, a best fit with zeros at zero pivots.
 Eigen::VectorXd SolveByFullPivoting(const Eigen::MatrixXd& a, const Eigen::VectorXd& b);
-
-template <typename Scalar>
-using ConstColumnsOf = Eigen::Ref<const Eigen::Matrix<Scalar, Eigen::Dynamic, Eigen::Dynamic>, 0,
-                                  Eigen::OuterStride<>>;
-using ConstColumns = ConstColumnsOf<double>;
 
 /// A B
 Eigen::MatrixXd Multiply(const ConstColumns& a, const ConstColumns& b);

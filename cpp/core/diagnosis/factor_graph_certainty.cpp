@@ -176,14 +176,15 @@ class Certainty {
     n_ = OrthonormalColumns(n_);
     y_ = MatrixXd::Zero(n_.rows(), n_.cols());
     y_(system_.coordinates(), Eigen::all) = inverse(n_(system_.coordinates(), Eigen::all));
-    k_ = n_.transpose() * y_;
+    k_ = MultiplyTransposed(n_, y_);
   }
 
   MatrixXd WithoutGauge(int i, int j, MatrixXd block) const {
     if (n_.cols() == 0) return block;
     const auto n_i = n_.middleRows(Begin(i), Size(i)), n_j = n_.middleRows(Begin(j), Size(j));
     const auto y_i = y_.middleRows(Begin(i), Size(i)), y_j = y_.middleRows(Begin(j), Size(j));
-    return block - n_i * y_j.transpose() - y_i * n_j.transpose() + n_i * k_ * n_j.transpose();
+    return block - Multiply(n_i, y_j.transpose()) - Multiply(y_i, n_j.transpose()) +
+           Multiply(Multiply(n_i, k_), n_j.transpose());
   }
 
   void TestFactor(int64_t factor, FactorGraphCertainty* result) const {
@@ -197,8 +198,9 @@ class Certainty {
       for (const int j : rows.variables) {
         const MatrixXd block = system_.InverseBlock(i, j);
         width_i = block.rows();
-        const MatrixXd part = rows.jacobian.middleCols(at_i, block.rows()) * block *
-                              rows.jacobian.middleCols(at_j, block.cols()).transpose();
+        const MatrixXd part =
+            Multiply(Multiply(rows.jacobian.middleCols(at_i, block.rows()), block),
+                     rows.jacobian.middleCols(at_j, block.cols()).transpose());
         if (i == j) largest = std::max(largest, part.trace());
         cofactor += part;
         at_j += block.cols();
@@ -326,7 +328,9 @@ FactorGraphSpectrum FindFactorGraphSpectrum(const FactorGraph& graph, const Line
   const MatrixXd basis =
       null > 0 ? OrthonormalColumns(d.asDiagonal() * z) : MatrixXd(MatrixXd::Zero(size, 0));
   const auto without = [&](MatrixXd x) {
-    for (int twice = 0; twice < 2 && null > 0; ++twice) x -= basis * (basis.transpose() * x);
+    for (int twice = 0; twice < 2 && null > 0; ++twice) {
+      x -= Multiply(basis, MultiplyTransposed(basis, x));
+    }
     return x;
   };
   const double highest = most_of([&](const MatrixXd& x) { return system.Product(x); });

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "core/dense/decompositions.h"
 #include "core/linear/direct_solvers.h"
 #include "core/linear/fill_ordering.h"
 
@@ -112,7 +113,7 @@ void GraphNormalEquations::Assemble() {
   descent_ = VectorXd::Zero(num_columns());
   for (int64_t f = 0; f < static_cast<int64_t>(graph_.factors.size()); ++f) {
     const Rows rows = RowsOf(f);
-    const MatrixXd h = rows.jacobian.transpose() * rows.jacobian;
+    const MatrixXd h = MultiplyTransposed(rows.jacobian, rows.jacobian);
     const VectorXd g = rows.jacobian.transpose() * rows.residual;
     int at_i = 0;
     for (const int i : rows.variables) {

@@ -15,7 +15,6 @@
 /// S) t_i = t_i - U^-1 S t_i, and costs one product with S. Inside conjugate gradients, Ceres stops
 /// the series only by the number of terms, so that M is the same in every iteration.
 
-#include <Eigen/Cholesky>
 #include <Eigen/Core>
 #include <algorithm>
 #include <cstddef>
@@ -23,6 +22,7 @@
 #include <stdexcept>
 #include <vector>
 
+#include "core/dense/decompositions.h"
 #include "core/linear/coarse_space.h"
 
 namespace bundle {
@@ -158,12 +158,8 @@ bool BlockDiagonalInverse::Invert(int block, const double* values, int stride) {
   const int size = structure_.block_size(block);
   const Eigen::Map<const Eigen::MatrixXd, 0, Eigen::OuterStride<>> matrix(
       values, size, size, Eigen::OuterStride<>(stride));
-  const Eigen::LLT<Eigen::MatrixXd, Eigen::Lower> factor(matrix);
-  if (factor.info() != Eigen::Success) return false;
   Eigen::Map<Eigen::MatrixXd> inverse(&values_[begin_[block]], size, size);
-  inverse.setIdentity();
-  factor.solveInPlace(inverse);
-  return inverse.allFinite();
+  return InvertByCholesky(matrix, inverse) && inverse.allFinite();
 }
 
 bool BlockDiagonalInverse::InvertDiagonal(const BlockValues& values) {

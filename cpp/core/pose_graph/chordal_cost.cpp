@@ -265,7 +265,8 @@ SmallMatrix NearestOrthonormal(const SmallMatrix& matrix, bool proper) {
   SymmetricEigen eigen = DecomposeSymmetric(gram);
   Eigen::VectorXd inverse = eigen.values.cwiseMax(1e-300).cwiseSqrt().cwiseInverse();
   if (proper && Determinant(matrix) < 0) inverse[0] = -inverse[0];
-  const SmallMatrix root = eigen.vectors * inverse.asDiagonal() * eigen.vectors.transpose();
+  const SmallMatrix scaled = eigen.vectors * inverse.asDiagonal();
+  const SmallMatrix root = scaled.lazyProduct(eigen.vectors.transpose());
   return matrix.lazyProduct(root);
 }
 

@@ -160,7 +160,9 @@ DualSpectrum DualCertificate::Spectrum(double shift, int count) {
   if (!Factorize(shift)) throw std::runtime_error("DualCertificate: the shift is too small");
   const MatrixXd known = KnownNullSpace();
   const auto without_known = [&](MatrixXd vectors) {
-    for (int twice = 0; twice < 2; ++twice) vectors -= known * (known.transpose() * vectors);
+    for (int twice = 0; twice < 2; ++twice) {
+      vectors -= Multiply(known, MultiplyTransposed(known, vectors));
+    }
     return vectors;
   };
   const auto apply = [&](const MatrixXd& vectors) {
@@ -217,12 +219,12 @@ MatrixXd DualCertificate::KnownNullSpace() const {
     for (int64_t i = 0; i < n; ++i) rows(i * b_ + d_, point_.rows()) = 1;
   }
   // Rows that depend on others, of points whose rank is below their number of rows, are left out.
-  const SymmetricEigen eigen = DecomposeSymmetric(rows.transpose() * rows);
+  const SymmetricEigen eigen = DecomposeSymmetric(MultiplyTransposed(rows, rows));
   const double largest = eigen.values.maxCoeff();
   int kept = 0;
   while (kept < eigen.values.size() && !(eigen.values[kept] > 1e-12 * largest)) ++kept;
   const int64_t rank = eigen.values.size() - kept;
-  MatrixXd basis = rows * eigen.vectors.rightCols(rank);
+  MatrixXd basis = Multiply(rows, eigen.vectors.rightCols(rank));
   for (int64_t k = 0; k < rank; ++k) basis.col(k).normalize();
   return basis;
 }

@@ -82,7 +82,7 @@ MatrixXd Rounded(const ChordalProblem& problem, const MatrixXd& point) {
     gram += y.lazyProduct(y.transpose());
   }
   const MatrixXd axes = DecomposeSymmetric(gram).vectors.rightCols(d);
-  MatrixXd rounded = axes.transpose() * point;
+  MatrixXd rounded = MultiplyTransposed(axes, point);
   int64_t num_reflected = 0;
   for (int64_t i = 0; i < problem.num_poses(); ++i) {
     if (Determinant(rounded.middleCols(i * b, d)) < 0) ++num_reflected;

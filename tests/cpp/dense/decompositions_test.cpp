@@ -46,5 +46,27 @@ TEST(SolveByCholesky, RefusesWhatHasNoDigitLeft) {
   EXPECT_FALSE(SolveByCholesky(a, b, &x));
 }
 
+TEST(SolveByCholesky, RefusesPivotsWhoseSquareIsSmaller) {
+  Eigen::MatrixXd a(2, 2);
+  a << 4, 2, 2, 3;  // the squares of its pivots are 4 and 2
+  const Eigen::VectorXd b = Eigen::Vector2d(8, 8);
+  Eigen::VectorXd x;
+  EXPECT_FALSE(SolveByCholesky(a, b, 2.001, &x));
+  ASSERT_TRUE(SolveByCholesky(a, b, 1.999, &x));
+  EXPECT_LT((x - Eigen::Vector2d(1, 2)).norm(), 1e-14);
+  a(1, 1) = 0.999;
+  EXPECT_FALSE(SolveByCholesky(a, b, 0, &x));
+}
+
+TEST(InvertByCholesky, ReadsTheLowerTriangleAndWritesABlock) {
+  Eigen::MatrixXd a(2, 2), all = Eigen::MatrixXd::Zero(3, 3), expected = all;
+  a << 4, 100, 2, 3;
+  expected.topLeftCorner(2, 2) << 0.375, -0.25, -0.25, 0.5;
+  ASSERT_TRUE(InvertByCholesky(a, all.topLeftCorner(2, 2)));
+  EXPECT_LT((all - expected).cwiseAbs().maxCoeff(), 1e-15);
+  a(1, 1) = 0.999;
+  EXPECT_FALSE(InvertByCholesky(a, all.topLeftCorner(2, 2)));
+}
+
 }  // namespace
 }  // namespace bundle
