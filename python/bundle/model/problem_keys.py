@@ -188,4 +188,6 @@ def named_images(argument: str, problem: Problem, pattern: str) -> list[int]:
 
 def are_in(ids: NDArray[np.int64], some: frozenset[int]) -> NDArray[np.bool_]:
     """Return a mask of the ids in a set; for a few ids faster than NumPy's isin (20 us)."""
+    if not some:
+        return np.zeros(len(ids), bool)
     return np.fromiter(map(some.__contains__, ids.tolist()), bool, len(ids))
