@@ -21,12 +21,13 @@ import bundle._core as _core
 from bundle.base.arrays import as_flag, check_function
 from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
-from bundle.base.words import change, plural, seconds
+from bundle.base.tails import chi2_interval
+from bundle.base.words import change, number, plural, seconds
 from bundle.errors import InputError, brief, nearest
 from bundle.graphs.factors.check_solve import Conditioning, SolvedGraph, checked
 from bundle.graphs.factors.factor_check import check_graph
 from bundle.graphs.factors.factor_report import FactorCheck
-from bundle.graphs.factors.factors import Factor
+from bundle.graphs.factors.factors import Factor, WeightedFactor
 from bundle.graphs.factors.marginals import GraphMarginals
 from bundle.graphs.factors.same_problem import pose_graph_of, problem_of
 from bundle.graphs.factors.variables import Array, Key, Variable, as_list
@@ -52,9 +53,11 @@ class GraphResult(SolveRecord):
         iterations: one array per field of Ceres' IterationSummary, one entry per iteration.
         build_time_in_seconds: time outside the solver.
         solve_time_in_seconds: time inside the solver.
+        degrees_of_freedom: residuals minus free coordinates; None if chi2 has no expectation.
     """
 
     values: Mapping[Key, Array]
+    degrees_of_freedom: int | None = None
 
     def _display(self) -> Display:
         summary = self.summary
@@ -65,34 +68,27 @@ class GraphResult(SolveRecord):
             ("graph", f"{plural(len(self.values), 'variable')}"),
             *(("warning", warning) for warning in summary.warnings),
         ]
+        chi2, degrees = 2 * summary.final_cost, self.degrees_of_freedom or 0
+        if degrees > 0 and summary.is_solution_usable:
+            low, high = (number(one / degrees) for one in chi2_interval(degrees))
+            said = f"{number(chi2)}, {number(chi2 / degrees)} per degree of freedom"
+            facts.insert(1, ("chi2", f"{said} (expected {low} to {high})"))
         return Display(title=f"GraphResult: {self.outcome}", facts=tuple(facts))
 
 
 _OF_OTHERS = (
-    "linear_solver_ordering",
-    "loss",
-    "loss_scale",
-    "refine",
-    "fixed_camera_ids",
-    "fixed_image_ids",
-    "fixed_point_ids",
-    "refine_sensor_from_rig",
-    "fixed_sensors",
-    "gauge",
-    "cheirality",
+    *("linear_solver_ordering", "loss", "loss_scale", "refine", "fixed_camera_ids"),
+    *("fixed_image_ids", "fixed_point_ids", "refine_sensor_from_rig", "fixed_sensors"),
+    *("gauge", "cheirality"),
 )
 """Options of reconstructions that a factor graph does not support."""
 
 _ELSEWHERE = {
-    "optimize": "graph.solve()",
-    "optimise": "graph.solve()",
-    "minimize": "graph.solve()",
+    **dict.fromkeys(("optimize", "optimise", "minimize"), "graph.solve()"),
+    **dict.fromkeys(("add", "push_back"), "graph.add_factor(factor)"),
+    **dict.fromkeys(("marginal_covariance", "marginals"), "bundle.covariance(graph)"),
     "error": "graph.cost()",
-    "add": "graph.add_factor(factor)",
-    "push_back": "graph.add_factor(factor)",
     "insert": "graph.add_variable(key, value)",
-    "marginal_covariance": "bundle.covariance(graph)",
-    "marginals": "bundle.covariance(graph)",
     "marginal_information": "graph.information([key])",
 }
 """Calls of this package by names of other packages, such as GTSAM."""
@@ -167,12 +163,11 @@ class FactorGraph(GraphMarginals):
         """
         options = GraphOptions.of(options, changes, "solve")
         check_function("progress", progress)
-        defaults = SolveOptions()
-        for option in _OF_OTHERS:
-            if getattr(options, option) != getattr(defaults, option):
+        for name in _OF_OTHERS:
+            default, found = (getattr(one, name) for one in (SolveOptions(), options))
+            if found != default:
                 raise InputError(
-                    f"{option}: expected the default for a factor graph, found "
-                    f"{brief(getattr(options, option))}"
+                    f"{name}: expected the default for a factor graph, found {brief(found)}"
                 )
         cores = _core.hardware_threads()
         options = options.replace(num_threads=min(options.num_threads or cores, cores))
@@ -192,6 +187,7 @@ class FactorGraph(GraphMarginals):
         return GraphResult(
             values=dict(zip(keys, output["values"], strict=True)),
             options=options,
+            degrees_of_freedom=degrees_of_freedom(output["summary"], variables, factors),
             **record_fields(output),
         )
 
@@ -225,18 +221,10 @@ class FactorGraph(GraphMarginals):
         """Return True for QR, the reason if it was chosen automatically, and the conditioning."""
         if wanted is not None:
             by_root = as_flag("square_root", wanted)
-            for option in ("backend", "linear_solver_type"):
-                if by_root and getattr(options, option) != "auto":
-                    raise InputError(
-                        f"{option}: expected auto with square_root, "
-                        f"found {getattr(options, option)}"
-                    )
-            for option in CERES_ONLY if by_root else ():
-                if getattr(options, option) != getattr(SolveOptions(), option):
-                    raise InputError(
-                        f"{option}: square_root needs the default of this option, "
-                        f"found {getattr(options, option)}"
-                    )
+            for name in ("backend", "linear_solver_type", *CERES_ONLY) if by_root else ():
+                default, found = (getattr(one, name) for one in (SolveOptions(), options))
+                if found != default:
+                    raise InputError(f"{name}: expected {default} with square_root, found {found}")
             return by_root, "", None
         variables = self._variables.values()
         free = sum(len(v.coordinates) - sum(v.held) for v in variables)
@@ -301,14 +289,12 @@ class FactorGraph(GraphMarginals):
         return check_graph(self, chosen, most_of_a_kind, progress, settings)
 
     def _chosen(self, factors: Iterable[Factor] | Factor) -> list[Factor]:
-        wanted = (
-            [factors] if isinstance(factors, Factor) else as_list("factors", "factors", factors)
-        )
+        given = [factors] if isinstance(factors, Factor) else as_list("factors", "factors", factors)
         every = {id(factor) for factor in self._factors}
-        for factor in wanted:
+        for factor in given:
             if id(factor) not in every:
                 raise InputError(f"factors: expected factors of the graph, found {brief(factor)}")
-        return list(wanted)
+        return list(given)
 
     def _display(self) -> Display:
         manifolds = Counter(variable.manifold for variable in self._variables.values())
@@ -399,6 +385,20 @@ class FreePattern(NamedTuple):
     rows: NDArray[np.int32]
 
 
+def degrees_of_freedom(
+    summary: Mapping[str, Any], variables: Mapping[Key, Variable], factors: Sequence[Factor]
+) -> int | None:
+    """Return those of chi2; None with a loss, bounds, free directions or unknown information."""
+    is_plain = all(isinstance(one, WeightedFactor) and one.loss == "trivial" for one in factors)
+    has_bounds = any(len(variable.lower) for variable in variables.values())
+    held = sum(sum(variable.held) for variable in variables.values())
+    is_held = held > 0 or any(len(one.keys) == 1 for one in factors)  # if not checked: costly
+    if not (is_plain and is_held) or has_bounds or "free_directions" in summary["warning_kinds"]:
+        return None
+    size = sum(len(variable.coordinates) for variable in variables.values())
+    return int(summary["num_residuals"]) - size + held
+
+
 def with_counts(
     summary: Mapping[str, Any], variables: Mapping[Key, Variable], factors: Sequence[Factor]
 ) -> dict[str, Any]:
@@ -453,10 +453,10 @@ def free_pattern(variables: Mapping[Key, Variable], factors: Sequence[Factor]) -
         joined = [place[key] for key in factor.keys if key in place]
         groups.setdefault(len(joined), []).append(joined)
     codes = [np.arange(count) * (count + 1)]
-    for number, members in groups.items():
-        if number > 1:
+    for num_keys, members in groups.items():
+        if num_keys > 1:
             table = np.sort(np.array(members, np.int64), axis=1)
-            first, second = np.triu_indices(number, 1)
+            first, second = np.triu_indices(num_keys, 1)
             codes.append(np.unique(table[:, first] * count + table[:, second]))
     columns, rows = np.divmod(np.unique(np.concatenate(codes)), max(count, 1))
     begin = np.searchsorted(columns, np.arange(count + 1)).astype(np.int64)
