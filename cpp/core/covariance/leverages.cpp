@@ -23,32 +23,6 @@ struct BlockOfInverse {
   int64_t stride;
 };
 
-/// to_a += C_ab Y_b and to_b += C_ab^T Y_a, for rows of four numbers; a = b: only the lower
-/// triangle is defined.
-BUNDLE_FOR_TWO_PROCESSORS
-void AddPair(BlockOfInverse<double> block, int rows, int columns, bool is_diagonal,
-             const double* ya, const double* yb, double* to_a, double* to_b) {
-  const Four* const rows_a = reinterpret_cast<const Four*>(ya);
-  const Four* const rows_b = reinterpret_cast<const Four*>(yb);
-  Four* const sums_a = reinterpret_cast<Four*>(to_a);
-  Four* const sums_b = reinterpret_cast<Four*>(to_b);
-  const double* column = block.values;
-  for (int c = 0; c < columns; ++c, column += block.stride) {
-    const Four yc = rows_b[c];
-    Four sum = {};
-    int r = 0;
-    if (is_diagonal) {
-      sum = column[c] * yc;
-      r = c + 1;
-    }
-    for (; r < rows; ++r) {
-      sums_a[r] += column[r] * yc;
-      sum += column[r] * rows_a[r];
-    }
-    sums_b[c] += sum;
-  }
-}
-
 /// Two numbers of one scalar type side by side: of both coordinates of an observation.
 template <typename Scalar>
 struct Both {
@@ -95,31 +69,21 @@ class Leverages final : public PointLeverages {
   void TakePoint(const PointBlocks& blocks, const PointAssembler& assembler) {
     blocks_ = &blocks;
     assembler_ = &assembler;
-    y_.assign(blocks.y.size() / 3 * 4, Scalar(0));
-    for (size_t i = 0; i < blocks.y.size(); ++i) y_[i / 3 * 4 + i % 3] = blocks.y[i];
-    cy_.assign(y_.size(), Scalar(0));
-    for (size_t b = 0; b < blocks.blocks.size(); ++b) {
-      const int j = blocks.blocks[b], columns = blocks.begin[b + 1] - blocks.begin[b];
-      const size_t at_b = 4 * size_t(blocks.begin[b]);
-      for (size_t a = kIsWhole ? 0 : b; a < blocks.blocks.size(); ++a) {
-        const int i = blocks.blocks[a], rows = blocks.begin[a + 1] - blocks.begin[a];
-        const size_t at_a = 4 * size_t(blocks.begin[a]);
-        const BlockOfInverse<Scalar> block = BlockOf(i, j);
-        if constexpr (!kIsWhole) {
-          AddPair(block, rows, columns, a == b, &y_[at_a], &y_[at_b], &cy_[at_a], &cy_[at_b]);
-          continue;
-        }
-        for (int c = 0; c < columns; ++c) {
-          for (int r = 0; r < rows; ++r) {
-            const Scalar value = block.values[c * block.stride + r];
-            for (int k = 0; k < 3; ++k) cy_[at_a + 4 * r + k] += value * y_[at_b + 4 * c + k];
-          }
-        }
-      }
+    cy_.resize(blocks.y.size() / 3 * 4);
+    if constexpr (kIsWhole) {
+      MultiplyWhole();
+    } else {
+      y_.Set(blocks.y);
+      MultiplyPairs(system_, system_.values(), blocks, y_, &cy_);
     }
-    by_cameras_.setZero();
-    for (size_t row = 0; row < y_.size(); row += 4) {
-      for (int k = 0; k < 9; ++k) by_cameras_(k / 3, k % 3) += y_[row + k / 3] * cy_[row + k % 3];
+    for (int i = 0; i < 3; ++i) {
+      for (int k = 0; k < 3; ++k) {
+        Scalar sum = 0;
+        for (int row = 0; row < blocks.begin.back(); ++row) {
+          sum += blocks.y[3 * size_t(row) + i] * cy_[4 * size_t(row) + k];
+        }
+        by_cameras_(i, k) = sum;
+      }
     }
   }
 
@@ -179,6 +143,25 @@ class Leverages final : public PointLeverages {
         .template cast<Scalar>();
   }
 
+  /// C Y by rows, whose sums stay in registers: long doubles take long to store.
+  void MultiplyWhole() {
+    const std::vector<int>& begin = blocks_->begin;
+    for (size_t a = 0; a < blocks_->blocks.size(); ++a) {
+      for (int row = begin[a]; row < begin[a + 1]; ++row) {
+        Scalar sum[3] = {};
+        const double* y = blocks_->y.data();
+        for (size_t b = 0; b < blocks_->blocks.size(); ++b) {
+          const BlockOfInverse<Scalar> block = BlockOf(blocks_->blocks[a], blocks_->blocks[b]);
+          const Scalar* value = block.values + (row - begin[a]);
+          for (int c = begin[b]; c < begin[b + 1]; ++c, y += 3, value += block.stride) {
+            for (int k = 0; k < 3; ++k) sum[k] += *value * y[k];
+          }
+        }
+        std::copy_n(sum, 3, &cy_[4 * size_t(row)]);
+      }
+    }
+  }
+
   /// Place of a block among those of the point.
   int IndexOf(int block) const {
     return static_cast<int>(
@@ -203,15 +186,23 @@ class Leverages final : public PointLeverages {
 
   /// A C Y
   Row3 TimesCy(const ObservationRows& rows) const {
-    Row3 acy = Row3::Zero();
+    Row3 acy;
+    const Scalar* first[ObservationRows::kMaxBlocks];
     for (int k = 0; k < rows.num_blocks; ++k) {
-      const Scalar* cy = &cy_[4 * size_t(blocks_->begin[IndexOf(rows.block[k])])];
-      for (int r = 0; r < rows.size[k]; ++r, cy += 4) {
-        for (int row = 0; row < 2; ++row) {
-          const Scalar factor = rows.jacobian[k][row * rows.size[k] + r];
-          for (int m = 0; m < 3; ++m) acy(row, m) += factor * cy[m];
+      first[k] = &cy_[4 * size_t(blocks_->begin[IndexOf(rows.block[k])])];
+    }
+    for (int m = 0; m < 3; ++m) {
+      Scalar sum[2] = {};
+      for (int k = 0; k < rows.num_blocks; ++k) {
+        const double* const j = rows.jacobian[k];
+        for (int r = 0; r < rows.size[k]; ++r) {
+          const Scalar value = first[k][4 * r + m];
+          sum[0] += j[r] * value;
+          sum[1] += j[rows.size[k] + r] * value;
         }
       }
+      acy(0, m) = sum[0];
+      acy(1, m) = sum[1];
     }
     return acy;
   }
@@ -270,7 +261,8 @@ class Leverages final : public PointLeverages {
   const LongMatrix& inverse_;
   const PointBlocks* blocks_ = nullptr;
   const PointAssembler* assembler_ = nullptr;
-  std::vector<Scalar> y_, cy_;
+  PaddedRows y_;            ///< unless C is whole
+  std::vector<Scalar> cy_;  ///< rows of four numbers
   Eigen::Matrix<Scalar, 3, 3> by_cameras_ = Eigen::Matrix<Scalar, 3, 3>::Zero();
 };
 

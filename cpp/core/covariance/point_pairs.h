@@ -1,6 +1,6 @@
 #pragma once
 
-/// Sums over the pairs of a point's blocks: Y^T A Y for a matrix A with the structure of S.
+/// Sums over the pairs of a point's blocks: A Y and Y^T A Y for a matrix A with the structure of S.
 
 #include <cstddef>
 #include <vector>
@@ -40,5 +40,9 @@ struct PaddedRows {
 /// sum += Y^T A Y, 3 x 3 row-major, for a symmetric A.
 void AddPairs(const ReducedSystem& system, const BlockValues& values, const PointBlocks& blocks,
               const PaddedRows& y, double sum[9]);
+
+/// A Y, padded as Y, for a symmetric A.
+void MultiplyPairs(const ReducedSystem& system, const BlockValues& values,
+                   const PointBlocks& blocks, const PaddedRows& y, std::vector<double>* product);
 
 }  // namespace bundle
