@@ -22,22 +22,42 @@
 
 namespace bundle::BUNDLE_ISA {
 
-/// X_b += C_ba Z_a for pairs (a, b) of entries, or X_a += C_ab Z_b if `is_back`. The block of C has
-/// `num_rows` rows of kQuads quads, by the entry that is given; that one has rows of `width`.
-template <int kQuads>
-void AddTimes(const double* z, int width, int64_t stride, const EntryPair* pairs, int count,
-              bool is_back, int num_rows, const double* c, double* x) {
+/// AddTimes for blocks of kRows rows, which stay in registers from pair to pair; 0: of any number.
+template <int kQuads, int kRows>
+void AddTimesOf(const double* z, int width, int64_t stride, const EntryPair* pairs, int count,
+                bool is_back, int num_rows, const double* c, double* x) {
   using Row = WideRow<kQuads>;
+  Row rows[kRows > 0 ? kRows : 1];
+#pragma GCC unroll 16
+  for (int r = 0; r < kRows; ++r) rows[r] = Row::Load(c + 4 * kQuads * r);
   for (const EntryPair* pair = pairs; pair < pairs + count; ++pair) {
     const double* const from = z + stride * (is_back ? pair->second : pair->first);
     double* const to = x + stride * (is_back ? pair->first : pair->second);
     Row sum[3];
     for (int k = 0; k < 3; ++k) sum[k] = Row::Load(to + 4 * kQuads * k);
-    for (int r = 0; r < num_rows; ++r) {
+#pragma GCC unroll 16
+    for (int r = 0; r < kRows; ++r) {
+      for (int k = 0; k < 3; ++k) sum[k].Add(from[width * k + r], rows[r]);
+    }
+    for (int r = kRows; r < num_rows; ++r) {
       const Row row = Row::Load(c + 4 * kQuads * r);
       for (int k = 0; k < 3; ++k) sum[k].Add(from[width * k + r], row);
     }
     for (int k = 0; k < 3; ++k) sum[k].Store(to + 4 * kQuads * k);
+  }
+}
+
+/// X_b += C_ba Z_a for pairs (a, b) of entries, or X_a += C_ab Z_b if `is_back`. The block of C has
+/// `num_rows` rows of kQuads quads, by the entry that is given; that one has rows of `width`.
+template <int kQuads>
+void AddTimes(const double* z, int width, int64_t stride, const EntryPair* pairs, int count,
+              bool is_back, int num_rows, const double* c, double* x) {
+  // Of a pose, and of a pose with three parameters. More do not fit into the registers.
+  constexpr int kUsual = kQuads <= 2 ? 6 : kQuads == 3 ? 9 : 0;
+  if (num_rows == kUsual) {
+    AddTimesOf<kQuads, kUsual>(z, width, stride, pairs, count, is_back, kUsual, c, x);
+  } else {
+    AddTimesOf<kQuads, 0>(z, width, stride, pairs, count, is_back, num_rows, c, x);
   }
 }
 
