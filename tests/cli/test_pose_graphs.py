@@ -55,8 +55,11 @@ def test_the_advice_on_wrong_closures_finds_them(run, tmp_path):
     assert advice in " ".join(plain.replace("\\\n", " ").split())
     words = [str(tmp_path / "good.g2o") if w == "OUTPUT" else w for w in advice.split()[1:]]
     said = " ".join(run(*words).out.split())
-    wanted = f"the loss rejects {bad.num_edges - clean.num_edges}; chi2 of the others is "
+    loss = bundle.solve(bad, loss="auto").summary.loss.replace("_", "-")
+    wanted = f"the loss {loss} rejects {bad.num_edges - clean.num_edges}; chi2 of the others is "
     assert wanted in said
+    again = run("diagnose", tmp_path / "good.g2o", "--loss", loss).out  # the loss that is named
+    assert "not at a minimum" not in again and "no problem found" in again
     chi2 = float(said.partition(wanted)[2].split(".")[0])
     assert chi2 == pytest.approx(bundle.solve(clean).summary.chi2_final, rel=0.01)
 

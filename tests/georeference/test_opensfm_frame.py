@@ -154,3 +154,10 @@ def test_a_folder_without_control_points(tmp_path) -> None:
     project(tmp_path / "sfm")
     with pytest.raises(bundle.InputError, match=r"expected ground_control_points.json or gcp_list"):
         bundle.align(tmp_path / "sfm", gcps=tmp_path / "sfm")
+
+
+def test_json_of_another_program_gets_the_forms_that_are_read(tmp_path) -> None:
+    path = tmp_path / "lla.json"
+    path.write_text(json.dumps({"a.jpg": [46.8, -92.0, 198.3]}))
+    with pytest.raises(bundle.InputError, match=r"OpenSfM's reconstructions, or a table \(CSV\)"):
+        read_opensfm_gps(path)

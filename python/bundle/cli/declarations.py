@@ -98,10 +98,10 @@ def given_input(name: str = "input", **settings: Any) -> Declaration:
         metavar="INPUT",
         type=reconstruction,
         help="the folder of a COLMAP model (binary or text), a BAL, Bundler, NVM or OpenMVG file "
-        "(plain, .gz or .bz2), or an OpenSfM project; info, refine, compare, inspect, diagnose, "
-        "covariance and convert also take a pose graph (.g2o, plain, .gz or .bz2), info and "
-        "convert also the folder of a visual-inertial sequence or of its images (mav0); the "
-        "content decides the format",
+        "(plain, .gz or .bz2), or an OpenSfM project; info, refine, compare, inspect, check, "
+        "covariance, diagnose, report and convert also take a pose graph (.g2o, plain, .gz or "
+        ".bz2), info and convert also the folder of a visual-inertial sequence or of its images "
+        "(mav0); the content decides the format",
         **settings,
     )
 

@@ -429,7 +429,7 @@ def read_opensfm_gps(path: Path) -> GpsPositions:
     node = parsed(_core.read_opensfm(file, _NO_POINTS)["rest"], file)
     rows: dict[str, tuple[Any, float]] = {}
     without = 0
-    for reconstruction in node.entries():
+    for reconstruction in node.entries("OpenSfM's reconstructions, or a table (CSV)"):
         frame = None
         for name, shot in reconstruction.get("shots").items():
             position, dop = shot.find("gps_position"), shot.find("gps_dop")

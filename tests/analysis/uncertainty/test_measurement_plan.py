@@ -333,6 +333,7 @@ def test_chosen_one_by_one_against_all_pairs():
     after = whole.joint.measured(first.rows)
     second = max(candidates, key=lambda one: after.gain(one.rows))
     assert [one.what for one in found.together] == [first.what, second.what]
+    assert f": {first.what} (control point); {second.what} (control point): " in found.sentences[-1]
     pairs = min(
         whole.joint.measured(a.rows).variance - whole.joint.measured(a.rows).gain(b.rows)
         for a, b in itertools.combinations([*candidates[::3], first, second], 2)

@@ -82,6 +82,13 @@ def test_outlier_images_are_named_and_the_others_judged():
     assert finding.kind == "outlier_images"
     assert set(finding.evidence["images"]) == {TRUTH.names[4], TRUTH.names[20]}
     assert finding.evidence["rmse_of_others"] < 0.01
+    assert finding.sentence.startswith("2 images are far off")
+    numbers = tuple(map(str, range(30)))  # ids of a pose graph
+    given, truth = (
+        PoseTable(one.poses, numbers) for one in (with_poses(TRUTH, centers=centers), TRUTH)
+    )
+    (finding,) = bundle.evaluate(given, truth).findings
+    assert finding.sentence.startswith("2 poses are far off")
 
 
 @pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3])

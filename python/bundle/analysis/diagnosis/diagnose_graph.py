@@ -235,7 +235,7 @@ def _about_minimum(decrease: float, cost: float) -> list[Finding]:
             NO_MINIMUM,
             f"Not at a minimum: one more step would lower the cost by about "
             f"{number(min(100.0, 100 * decrease / cost))} %. Wrong edges can be identified only at "
-            "a minimum: refine first.",
+            "a minimum: refine first. If the graph was refined with a loss (--loss), give it here.",
         )
     ]
 

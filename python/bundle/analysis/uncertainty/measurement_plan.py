@@ -87,7 +87,7 @@ class Proposal:
     """A measurement to add, and the sigma of the quantity without and with it."""
 
     kind: str  # "image", "tie", "gcp" or "bar"
-    what: str  # the measurement, such as "point 11 to 0.02"
+    what: str  # the measurement, such as "point 11, known to 0.02"
     sigma_before: float  # sigma without it
     sigma_after: float  # sigma with it
     lines: tuple[str, ...]  # to write down: of gcp_list.txt and bars.txt, or a camera_from_world
@@ -126,7 +126,7 @@ class Plan(Displayed, Tabular):
             change = f"sigma {number(one.sigma_before)} -> {number(one.sigma_after)}{unit}"
             said.append(f"{WORDS[one.kind]}: {one.what}: {change}.")
         if len(self.together) > 1:
-            named = "; ".join(f"{WORDS[one.kind].lower()} {one.what}" for one in self.together)
+            named = "; ".join(f"{one.what} ({WORDS[one.kind].lower()})" for one in self.together)
             last = number(self.together[-1].sigma_after)
             said.append(f"Together, one by one: {named}: sigma {now} -> {last}{unit}.")
         return tuple(said)
@@ -402,7 +402,7 @@ class Scene:
         for point in self.free.tolist():
             lines = partial(self._marks, point, "X Y Z", "")
             rows = Rows(self._of_point(point), whitened)
-            yield Candidate("gcp", f"{self.names[point]} to {text}", rows, lines, GCP)
+            yield Candidate("gcp", f"{self.names[point]}, known to {text}", rows, lines, GCP)
 
     def _bars(self, sigma: float) -> Iterator[Candidate]:
         for b, a in itertools.combinations(self.free.tolist(), 2):

@@ -164,10 +164,10 @@ class Node:
             self.fail("an object")
         return list(self.value)
 
-    def entries(self) -> Iterator[Node]:
+    def entries(self, expected: str = "an array") -> Iterator[Node]:
         """Yield the entries of an array."""
         if not isinstance(self.value, list):
-            self.fail("an array")
+            self.fail(expected)
         for index, value in enumerate(self.value):
             yield Node(value, f"{self.place}[{index}]")
 

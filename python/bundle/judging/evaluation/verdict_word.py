@@ -123,7 +123,8 @@ def _outlier_images(given: Compared) -> Finding | None:
     rest = ErrorStatistics.of(np.delete(errors, far)).rmse
     return Finding(
         kind="outlier_images",
-        sentence=f"{plural(len(far), 'image')} {noun(len(far), 'is', 'are')} far off ({names}; "
+        sentence=f"{plural(len(far), _thing(given.association))} "
+        f"{noun(len(far), 'is', 'are')} far off ({names}; "
         f"up to {number(float(errors.max()))}). The other {count - len(far)} agree within "
         f"{number(rest)} rms if they alone determine the alignment.",
         evidence={
@@ -246,14 +247,18 @@ def headline_of(result: Mapping[str, Any]) -> tuple[str, ...]:
     return tuple(sentences)
 
 
+def _thing(pairs: Association) -> str:
+    is_image = pairs.by in ("name", "base name", "stem") and not pairs.names[0].isdecimal()
+    return "image" if is_image else "pose"
+
+
 def _poses(result: Mapping[str, Any]) -> str:
     pairs, position, rotation = (result[name] for name in ("association", "position", "rotation"))
     # A truth may have many times more stamps than A.
     missing = pairs.only_a if pairs.by == "time" else pairs.only_b
     whole = len(pairs) + len(missing)
-    is_image = pairs.by in ("name", "base name", "stem") and not pairs.names[0].isdecimal()
-    noun = "image" if is_image else "pose"
-    of = f"{len(pairs)} of {plural(whole, noun)}" if missing else f"all {plural(whole, noun)}"
+    things = plural(whole, _thing(pairs))
+    of = f"{len(pairs)} of {things}" if missing else f"all {things}"
     # Images alone determine no scale. Trajectories and pose graphs have one.
     least = IDENTICAL[2] if result["verdict"] == "identical" else AGREES[0]
     scale = result["similarity"].scale

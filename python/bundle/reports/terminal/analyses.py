@@ -294,8 +294,8 @@ def _unnoticed(given: Any, found: Reliability) -> list[Section]:
         Column("unnoticed [px]", "minimal_detectable_error", number),
         Column("redundancy", "least_redundancy", "{:.3f}".format),
         Column("bound [sigmas]", "external_bound", number),
-        Column("moves point", lambda one: _moved(one.moved_point_id, one.moved_point_sigmas)),
-        Column("moves image", lambda one: _moved(one.moved_image_id, one.moved_image_sigmas)),
+        Column("moves point [sigmas]", lambda one: _moved(one, "point")),
+        Column("moves image [sigmas]", lambda one: _moved(one, "image")),
     )
     images = (
         Column("image", lambda one: names.get(one.image_id, "-")),
@@ -348,7 +348,7 @@ def planned(
     columns = (
         Column("add", "kind"),
         Column("", "what"),
-        Column("sigma before", "sigma_before", number),
+        Column(f"sigma [{found.unit or 'model units'}] before", "sigma_before", number),
         Column("after", "sigma_after", number),
     )
     headline = list(found.sentences)
@@ -379,7 +379,8 @@ def _use(one: Proposal, path: str, flags: str) -> str:
     ).strip()
 
 
-def _moved(key: int | None, sigmas: float) -> str:
+def _moved(one: Any, what: str) -> str:
+    key, sigmas = getattr(one, f"moved_{what}_id"), getattr(one, f"moved_{what}_sigmas")
     return "-" if key is None else f"{key} by {number(sigmas)}"
 
 
@@ -403,7 +404,7 @@ def _headline(diagnosis: Diagnosis) -> list[str]:
     condition = f"Condition number {number(diagnosis.condition_number)} (scaled{held})"
     found = "; no problem found" if diagnosis.ok else ""
     if any(one.kind == NO_MINIMUM for one in diagnosis.findings):
-        found = "; not at a minimum, where alone wrong edges show: refine first"
+        found = "; not at a minimum, where alone wrong edges show: refine first, or give its --loss"
     return [f"{verdict[0].upper()}{verdict[1:]}.", f"{condition}; {_pieces(diagnosis)}{found}."]
 
 

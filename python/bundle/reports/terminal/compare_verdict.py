@@ -138,7 +138,8 @@ def _busy(comparison: Comparison) -> Iterator[Finding]:
     yield Finding(
         kind="busy-machine",
         sentence=f"The load was {here.load_before:.1f} on {plural(here.num_cores, 'core')} before "
-        f"the first run, and solves used {plural(threads, 'thread')}: their times are not valid.",
+        f"the first run, and solves used {plural(threads, 'thread')}: their times are not valid. "
+        "Repeat the comparison when the machine is idle.",
         evidence={
             "load_before": here.load_before,
             "num_cores": here.num_cores,

@@ -85,7 +85,8 @@ def _rejected(solved: PoseGraphResult) -> list[str]:
     if not rejected and not left_out:
         return []
     edges = plural(solved.initial_problem.num_edges, "edge", grouped=True)
-    said = [f"the loss rejects {rejected:,}"] * bool(rejected)
+    loss = solved.summary.loss.replace("_", "-")
+    said = [f"the loss {loss} rejects {rejected:,}"] * bool(rejected)
     said += [f"the test of consistency leaves out {left_out:,}"] * bool(left_out)
     kept = number(float(np.delete(solved.chi2_after, solved.rejected).sum()))
     included = f"; chi2 of the others is {kept}" if rejected and not left_out else ""

@@ -95,7 +95,7 @@ def _of_poses(found: Evaluation) -> list[Section]:
     if found.points is not None:
         rows.append(("points of common tracks", found.points.distance, unit))
     motion = [
-        (f"motion over {relative.delta} (RPE)", relative.position, unit),
+        (f"motion over {plural(relative.delta, 'pose')} (RPE)", relative.position, unit),
         ("rotation over it", relative.rotation, "degrees"),
     ]
     is_path = found.association.by in ("time", "frame number", "order")
