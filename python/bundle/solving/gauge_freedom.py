@@ -186,7 +186,8 @@ def _counted(
                 if parts & bit:
                     value = tuple(values[problem.image_ids == key][0].tolist())
                     others.append(factor_of(KnownPrior(0, ("image", key), name, value, (1.0,) * 3)))
-    count.add_factors(others)
+    if others:
+        count.add_factors(others)
     return count
 
 
@@ -286,7 +287,7 @@ class _Count:
         pairs = np.stack(
             [self._piece[problem.observation_image[held]], problem.observation_point[held]], axis=1
         )
-        for piece, point in np.unique(pairs, axis=0, return_counts=True)[0].tolist():
+        for piece, point in distinct(pairs, axis=0).tolist():
             rows = np.zeros((3, self._width))
             rows[:, 7 * piece : 7 * piece + 7] = self._point_motion(self._points[point])
             self._norms += (rows**2).sum(axis=0)
@@ -294,9 +295,9 @@ class _Count:
 
     def add_factors(self, factors: list[Factor]) -> None:
         """Add the equations of factors: their linearized residuals under the motions."""
-        for factor in factors:
-            from bundle.graphs.factors.problem_factors import ProblemFactors  # slow to import
+        from bundle.graphs.factors.problem_factors import ProblemFactors  # slow to import
 
+        for factor in factors:
             keys, information = ProblemFactors(self._problem, [factor]).information()
             motion = np.vstack([self._motion(kind, index, size) for kind, index, size in keys])
             values, vectors = np.linalg.eigh(information)

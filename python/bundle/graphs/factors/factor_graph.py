@@ -161,10 +161,10 @@ class FactorGraph(GraphMarginals):
                 functions are passed on.
             KeyboardInterrupt: Ctrl-C before the start was evaluated.
         """
-        options = GraphOptions.of(options, changes, "solve")
+        options, defaults = GraphOptions.of(options, changes, "solve"), SolveOptions()
         check_function("progress", progress)
         for name in _OF_OTHERS:
-            default, found = (getattr(one, name) for one in (SolveOptions(), options))
+            default, found = (getattr(one, name) for one in (defaults, options))
             if found != default:
                 raise InputError(
                     f"{name}: expected the default for a factor graph, found {brief(found)}"
@@ -220,9 +220,9 @@ class FactorGraph(GraphMarginals):
     ) -> tuple[bool, str, Conditioning | None]:
         """Return True for QR, the reason if it was chosen automatically, and the conditioning."""
         if wanted is not None:
-            by_root = as_flag("square_root", wanted)
+            by_root, defaults = as_flag("square_root", wanted), SolveOptions()
             for name in ("backend", "linear_solver_type", *CERES_ONLY) if by_root else ():
-                default, found = (getattr(one, name) for one in (SolveOptions(), options))
+                default, found = (getattr(one, name) for one in (defaults, options))
                 if found != default:
                     raise InputError(f"{name}: expected {default} with square_root, found {found}")
             return by_root, "", None

@@ -129,8 +129,10 @@ def judged(
     cameras = cameras_of(compared, known)
     criteria = _criteria(fits, certainties, fitting)
     evidence = None  # motion that no shutter explains makes any larger lens more likely
-    if not fires or explained:
-        evidence = evidence_between(compared, known, fitting)
+    if explained:
+        evidence = evidence_between(compared, _criteria(compared, known, fitting))
+    elif not fires:
+        evidence = evidence_between(fits, criteria)
     decision = decide(
         normalized[:, counts], image[counts], num_intrinsics, vetoes, rule, cameras, evidence
     )
@@ -284,16 +286,14 @@ def _criteria(
     return found
 
 
-def evidence_between(
-    fits: Sequence[CandidateFit], certainties: Sequence[Certainty], fitting: Fitting
-) -> _Floats:
-    """Return the (n, n) differences of the Bayesian criteria.
+def evidence_between(fits: Sequence[CandidateFit], criteria: list[tuple[float, float]]) -> _Floats:
+    """Return the (n, n) differences of the Bayesian criteria, the second ones.
 
     NaN between two losses. A fit without a criterion, whose covariance does not exist, has an
     infinite one.
     """
     losses = np.array([fit.candidate.loss for fit in fits])
-    values = np.array([bic for _, bic in _criteria(fits, certainties, fitting)])
+    values = np.array([bic for _, bic in criteria])
     values[np.isnan(values)] = np.inf
     with np.errstate(invalid="ignore"):  # inf - inf
         return np.where(losses[:, None] == losses, values[:, None] - values, np.nan)

@@ -3,7 +3,7 @@
 A mark is "attention" if a finding is about the question, or if the number is beyond the first of
 two limits; "problem" beyond the second. docs/report.md lists numbers and limits. Medians of errors
 tolerate outliers, which have a line of their own; systematic residuals below 0.3 times the noise do
-no harm.
+no harm; a single image is not a problem.
 """
 
 from __future__ import annotations
