@@ -39,6 +39,17 @@ def test_a_lens_per_image_is_vetoed_where_rows_are_shifted_and_nowhere_else(entr
     assert {"each", "focal"} & set(shares)  # the errors alone mislead
 
 
+def test_evidence_is_that_of_the_fits_that_are_compared(entries):
+    for place, entry in enumerate(entries):
+        bic = np.array([one["bic"] for one in entry["candidates"]], float)
+        plain = bic[:, None] - bic
+        known = np.isfinite(plain)
+        shared = np.array([one["share"] in ("size", "all") for one in entry["candidates"]])
+        known &= shared[:, None] & shared & ~np.eye(len(bic), dtype=bool)
+        is_plain = np.allclose(np.array(entry["evidence"])[known], plain[known])
+        assert is_plain == (place < len(CLEAN))  # the others are compared beside a shutter
+
+
 def test_a_record_repeats_its_decision(entries):
     for entry in entries:
         assert judge.decided(entry, DecisionRule()) == entry["recommended"]

@@ -163,6 +163,28 @@ def test_given_findings_hide_no_warning_and_no_suspicion(tmp_path):
     assert all(words in text for words in solved.summary.warnings)
 
 
+def test_only_open_verdicts_have_a_command(told, solved):
+    assert not any(one["command"] for one in told(solved, findings=[]).values())
+    xy = solved.problem.observation_xy
+    far = solved.problem.replace(
+        observation_xy=xy + np.random.default_rng(0).normal(0, 9, xy.shape)
+    )
+    found = told(far, findings=[])
+    assert (
+        found["Reprojection error"]["mark"] == "problem" and found["Reprojection error"]["command"]
+    )
+    hidden = told(far, findings=[Finding(kind="rules", sentence="A sentence.")])
+    assert hidden["Reprojection error"]["mark"] == "problem"
+    assert not any(one["command"] for one in hidden.values())
+
+
+def test_a_limit_of_steps_is_said_once(told):
+    loose = bundle.solve(healthy(num_points=60), max_num_iterations=0)
+    about = Finding(kind="not_converged", sentence="Steps.", command="bundle x")
+    number = told(loose, findings=[about])["Solve"]["number"]
+    assert number.lower().count("not converged") == 1
+
+
 def test_a_command_is_shown_once_by_the_line_of_its_subject(tmp_path, solved):
     about = Finding(kind="not_converged", sentence="Steps.", command="bundle x")
     other = Finding(kind="without_a_line", sentence="Other.", command="bundle y")
