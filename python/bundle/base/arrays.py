@@ -89,7 +89,8 @@ class FrozenArrays:
 
 def immutable(name: str, value: Any, dtype: type) -> NDArray[Any]:
     """Convert a value to an immutable C-contiguous array; copy only if necessary."""
-    given = real_numbers(name, value)
+    is_plain = type(value) is np.ndarray and value.dtype == dtype
+    given = value if is_plain else real_numbers(name, value)
     if given.ndim == 0:
         raise InputError(f"{name}: expected an array of numbers, found {brief(value)}")
     if given.dtype == dtype:

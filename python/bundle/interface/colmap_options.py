@@ -58,7 +58,7 @@ ROUNDING = 1e-13
 whose gradient is above its tolerance rejects such steps at random, often more than it took.
 """
 
-_WITHOUT_INFLUENCE = frozenset(
+WITHOUT_INFLUENCE = frozenset(
     {
         *("gpu_index", "min_num_images_gpu_solver"),
         *(f"max_num_images_direct_{kind}_solver" for kind in ("dense_cpu", "sparse_cpu")),
@@ -150,11 +150,9 @@ def _refuse_others(
 ) -> None:
     chosen = not given.get("auto_select_solver_type", True)
     solver = str(given.get("linear_solver_type", "")).lower()
-    free = (
-        _WITHOUT_INFLUENCE
-        if chosen and solver in _ITERATIVE
-        else (_WITHOUT_INFLUENCE | _OF_ITERATIVE)
-    )
+    free = WITHOUT_INFLUENCE
+    if not (chosen and solver in _ITERATIVE):
+        free |= _OF_ITERATIVE
     for name, value in given.items():
         if name in _DEFAULTS or name in free:
             continue

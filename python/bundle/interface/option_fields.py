@@ -14,7 +14,9 @@ import operator
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, Literal, overload
 
-from bundle.base.arrays import check_type
+import numpy as np
+
+from bundle.base.arrays import check_type, distinct
 from bundle.errors import InputError, brief, nearest
 
 LARGEST_WHOLE = 2**31 - 1
@@ -230,10 +232,13 @@ def whole_ids(name: str, value: Any) -> tuple[int, ...]:
     try:
         if isinstance(value, str | bytes):
             raise TypeError  # the characters of a string are not ids
-        given = list(value)
-        if bool in set(map(type, given)):
-            raise TypeError
-        ids = sorted(set(map(operator.index, given)))
+        if type(value) is np.ndarray and value.ndim == 1 and value.dtype.kind in "iu":
+            ids = distinct(value).tolist()
+        else:
+            given = list(value)
+            if bool in set(map(type, given)):
+                raise TypeError
+            ids = sorted(set(map(operator.index, given)))
     except TypeError:
         raise InputError(f"{name}: expected whole numbers, found {brief(value)}") from None
     for found in (*ids[:1], *ids[-1:]):

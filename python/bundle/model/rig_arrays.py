@@ -149,8 +149,8 @@ def settle(problem: ProblemArrays) -> None:
         rows = getattr(problem, name)
         if rows.shape != (0,):
             check_shape(name, rows, (problem.num_images,))
-        _expect_none(problem, name, "frames")
-        object.__setattr__(problem, name, filled((0,), 0, np.int32))
+            _expect_none(problem, name, "frames")
+            object.__setattr__(problem, name, filled((0,), 0, np.int32))
 
 
 def check(problem: ProblemArrays) -> None:

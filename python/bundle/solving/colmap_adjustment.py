@@ -104,7 +104,6 @@ def bundle_adjustment(
         refined,
         images=part.named & ~part.constant_images,
         points=~part.constant_points,
-        read=read,
     )
     if config is None:
         reconstruction.update_point_3d_errors()
@@ -242,8 +241,8 @@ def adjusted_part(
     options = asked.options.replace(
         gauge=config.gauge,
         num_threads=1 if use_one_thread else asked.options.num_threads,
-        fixed_camera_ids=part.camera_ids[constant_cameras].tolist(),
-        fixed_point_ids=part.point_ids[constant_points].tolist(),
+        fixed_camera_ids=part.camera_ids[constant_cameras],
+        fixed_point_ids=part.point_ids[constant_points],
         fixed_sensors=[pair for pair in sensors if pair[1] in config.constant_sensors],
     )
     return AdjustedPart(

@@ -145,21 +145,27 @@ def test_objects_are_read_where_a_file_cannot(monkeypatch, files_read, fault):
     assert files_read == [len(images) if name == "points3D.bin" else 0]
 
 
-def named_part(model, rng, min_track_length):
-    """Return what is read for half of the images and some points, which other images see, too."""
+def named_part(model, rng, min_track_length, num_points=20):
+    """Return what is read for most images and some points, which other images see, too."""
     config = pycolmap.BundleAdjustmentConfig()
     images = sorted(model.reg_image_ids())
-    for image_id in rng.permutation(images)[: len(images) // 2].tolist():
+    for image_id in rng.permutation(images)[: len(images) * 2 // 3].tolist():
         config.add_image(image_id)
-    for row, point_id in enumerate(rng.permutation(sorted(model.points3D))[:20].tolist()):
+    for row, point_id in enumerate(rng.permutation(sorted(model.points3D))[:num_points].tolist()):
         (config.add_variable_point if row % 3 else config.add_constant_point)(point_id)
     content = adjustment_objects.config_of(model, config)
     return adjustment_objects.adjusted_fields(model, content, min_track_length)
 
 
 @needs_memory_folder
-@pytest.mark.parametrize(("made", "shortest"), [(rigs, 0), (rigs, 4), (images_alone, 0)])
-def test_files_of_a_small_model_have_what_its_objects_have(monkeypatch, made, shortest):
+@pytest.mark.parametrize(
+    ("made", "shortest", "num_points"),
+    [
+        *((rigs, 0, 20), (rigs, 4, 20), (rigs, 0, 0)),
+        *((images_alone, 0, 20), (images_alone, 0, 0), (images_alone, 4, 0)),
+    ],
+)
+def test_files_of_a_small_model_have_what_its_objects_have(monkeypatch, made, shortest, num_points):
     model, found = made(shortest), []
 
     def counted(*arguments):
@@ -169,12 +175,10 @@ def test_files_of_a_small_model_have_what_its_objects_have(monkeypatch, made, sh
     model.deregister_frame(sorted(model.reg_frame_ids())[1])
     model.image(sorted(model.reg_image_ids())[0]).name = "a longer name.jpg"
     monkeypatch.setattr(adjustment_objects, "small_model", counted)
-    by_file = named_part(model, np.random.default_rng(3), shortest)
+    by_file = named_part(model, np.random.default_rng(3), shortest, num_points)
     monkeypatch.setattr(adjustment_objects, "small_model", lambda *_: None)
-    by_object = named_part(model, np.random.default_rng(3), shortest)
+    by_object = named_part(model, np.random.default_rng(3), shortest, num_points)
     assert found[0] is not None
-    assert not by_file.points
-    assert by_object.points
     assert (by_file.tracks == by_object.tracks).all()
     assert (by_file.frames == by_object.frames).all()
     for name, value in by_object.fields.items():
@@ -217,6 +221,6 @@ def test_objects_are_read_of_large_models_and_of_those_with_errors(monkeypatch, 
         write = module._written
         monkeypatch.setattr(module, "_written", lambda made, _: write(made, change))
     elif callable(change):
-        assert small_model(model, named) is not None
+        assert small_model(model, named, 3) is not None
         change(model)
-    assert small_model(model, named) is None
+    assert small_model(model, named, 3) is None

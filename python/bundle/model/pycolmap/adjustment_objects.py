@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import operator
 from collections.abc import Mapping
-from itertools import compress, repeat
+from itertools import repeat
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
@@ -20,7 +20,7 @@ from pycolmap import Reconstruction as Reconstruction
 from bundle.base.arrays import check_type
 from bundle.base.records import dataclass
 from bundle.errors import InputError
-from bundle.interface.colmap_options import ColmapAdjustment, colmap_adjustment
+from bundle.interface.colmap_options import WITHOUT_INFLUENCE, ColmapAdjustment, colmap_adjustment
 from bundle.model.problem_keys import are_in
 from bundle.model.pycolmap.reconstruction import (
     Observations,
@@ -28,10 +28,12 @@ from bundle.model.pycolmap.reconstruction import (
     check_lengths,
     fields_of,
     fields_of_images,
+    fields_of_some,
     ids_of_points,
     is_valid,
     lengths_of_tracks,
     observations_and_tracks,
+    positions_of,
     records_from_objects,
     small_model,
 )
@@ -111,7 +113,7 @@ def _translated(given: tuple[Any, ...]) -> ColmapAdjustment:
 
 
 def _values_of(options: BundleAdjustmentOptions) -> tuple[Any, ...]:
-    """Return the values of all options but those of the GPU backend; ``todict`` takes longer."""
+    """Return the values of options with influence; ``todict`` of all takes longer."""
     values: tuple[Any, ...] = ()
     for owner, names in _option_names().items():
         values += attrgetter(*names)(functools.reduce(getattr, owner.split(".")[1:], options))
@@ -124,7 +126,8 @@ def _option_names() -> dict[str, list[str]]:
     found: dict[str, list[str]] = {}
 
     def walk(owner: str, options: dict[str, Any]) -> None:
-        found[owner] = [name for name, value in options.items() if not isinstance(value, dict)]
+        names = options.keys() - WITHOUT_INFLUENCE
+        found[owner] = sorted(name for name in names if not isinstance(options[name], dict))
         for name, value in options.items():
             if isinstance(value, dict) and name != "caspar":
                 walk(f"{owner}.{name}", value)
@@ -194,8 +197,6 @@ class AdjustedFields:
     fields: dict[str, Any]  # fields of the problem
     tracks: NDArray[np.int64]  # (num_points,) lengths of the points' tracks in the reconstruction
     frames: NDArray[np.int64]  # (num_images,) frame ids of the images in the reconstruction
-    points: list[pycolmap.Point3D]  # the points; none of a small model
-    positions: list[NDArray[np.float64]]  # views of their positions
 
 
 def adjusted_fields(
@@ -204,8 +205,8 @@ def adjusted_fields(
     """Read the observations of named images and points, without points with shorter tracks."""
     is_whole = len(config.images) == reconstruction.num_reg_images()
     listed = frozenset[int]() if is_whole else config.variable_points | config.constant_points
-    points, positions = list[pycolmap.Point3D](), list[Any]()
-    if listed and (model := small_model(reconstruction, config.images)):
+    most = 0 if is_whole else 3 if listed else 2  # times what is needed: all takes less up to here
+    if model := small_model(reconstruction, config.images, most):
         images, found = model  # checked, and in the order of points, images and keypoints
         image, point = found["observation_image"], found["observation_point"]
         xyz, point_ids = found["points"], found["point_ids"]
@@ -230,8 +231,7 @@ def adjusted_fields(
         except IndexError:
             observations.points(ids_of_points(sorted(reconstruction.point3D_ids())))
             raise
-        tracks, positions = lengths_of_tracks(points), list(map(attrgetter("xyz"), points))
-        xyz = np.frombuffer(b"".join(positions)).reshape(-1, 3)
+        tracks, xyz = lengths_of_tracks(points), positions_of(points)
         point_ids = ids_of_points(ids.tolist())
         are_read = is_whole | are_in(point_ids, listed)
         check_lengths(point_ids, tracks, seen, (seen > tracks) | (are_read & (seen < tracks)))
@@ -240,10 +240,12 @@ def adjusted_fields(
     used = (tracks >= min_track_length) & (seen > 0)
     observations = observations.taken(order[np.repeat(used, seen)])
     images, seen, tracks = observations.images, seen[used], tracks[used]
-    points = list(compress(points, used.tolist()))
-    positions = list(compress(positions, used.tolist()))
     cameras = sorted({image.camera_id for image in images})
-    fields = fields_of_images(reconstruction, images, [*map(reconstruction.camera, cameras)]) | {
+    if model and not len(found["rig_from_world"]):
+        fields = fields_of_some(found, [image.image_id for image in images], cameras)
+    else:
+        fields = fields_of_images(reconstruction, images, [*map(reconstruction.camera, cameras)])
+    fields |= {
         "points": xyz[used],
         "point_ids": point_ids[used],
         "observation_image": observations.image,
@@ -251,7 +253,7 @@ def adjusted_fields(
         "observation_xy": observations.xy,
     }
     frames = np.array([image.frame_id for image in images], np.int64)
-    return AdjustedFields(fields, tracks, frames, points, positions)
+    return AdjustedFields(fields, tracks, frames)
 
 
 def _outside(
@@ -285,9 +287,8 @@ def set_values(
     *,
     images: _Mask,
     points: _Mask,
-    read: AdjustedFields | None = None,
 ) -> None:
-    """Set the refined values of a sub-problem, which was ``read`` before.
+    """Set the refined values of a sub-problem.
 
     ``images``, ``points``: masks of those that are set, images with their frames.
     """
@@ -309,15 +310,7 @@ def set_values(
     ):
         sensor = pycolmap.sensor_t(pycolmap.SensorType.CAMERA, camera_id)
         reconstruction.rig(rig_id).set_sensor_from_rig(sensor, _rigid(pose))
-    if read is None or not read.points:
-        positions = list(map(attrgetter("xyz"), found))
-    else:  # pycolmap returns the same object as before exactly if the point is where it was
-        pick = points.tolist()
-        before = zip(compress(read.points, pick), compress(read.positions, pick), strict=True)
-        positions = [
-            view if point is now else now.xyz
-            for now, (point, view) in zip(found, before, strict=True)
-        ]
+    positions = map(attrgetter("xyz"), found)
     for _ in map(operator.setitem, positions, repeat(...), refined.points[points]):
         pass
 

@@ -16,7 +16,7 @@ from collections.abc import Callable
 from itertools import chain, compress
 from operator import attrgetter
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 import pycolmap
@@ -207,12 +207,12 @@ class Observations:
         }
 
 
-T = TypeVar("T")
+_FILES = ("images.bin", "points3D.bin")
 _KEYPOINT = np.dtype([("xy", "<f8", 2), ("point_id", "<u8")])  # in COLMAP's images.bin
 _IMAGE_HEAD = 64  # bytes of id, pose and camera, before name and number of keypoints
 _POINT = struct.Struct("<Q35xQ")  # id; position, colour and error; length of the track
 _IMAGES_PER_FILE = 64
-_PART, _MOST_KEYPOINTS = 3, 100_000  # up to 3 times what is needed, reading all takes less
+_MOST_KEYPOINTS = 100_000
 
 
 def observations_and_tracks(
@@ -238,7 +238,8 @@ def observations_and_tracks(
             model.add_image_with_trivial_frame(made, pycolmap.Rigid3d())
         for row, point in enumerate([] if first else points):
             model.points3D[row] = point
-        of_images, of_points = _written(model, _contents) or (b"", b"")
+        contents = _written(model, lambda folder: [Path(folder, n).read_bytes() for n in _FILES])
+        of_images, of_points = contents or (b"", b"")
         records = _keypoints_in(of_images, [*map(len, keypoints)])
         for found in records or map(records_from_objects, keypoints):
             start, end = end, end + len(found)
@@ -250,18 +251,18 @@ def observations_and_tracks(
 
 
 def small_model(
-    reconstruction: pycolmap.Reconstruction, named: frozenset[int]
+    reconstruction: pycolmap.Reconstruction, named: frozenset[int], most: int
 ) -> tuple[list[pycolmap.Image], dict[str, Any]] | None:
     """Return the images of all observations, and the fields of a problem.
 
-    None if the model is large beside the named images, or has errors. Its files take 0.2 us for an
-    observation; objects of points and of their other observations take 1 us each.
+    None if the model has errors, or more than ``most`` times the keypoints that are needed. Files
+    take 0.2 us for an observation; objects of points and of other observations take 1 us each.
     """
-    if reconstruction.num_reg_images() > _PART * len(named):
+    if reconstruction.num_reg_images() > most * len(named):
         return None
     images = [reconstruction.image(key) for key in sorted(reconstruction.reg_image_ids())]
     needed = sum(image.num_points3D for image in images if image.image_id in named)
-    if sum(image.num_points2D() for image in images) > min(_PART * needed, _MOST_KEYPOINTS):
+    if sum(image.num_points2D() for image in images) > min(most * needed, _MOST_KEYPOINTS):
         return None
     _, fields = _written(reconstruction, _core.read_colmap_model) or (None, None)
     if not fields or fields["image_ids"].tolist() != [image.image_id for image in images]:
@@ -269,7 +270,23 @@ def small_model(
     return images, fields
 
 
-def _written(model: pycolmap.Reconstruction, read: Callable[[str], T]) -> T | None:
+def fields_of_some(found: dict[str, Any], images: Any, cameras: Any) -> dict[str, Any]:
+    """Return the fields of images and cameras, by ids, among those of a problem without rigs."""
+    images = np.searchsorted(found["image_ids"], images)
+    cameras = np.searchsorted(found["camera_ids"], cameras)
+    image_camera = np.searchsorted(cameras, found["image_camera"][images])
+    return {
+        **{name: found[name] for name in rig_arrays.ARRAYS},
+        **{name: found[name][images] for name in ("cam_from_world", "image_ids")},
+        **{name: found[name][cameras] for name in ("camera_ids", "camera_params", "camera_sizes")},
+        "image_names": tuple(map(found["image_names"].__getitem__, images.tolist())),
+        "image_camera": image_camera.astype(np.int32),
+        "camera_models": tuple(map(found["camera_models"].__getitem__, cameras.tolist())),
+        "format": "colmap",
+    }
+
+
+def _written(model: pycolmap.Reconstruction, read: Callable[[str], Any]) -> Any:
     """Return what is read from the files of a model; None if there is no folder in memory."""
     name = f"bundle-{os.getpid()}-{threading.get_ident()}-{time.monotonic_ns()}"
     folder = Path("/dev/shm", name)
@@ -284,10 +301,6 @@ def _written(model: pycolmap.Reconstruction, read: Callable[[str], T]) -> T | No
             folder.rmdir()
     except (OSError, ValueError):  # no such folder, or files that cannot be written or read
         return None
-
-
-def _contents(folder: str) -> tuple[bytes, bytes]:
-    return Path(folder, "images.bin").read_bytes(), Path(folder, "points3D.bin").read_bytes()
 
 
 def _keypoints_in(content: bytes, counts: list[int]) -> list[NDArray[Any]]:
