@@ -247,14 +247,9 @@ def upright_start(
     sensors of a rig, which is in metres; the similarity then has scale 1.
     """
     start = solve_inertial_start(
-        bodies.imu_rotations(problem),
-        bodies.centers(problem),
-        bodies.arms(problem),
-        intervals,
-        noise,
-        GRAVITY,
-        rule,
-    )
+        bodies.imu_rotations(problem), bodies.centers(problem), bodies.arms(problem),
+        intervals, noise, GRAVITY, rule,
+    )  # fmt: skip
     if not (start.scale > 0 and start.scale_sigma < MOST_SCALE_SIGMA):
         raise InputError(
             "imu: expected a motion that determines the scale, found "

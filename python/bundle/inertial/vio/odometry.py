@@ -113,16 +113,9 @@ def run_odometry(
         trajectory = Trajectory(stamps, window.states)
     failure = run.failure()
     return OdometryResult(
-        trajectory,
-        run.records(),
-        run.start,
-        not failure,
-        interrupted,
-        failure or message,
-        len(trajectory),
-        time.perf_counter() - began,
-        options,
-    )
+        trajectory, run.records(), run.start, not failure, interrupted, failure or message,
+        len(trajectory), time.perf_counter() - began, options,
+    )  # fmt: skip
 
 
 # Statistics of a sequence: rates, overlap, noise at rest, excitation.
