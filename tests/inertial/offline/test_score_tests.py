@@ -214,6 +214,23 @@ def test_right_flights_have_no_clear_error_that_is_relevant(scene, monkeypatch):
     assert 0.002 < min(one.sigma for one in found if one.kind == "accel_scale") < 0.008
 
 
+def test_motions_have_the_noise_of_the_recording_unless_it_is_contradicted(scene, monkeypatch):
+    given, kept, costs = [], [], []
+    whole = imu_adjustment.imu_findings
+    monkeypatch.setattr(
+        imu_adjustment, "imu_findings", lambda known: kept.append(known) or whole(known)
+    )
+    monkeypatch.setattr(imu_adjustment, "largest_score", lambda *all_: given.append(all_))
+    for is_contradicted in (False, True):
+        monkeypatch.setattr(Agreement, "is_contradicted", is_contradicted)
+        scene.run(None)
+        shown, (_, cost, _, _, used) = kept[-1].agreement, given[-1]
+        assert used == shown._replace(variance=shown.variance if is_contradicted else 1.0)
+        costs.append(cost(Change()))
+    assert shown.variance < 0.5
+    assert costs[1] / costs[0] == pytest.approx(shown.variance, rel=0.1)
+
+
 @pytest.mark.parametrize(
     ("fault", "kind", "number", "right", "tolerance"),
     [
