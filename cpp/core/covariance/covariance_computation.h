@@ -299,7 +299,9 @@ class CovarianceComputation {
   void FindWorst(const ReliabilityOptions& wanted, ReliabilityOutput* found) const;
   std::vector<int> PointsBeside(const ReliabilityOutput& found) const;
   void FindEffects(BlockValues inverse, ReliabilityOutput* found);
-  void MovePoints(int first, const Eigen::MatrixXd& x, const Eigen::MatrixXd& own,
+  double LargestShare(const std::vector<uint8_t>& is_wanted, const Eigen::MatrixXd& root) const;
+  void MovePoints(const std::vector<int>& effects, const Matrix& x, const Eigen::MatrixXd& own,
+                  const std::vector<int>& by_rows, const std::vector<uint8_t>& is_in_lanes,
                   ReliabilityOutput* found);
   void SubtractEliminated(const PointBlocks& blocks, const Vector3& b, Eigen::MatrixXd* columns,
                           int k) const;

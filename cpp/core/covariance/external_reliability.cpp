@@ -72,8 +72,18 @@ void CovarianceComputation::FindWorst(const ReliabilityOptions& wanted,
 ///
 ///   x_c = C (b_c - Y_q b_q) with q its own point,      x_p = V_p^-1 b_p - Y_p^T x_c.
 ///
-/// Inner constraints subtract N s, with s = N^T x = K^T x_c + N_q^T V_q^-1 b_q (free_gauge.h). As
-/// -Y_p^T N_c = N_p, only from x_c.
+/// Inner constraints subtract N s, with s = N^T x = K^T x_c + w and w = N_q^T V_q^-1 b_q
+/// (free_gauge.h). As -Y_p^T N_c = N_p, only from x_c.
+///
+/// Another point p is -Y_p^T c + e_p, with the cameras' errors c, of covariance C, and independent
+/// ones e of the points, of V^-1; x_p is its covariance with (b_c - Y_q b_q)^T c + b_q^T e_q. Inner
+/// constraints subtract N_p sum N_r^T e_r, too. The parts by c and by e are independent, z^T M^-1 z
+/// of a sum is at most the sum of both, and by e, M >= N_p (A - A_p) N_p^T with A = sum A_r and
+/// A_r = N_r^T V_r^-1 N_r. So p moves by at most the root of
+///
+///   (b_c - Y_q b_q)^T C (b_c - Y_q b_q) + w^T (A - A_p)^-1 w       sigmas.
+///
+/// Mostly, q moves by more. The other points are looked at for the rest of the errors only.
 void CovarianceComputation::FindEffects(BlockValues inverse, ReliabilityOutput* found) {
   const int count = static_cast<int>(found->worst.size()), n = system_.num_unknowns();
   if (count == 0) return;
@@ -105,7 +115,19 @@ void CovarianceComputation::FindEffects(BlockValues inverse, ReliabilityOutput* 
     });
   }
   Check(system_.Solve(rhs.data(), count, x.data()));
-  if (degrees > 0) s += MultiplyTransposed(gauge_->reduced(), x);
+  std::vector<int> by_rows;
+  std::vector<uint8_t> is_in_lanes(view().num_points);
+  for (const int p : PointsBeside(*found)) {
+    is_in_lanes[p] = std::isnan(output_.points[9 * size_t(p)]) ? 0 : 1;
+    if (is_in_lanes[p] == 0) by_rows.push_back(p);
+  }
+  Eigen::RowVectorXd others = rhs.cwiseProduct(x).colwise().sum();  // the squares of these bounds
+  if (degrees > 0) {
+    const Eigen::MatrixXd root = InverseOfCholesky(gauge_->of_points());
+    const double rest = 1 - LargestShare(is_in_lanes, root);
+    others += MultiplyTransposed(root, s).colwise().squaredNorm() / std::max(rest, 0.0);
+    s += MultiplyTransposed(gauge_->reduced(), x);
+  }
   Matrix moved = x;
   if (degrees > 0) moved -= Multiply(gauge_->cameras(), s);
   for (int i = 0; i < view().num_images; ++i) {
@@ -123,23 +145,66 @@ void CovarianceComputation::FindEffects(BlockValues inverse, ReliabilityOutput* 
     }
   }
   std::swap(system_.values(), inverse);
-  for (int first = 0; first < count; first += kAtOnce) {
-    const int size = std::min(kAtOnce, count - first);
-    MovePoints(first, moved.middleCols(first, size), own.middleCols(first, size), found);
+  std::vector<int> effects(count), open;
+  for (int k = 0; k < count; ++k) {
+    effects[k] = k;
+    const int point = view().observation_point[found->worst[k].observation];
+    if (is_in_lanes[point] != 0) by_rows.push_back(point);
   }
+  std::sort(by_rows.begin(), by_rows.end());
+  by_rows.erase(std::unique(by_rows.begin(), by_rows.end()), by_rows.end());
+  const auto move = [&](const std::vector<int>& all, const std::vector<int>& in_rows,
+                        const std::vector<uint8_t>& in_lanes) {
+    for (auto first = all.begin(); first != all.end();) {
+      const auto last = first + std::min<std::ptrdiff_t>(all.end() - first, kAtOnce);
+      MovePoints({first, last}, moved, own, in_rows, in_lanes, found);
+      first = last;
+    }
+  };
+  move(effects, by_rows, {});
+  for (const int k : effects) {
+    const double sigmas = found->worst[k].point_sigmas;
+    if (!(sigmas * sigmas > others[k])) open.push_back(k);
+  }
+  move(open, {}, is_in_lanes);
 }
 
-/// Judges the movements of points with the effects from `first` on, which move the unknowns by x.
-/// The pass also gives the points' part V_p^-1 N_p - Y_p^T y of Y = G N (free_gauge.h), which
-/// transforms the covariances that the leverages have left. Points of which there are rows only are
-/// transformed by blocks.
-void CovarianceComputation::MovePoints(int first, const Eigen::MatrixXd& x,
-                                       const Eigen::MatrixXd& own, ReliabilityOutput* found) {
-  const auto n = static_cast<Eigen::Index>(system_.num_unknowns()), count = x.cols();
-  const Eigen::Index degrees = constraints_ == nullptr ? 0 : gauge_->degrees();
+/// At least the largest eigenvalue of A^-1 A_p, with R R^T = A^-1: the trace, with the covariances
+/// that the leverages have left, which are above V_p^-1.
+double CovarianceComputation::LargestShare(const std::vector<uint8_t>& is_wanted,
+                                           const Eigen::MatrixXd& root) const {
+  using Square = Eigen::Matrix<double, kSimilarities, kSimilarities, Eigen::RowMajor>;
+  Square by_moves = Square::Zero();
+  by_moves.leftCols(gauge_->degrees()) =
+      Eigen::Map<const Eigen::Matrix<double, kSimilarities, kMoves, Eigen::RowMajor>>(
+          gauge_->combinations())
+          .leftCols(gauge_->degrees())
+          .lazyProduct(root);
+  double largest = 0;
+  for (int p = 0; p < view().num_points; ++p) {
+    if (is_wanted[p] == 0) continue;
+    const Eigen::Matrix<double, 3, kSimilarities, Eigen::RowMajor> n =
+        gauge_->moves().OfPoint(p).lazyProduct(by_moves);
+    const Eigen::Map<const Matrix3> covariance(&output_.points[9 * size_t(p)]);
+    largest = std::max(largest, n.cwiseProduct(covariance.lazyProduct(n)).sum());
+  }
+  return largest;
+}
+
+/// Judges the movements of points with some errors, which move the unknowns by columns of x, and
+/// keeps those larger than known ones. The pass in lanes also gives the points' part
+/// V_p^-1 N_p - Y_p^T y of Y = G N (free_gauge.h), which transforms the covariances that the
+/// leverages have left. Points by rows are transformed by blocks.
+void CovarianceComputation::MovePoints(const std::vector<int>& effects, const Matrix& x,
+                                       const Eigen::MatrixXd& own, const std::vector<int>& by_rows,
+                                       const std::vector<uint8_t>& is_in_lanes,
+                                       ReliabilityOutput* found) {
+  const auto n = static_cast<Eigen::Index>(system_.num_unknowns());
+  const auto count = static_cast<Eigen::Index>(effects.size());
+  const Eigen::Index degrees =
+      constraints_ == nullptr || is_in_lanes.empty() ? 0 : gauge_->degrees();
   const auto width = static_cast<int>((count + degrees + 3) / 4);
   Matrix by_unknown = Matrix::Zero(n, 4 * width);
-  by_unknown.leftCols(count) = x;
   if (degrees > 0) {
     Matrix rows_n(n, degrees), rows_y(n, degrees);
     constraints_->RowsOfUnknowns(0, static_cast<int>(n), rows_n.data(), rows_y.data());
@@ -149,18 +214,22 @@ void CovarianceComputation::MovePoints(int first, const Eigen::MatrixXd& x,
     double square = 0;
     int point = -1;
   };
-  std::vector<std::vector<Largest>> largest(system_.num_threads(), std::vector<Largest>(count));
+  std::vector<Largest> known;
   std::vector<int> own_point;
   for (Eigen::Index k = 0; k < count; ++k) {
-    own_point.push_back(view().observation_point[found->worst[first + k].observation]);
+    const ExternalEffect& effect = found->worst[effects[k]];
+    by_unknown.col(k) = x.col(effects[k]);
+    known.push_back({effect.point_sigmas * effect.point_sigmas, effect.point});
+    own_point.push_back(view().observation_point[effect.observation]);
   }
+  std::vector<std::vector<Largest>> largest(system_.num_threads(), known);
   std::vector<std::vector<double>> room(system_.num_threads(),
                                         std::vector<double>(4 * size_t(width)));
   using Columns = Eigen::Matrix<double, 3, Eigen::Dynamic, Eigen::RowMajor, 3, Kernels::kMostMoved>;
   // `moved`: -Y_p^T of all columns.
   const auto judge = [&](int p, Columns moved, const Matrix3& covariance, int thread) {
     for (Eigen::Index k = 0; k < count; ++k) {
-      if (own_point[k] == p) moved.col(k) += own.col(k);
+      if (own_point[k] == p) moved.col(k) += own.col(effects[k]);
     }
     const Matrix3 information = covariance.inverse();
     double* const squares = room[thread].data();
@@ -170,26 +239,21 @@ void CovarianceComputation::MovePoints(int first, const Eigen::MatrixXd& x,
       if (squares[k] > of.square || (squares[k] == of.square && p < of.point)) of = {squares[k], p};
     }
   };
-  std::vector<uint8_t> is_in_lanes(view().num_points);
-  std::vector<int> by_rows;
-  for (const int p : PointsBeside(*found)) {
-    is_in_lanes[p] = std::isnan(output_.points[9 * size_t(p)]) ? 0 : 1;
-    if (is_in_lanes[p] == 0) by_rows.push_back(p);
+  const auto judge_in_lanes = [&](int p, const double* inverse, const double* rows, int thread) {
+    const Columns moved = -Eigen::Map<const Columns>(rows, 3, 4 * width);
+    Matrix3 covariance = Eigen::Map<const Matrix3>(&output_.points[9 * size_t(p)]);
+    if (degrees > 0) {
+      const Columns of_n = gauge_->OfPoint(p);
+      const Columns of_y =
+          Eigen::Map<const Matrix3>(inverse).lazyProduct(of_n) + moved.middleCols(count, degrees);
+      constraints_->Transform(3, of_n.data(), of_y.data(), 3, of_n.data(), of_y.data(),
+                              covariance.data());
+    }
+    judge(p, moved, covariance, thread);
+  };
+  if (!is_in_lanes.empty()) {
+    system_.FindMovements(by_unknown.data(), width, is_in_lanes, judge_in_lanes);
   }
-  system_.FindMovements(
-      by_unknown.data(), width, is_in_lanes,
-      [&](int p, const double* inverse, const double* rows, int thread) {
-        const Columns moved = -Eigen::Map<const Columns>(rows, 3, 4 * width);
-        Matrix3 covariance = Eigen::Map<const Matrix3>(&output_.points[9 * size_t(p)]);
-        if (degrees > 0) {
-          const Columns of_n = gauge_->OfPoint(p);
-          const Columns of_y = Eigen::Map<const Matrix3>(inverse).lazyProduct(of_n) +
-                               moved.middleCols(count, degrees);
-          constraints_->Transform(3, of_n.data(), of_y.data(), 3, of_n.data(), of_y.data(),
-                                  covariance.data());
-        }
-        judge(p, moved, covariance, thread);
-      });
   std::vector<PaddedRows> padded(system_.num_threads());
   system_.ForPoints(system_.num_threads(), by_rows,
                     [&](int p, const PointBlocks& blocks, const PointAssembler&, int thread) {
@@ -212,8 +276,9 @@ void CovarianceComputation::MovePoints(int first, const Eigen::MatrixXd& x,
       const bool is_before = one.square == most.square && one.point >= 0 && one.point < most.point;
       if (one.square > most.square || is_before) most = one;
     }
-    found->worst[first + k].point = most.point;
-    found->worst[first + k].point_sigmas = std::sqrt(most.square);
+    ExternalEffect& effect = found->worst[effects[k]];
+    effect.point = most.point;
+    effect.point_sigmas = std::sqrt(most.square);
   }
 }
 

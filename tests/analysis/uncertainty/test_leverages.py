@@ -13,6 +13,9 @@ from bundle.interface.options import SolveOptions
 from bundle.solving.prepare import prepare
 from bundle.solving.request import SolveRequest
 from tests import rolling
+from tests.analysis.uncertainty.dense import Dense
+from tests.analysis.uncertainty.random_problems import Case
+from tests.analysis.uncertainty.test_reliability import check_effects
 from tests.rig_scenes import FIVE, STEREO, rig_problem
 from tests.scenes import make_problem, with_observations
 
@@ -39,6 +42,13 @@ def behind(problem):
     points = problem.points.copy()
     axis = Rotation.from_quat(problem.cam_from_world[0, :4]).as_matrix()[2]
     points[3:5] = problem.projection_centers[0] - 2 * axis
+    return problem.replace(points=points)
+
+
+def far(problem):
+    """Two points are far away: they determine most of the gauge of the points."""
+    points, middle = problem.points.copy(), problem.projection_centers.mean(axis=0)
+    points[[5, 11]] = middle + 40 * (points[[5, 11]] - middle)
     return problem.replace(points=points)
 
 
@@ -141,6 +151,36 @@ def test_movements_in_a_free_world_agree_with_those_in_long_doubles(seed):
     prepared = prepare(SolveRequest(problem=gaps(problem), options=options))
     found = reliability_of(prepared, 25)["worst"]
     compare_movements(found, reliability_of(prepared, 25, long_sums=True)["worst"])
+
+
+@pytest.mark.parametrize("case", ["own lenses", "one lens", "loss", "stereo", "far points"])
+def test_movements_in_a_free_world_agree_with_dense_matrices(case):
+    problem, options = (CASES | {"far points": (far(many(seed=1)), {})})[case]
+    robust = {name: options[name] for name in ("loss", "loss_scale") if name in options}
+    rays = np.bincount(problem.observation_point)
+    problem = with_observations(problem, rays[problem.observation_point] > 1)
+    dense = Dense(problem, **robust)
+    principal = (2, 3) if case in ("loss", "stereo") else (1, 2)  # PINHOLE and OPENCV have two f
+    held = [kind == "sensor" or (kind == "camera" and k in principal) for kind, _, k in dense.names]
+    basis = np.eye(len(dense.names))[:, ~np.array(held) & dense.jacobian.any(axis=0)]
+    found = bundle.reliability(problem, **options)
+    check_effects(found, Case(problem, {}, [], dense, basis, 0), dense.covariance(basis))
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_movements_do_not_depend_on_the_order(case):
+    """The order of observations is that of points and chunks, too."""
+    problem, options = CASES[case]
+    order = np.random.default_rng(7).permutation(problem.num_observations)
+    found = []
+    mixed = with_observations(problem, order)
+    if problem.observation_sigma is not None:
+        mixed = mixed.replace(observation_sigma=problem.observation_sigma[order])
+    for each in (problem, mixed):
+        request = SolveRequest(problem=each, options=SolveOptions().replace(**options))
+        found.append(reliability_of(prepare(request), 30)["worst"])
+    found[1] = [(order[one[0]], *one[1:]) for one in found[1]]
+    compare_movements(found[1], found[0])
 
 
 def compare_movements(found, expected):

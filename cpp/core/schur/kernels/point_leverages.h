@@ -52,10 +52,12 @@ void AddTimesOf(const double* z, int width, int64_t stride, const EntryPair* pai
 template <int kQuads>
 void AddTimes(const double* z, int width, int64_t stride, const EntryPair* pairs, int count,
               bool is_back, int num_rows, const double* c, double* x) {
-  // Of a pose, and of a pose with three parameters. More do not fit into the registers.
-  constexpr int kUsual = kQuads <= 2 ? 6 : kQuads == 3 ? 9 : 0;
+  // Of a pose, and with two and three parameters. More do not fit into the registers.
+  constexpr int kUsual = kQuads <= 2 ? 6 : kQuads == 3 ? 9 : 0, kWhole = kQuads == 2 ? 8 : kUsual;
   if (num_rows == kUsual) {
     AddTimesOf<kQuads, kUsual>(z, width, stride, pairs, count, is_back, kUsual, c, x);
+  } else if (num_rows == kWhole) {
+    AddTimesOf<kQuads, kWhole>(z, width, stride, pairs, count, is_back, kWhole, c, x);
   } else {
     AddTimesOf<kQuads, 0>(z, width, stride, pairs, count, is_back, num_rows, c, x);
   }
