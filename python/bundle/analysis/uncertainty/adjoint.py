@@ -462,18 +462,18 @@ class Adjoint(Displayed):
     def _derivatives(self, rows: Mapping[str, Any], of_cameras: _Floats) -> dict[str, Any]:
         system, start, n = self._system, self._prepared.start, self.problem.num_observations
         along, r, bend = rows["along"], rows["residuals"], rows["bends"]
-        product = np.einsum("ij,ij->i", along, r)
-        spread = np.ones(len(r)) if start.observation_sigma is None else start.observation_sigma
-        root = np.sqrt(rows["weights"]) / spread
-        pixels = root[:, None] * (along + (bend * product)[:, None] * r)
-        sigmas = 2 / spread * (1 + 0.5 * bend * np.einsum("ij,ij->i", r, r)) * product
+        product = along[:, 0] * r[:, 0] + along[:, 1] * r[:, 1]
+        spread = 1.0 if start.observation_sigma is None else start.observation_sigma
+        sigmas = 2 / spread * product
+        if bend.any():  # not without a loss
+            sigmas *= 1 + 0.5 * bend * (r[:, 0] ** 2 + r[:, 1] ** 2)
+            along = along + (bend * product)[:, None] * r
         is_held, slope = system.core.held.astype(bool), rows["by_params"]
         held = np.where(is_held, of_cameras, slope) - slope  # NaN with it
         for factor in filter(_couples_parameters, self.factors):
             keys: Any = factor.keys
             cameras = [key for kind, key in keys if kind == "camera"]
-            rows_of = np.isin(start.camera_ids, cameras)[:, None]
-            held[rows_of & is_held] = np.nan
+            held[np.isin(start.camera_ids, cameras)[:, None] & is_held] = np.nan
         begin = rows["factor_begin"]
         priors = [
             _of_prior(
@@ -486,7 +486,7 @@ class Adjoint(Displayed):
             for k, factor in enumerate(self.factors)
         ]
         return {
-            "pixels": freeze(pixels[:n].copy()),
+            "pixels": freeze((np.sqrt(rows["weights"]) / spread)[:n, None] * along[:n]),
             "weights": freeze(-product[:n]),
             "sigmas": freeze(sigmas[:n].copy()),
             "held": freeze(held),
