@@ -121,8 +121,8 @@ struct LaneState {
   }
 };
 
-/// True if the observation is in x.held; `held` is then its residual.
-inline bool FindHeld(const StateRecords& x, int64_t observation, HeldResidual* held) {
+/// The first of x.held that is no earlier observation.
+inline const HeldResidual* FirstHeld(const StateRecords& x, int64_t observation) {
   int64_t first = 0, last = x.num_held;
   while (first < last) {
     const int64_t middle = first + (last - first) / 2;
@@ -132,8 +132,14 @@ inline bool FindHeld(const StateRecords& x, int64_t observation, HeldResidual* h
       last = middle;
     }
   }
-  if (first == x.num_held || x.held[first].observation != observation) return false;
-  *held = x.held[first];
+  return x.held + first;
+}
+
+/// True if the observation is in x.held; `held` is then its residual.
+inline bool FindHeld(const StateRecords& x, int64_t observation, HeldResidual* held) {
+  const HeldResidual* const found = FirstHeld(x, observation);
+  if (found == x.held + x.num_held || found->observation != observation) return false;
+  *held = *found;
   return true;
 }
 
@@ -224,6 +230,13 @@ struct LaneResiduals {
   __attribute__((noinline, cold)) void Hold(const EliminationInput& input, const StateRecords& x,
                                             const Lanes& lanes, const Mask& counts, bool derive) {
     const bool is_candidate = x.before != nullptr;
+    // Observations of lanes ascend: most lanes have none between their first and their last one.
+    if (All(counts)) {
+      const HeldResidual* const next = FirstHeld(x, lanes.observation[0]);
+      if (next == x.held + x.num_held || next->observation > lanes.observation[lanes.count - 1]) {
+        return;
+      }
+    }
     for (int lane = 0; lane < lanes.count; ++lane) {
       const int64_t observation = lanes.observation[lane];
       HeldResidual held = {observation, {0, 0}};
