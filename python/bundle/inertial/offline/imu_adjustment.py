@@ -365,14 +365,15 @@ def _held(
     shortly = case._replace(options=few_steps(case.options), progress=None, noise=noise)
     has_scale = case.is_metric or case.priors
 
-    def solved(change: Change, **options: Any) -> tuple[Result, LeastCost]:
+    def solved(change: Change, **options: Any) -> tuple[_Adjusted, LeastCost]:
         start = found.state if has_scale else found.state.scaled(1 / change.forces)
         there = shortly._replace(
             bodies=change.of_bodies(case.bodies), options=shortly.options.replace(**options)
         )
         end = found._replace(state=start).solved(there, found.motions(shortly, change))
-        return end.results[-1], LeastCost.of(end.results[-1], end.state, case.bodies)
+        return end, LeastCost.of(end.results[-1], end.state, case.bodies)
 
+    found, _ = solved(Change())  # all slopes are those at the minimum with this noise
     motions, likely = found.motions(shortly), []
     if rotations.angle > ANGLE / 2:
         likely.append(Score("camera_from_imu", unit(rotations.turn)))

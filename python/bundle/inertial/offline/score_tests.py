@@ -29,7 +29,7 @@ images is an error of its random walk e_k = b_(k+1) - b_k - s, so that g = -e_k 
 density of the walk. The largest of n intervals is tested.
 
 Relevance. The estimated x would move each position by a share of its distance from the mean
-position. On V1_01, whose real errors are not white, T is up to 73; this share is 1.7 % by forces
+position. On V1_01, whose real errors are not white, T is up to 75; this share is 1.7 % by forces
 and 0.6 % by others.
 """
 
