@@ -61,8 +61,10 @@ project = tomllib.loads(pathlib.Path("pyproject.toml").read_text())
 print(*project["build-system"]["requires"], sep="\n")')
   # Under its former name, bundle would own the same files, and uninstalling it later would take them.
   "$venv/bin/python" -m pip uninstall --quiet --quiet --yes bundle
-  "$venv/bin/python" -m pip install --quiet "${requires[@]}" "cmake>=3.25" ninja
-  "$venv/bin/python" -m pip install --quiet --no-build-isolation --editable ".${extras:+[$extras]}"
+  # Python compiles what it imports; pip would compile the rest, too.
+  "$venv/bin/python" -m pip install --quiet --no-compile "${requires[@]}" "cmake>=3.25" ninja
+  "$venv/bin/python" -m pip install --quiet --no-compile --no-build-isolation \
+    --editable ".${extras:+[$extras]}"
 }
 
 require_python
