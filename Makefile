@@ -64,7 +64,7 @@ demo: $(READY_TO_RUN)  ## refine the model in data/ and compare it with the trut
 test: $(READY)  ## run the tests
 	$(VENV)/bin/python -m pytest --numprocesses auto --dist worksteal
 
-sanitize: $(READY)  ## run the C++ tests under AddressSanitizer and UndefinedBehaviorSanitizer
+sanitize: $(READY_TO_RUN)  ## run the C++ tests under AddressSanitizer and UndefinedBehaviorSanitizer
 	rm -f $(ADDRESS_BUILD)/passed
 	$(SANITIZED) g++ address,undefined,float-cast-overflow $(ADDRESS_BUILD)
 	$(SHARDED) $(ADDRESS_BUILD)/tests/cpp/bundle_tests --gtest_brief=1
@@ -72,7 +72,7 @@ sanitize: $(READY)  ## run the C++ tests under AddressSanitizer and UndefinedBeh
 	  --gtest_brief=1 --gtest_filter='*Schur*:*Fused*:*Panel*'
 	@touch $(ADDRESS_BUILD)/passed
 
-tsan: $(READY)  ## run the C++ tests under ThreadSanitizer
+tsan: $(READY_TO_RUN)  ## run the C++ tests under ThreadSanitizer
 	$(SANITIZED) clang++ thread $(THREAD_BUILD)
 	$(SHARDED) $(THREAD_BUILD)/tests/cpp/bundle_tests --gtest_brief=1
 

@@ -12,6 +12,10 @@ python=$1
 venv=$2
 extras=${3:-}
 
+# Targets that need different extras may run at a time (make --jobs): one environment after the other.
+exec 9<tools/setup.sh
+flock 9
+
 require_python() {
   command -v "$python" >/dev/null ||
     die "$python: not found; install Python 3.11 or newer, or name one: make PYTHON=python3.12 setup"
