@@ -240,11 +240,12 @@ def _has_radial_lens(scene):
     return scene.start.camera_models[0] == "SIMPLE_RADIAL" and not scene.priors
 
 
-def test_a_shared_lens_replaces_split_cameras():
+def test_cameras_that_a_run_has_split_are_shared_by_not_splitting_them():
+    """The input may have one camera, which cannot be shared."""
     command = NextCommand("a", "b", ("--split-cameras", "--threads", "2"))
-    assert shlex.split(command.refine("--share-cameras", "all"))[5:] == [
-        *("--threads", "2", "--share-cameras", "all"),
-    ]
+    for share in ("all", "1,2"):
+        flags = ("--share-cameras", share, "--loss", "cauchy")
+        assert shlex.split(command.refine(*flags))[5:] == [*("--threads", "2", "--loss", "cauchy")]
     assert "--split-cameras" in command.refine("--loss", "cauchy")
     added = command.added(command.refine("--set", "camera 1: f fixed", "--threads", "3"))
     assert added == [("--set", "camera 1: f fixed"), ("--threads", "3")]

@@ -38,13 +38,11 @@ class NextCommand:
         """Return a NextCommand for a run that has these flags, too."""
         advised = list(_occurrences(flags))
         replaced = {_name(one) for one in advised} - REPEATED
-        if "--share-cameras" in replaced:  # no command has both
-            replaced.add("--split-cameras")
-        kept = [
-            one
-            for one in _occurrences(self.given)
-            if _name(one) not in replaced and one not in advised
-        ]
+        if "--share-cameras" in replaced and "--split-cameras" in self.given:
+            advised = [one for one in advised if _name(one) != "--share-cameras"]
+            replaced.add("--split-cameras")  # the input has fewer cameras
+        given = list(_occurrences(self.given))
+        kept = [one for one in given if _name(one) not in replaced and one not in advised]
         words = tuple(word for one in (*kept, *advised) for word in one)
         return NextCommand(self.source, self.target, words)
 
