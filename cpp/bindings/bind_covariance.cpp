@@ -39,7 +39,9 @@ py::dict Covariance(const py::object& problem, const py::dict& options,
                     const py::object& restrictions, const py::object& factors, bool inner,
                     bool sandwich, bool of_points, const std::vector<std::pair<int, int>>& relative,
                     bool long_sums, bool of_images,
-                    const std::optional<CastArray<double>>& functions) {
+                    const std::optional<CastArray<double>>& functions,
+                    const std::vector<int>& function_points,
+                    const std::optional<CastArray<double>>& functions_of_points) {
   GivenProblem given(problem, options, restrictions, factors);
   const bundle::AdjustmentProblem& view = given.view();
   bundle::CovarianceOptions wanted;
@@ -48,6 +50,11 @@ py::dict Covariance(const py::object& problem, const py::dict& options,
   wanted.of_points = of_points;
   wanted.of_images = of_images;
   if (functions) wanted.functions.assign(functions->data(), functions->data() + functions->size());
+  wanted.function_points = function_points;
+  if (functions_of_points) {
+    wanted.functions_of_points.assign(functions_of_points->data(),
+                                      functions_of_points->data() + functions_of_points->size());
+  }
   wanted.long_sums = long_sums;
   wanted.relative = relative;
   bundle::CovarianceOutput output = given.Run(
@@ -272,7 +279,8 @@ void BindCovariance(py::module_& m) {
   m.def("covariance", &Covariance, py::arg("problem"), py::arg("options"), py::arg("restrictions"),
         py::arg("factors"), py::arg("inner"), py::arg("sandwich"), py::arg("of_points"),
         py::arg("relative"), py::arg("long_sums"), py::arg("of_images") = true,
-        py::arg("functions") = py::none());
+        py::arg("functions") = py::none(), py::arg("function_points") = std::vector<int>(),
+        py::arg("functions_of_points") = py::none());
   m.def("reliability", &Reliability, py::arg("problem"), py::arg("options"),
         py::arg("restrictions"), py::arg("factors"), py::arg("least"), py::arg("num_worst"),
         py::arg("long_sums") = true);

@@ -120,7 +120,8 @@ class FactorReader {
           head_, py::cast<std::shared_ptr<bundle::Preintegration>>(arguments_[0]), At(1), At(2));
     }
     if (kind_ == "function") {
-      return std::make_unique<PythonFactor>(head_, retractions_, arguments_[0], start_);
+      return std::make_unique<PythonFactor>(head_, retractions_, arguments_[0],
+                                            py::cast<int>(arguments_[1]), start_);
     }
     throw bundle::InputError(head_.name + ": there is no factor of kind " + kind_);
   }

@@ -46,9 +46,11 @@ void Copy(const std::string& name, const CastArray<double>& from, py::ssize_t ex
 }  // namespace
 
 PythonFactor::PythonFactor(bundle::FactorHead head, std::vector<bundle::Retraction> retractions,
-                           py::object function, const std::vector<const double*>& start)
+                           py::object function, int num_dependent,
+                           const std::vector<const double*>& start)
     : Factor(head, retractions, CountResiduals(head.name, function, retractions, start)),
-      function_(std::move(function)) {}
+      function_(std::move(function)),
+      num_dependent_(num_dependent) {}
 
 PythonFactor::~PythonFactor() {
   const HoldGil held;

@@ -16,14 +16,18 @@
 class PythonFactor final : public bundle::Factor {
  public:
   /// Requires the GIL. Calls the function once, at `start`, to get the number of residuals.
+  /// `num_dependent`: how many of them follow from the others.
   PythonFactor(bundle::FactorHead head, std::vector<bundle::Retraction> retractions,
-               pybind11::object function, const std::vector<const double*>& start);
+               pybind11::object function, int num_dependent,
+               const std::vector<const double*>& start);
   ~PythonFactor() override;
 
   bool Evaluate(const double* const* values, double* residual,
                 double* const* jacobians) const override;
   bool IsThreadSafe() const override { return false; }
+  int num_measurements() const override { return num_residuals() - num_dependent_; }
 
  private:
   pybind11::object function_;
+  const int num_dependent_;
 };

@@ -298,6 +298,8 @@ def covariance(
     long_sums: bool,
     of_images: bool = ...,
     functions: NDArray[np.float64] | None = ...,
+    function_points: list[int] = ...,
+    functions_of_points: NDArray[np.float64] | None = ...,
 ) -> dict[str, Any]: ...
 def reliability(
     problem: _Problem,

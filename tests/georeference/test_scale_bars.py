@@ -357,8 +357,11 @@ def test_refine_reports_bars(run, tmp_path):  # noqa: F811
     again = run("refine", tmp_path / "model", "-o", tmp_path / "out2", *words, "--json", "-")
     bars = json.loads(again.out)["scale_bars"]["bars"]
     assert [abs(bar["w"]) > 3.3 for bar in bars] == [False, True, False, False]
-    refused = run("covariance", tmp_path / "out", "-o", tmp_path / "c.npz", *words)
-    assert refused.code == 2 and refused.err.count("error: ") == 1
+    assert run("covariance", tmp_path / "out2", "-o", tmp_path / "c.npz", *words).code == 0
+    seen = run("diagnose", tmp_path / "out2", "--reliability", *words, "--json", "-")
+    priors = json.loads(seen.out)["reliability"]["priors"]
+    assert [one["num_residuals"] for one in priors] == [1, 1, 1]  # without the check bar
+    assert sum(one["redundancy"] for one in priors) < 2  # one of them sets the scale
 
 
 def test_a_refusal_names_the_bar(orbit):

@@ -38,6 +38,33 @@ void CovarianceComputation::FindPoints() {
   for (const NullPoint& null : system_.null_points()) forget(null.point);
 }
 
+/// Three points that fix the gauge also fix the shape of their triangle (gauge.cpp).
+void CovarianceComputation::WarnOfTriangle() {
+  if (options_.gauge != Gauge::kThreePoints) return;
+  if (SelectFreeParameters(view(), options_).point == layout().free().point) return;
+  Warn(WarningKind::kGaugeNotHeld,
+       "Gauge three_points fixes 2 numbers too many, the shape of a triangle: all "
+       "covariances are too small. Use inner or two_cameras.",
+       &output_.warnings);
+}
+
+void CovarianceComputation::RefuseKeptPoints() const {
+  if (layout().kept_points().empty()) return;
+  throw InputError("robust: expected weights beside a factor that joins points, found sandwich");
+}
+
+CovarianceComputation::Matrix3 CovarianceComputation::OfKeptPoint(int point) const {
+  const int block = layout().kept_block(point);
+  const Matrix covariance = BlockOf(block, block);
+  return 0.5 * (covariance + covariance.transpose());
+}
+
+void CovarianceComputation::FindKeptPoints() {
+  for (const int p : layout().kept_points()) {
+    Eigen::Map<Matrix3>(&output_.points[9 * size_t(p)]) = OfKeptPoint(p);
+  }
+}
+
 /// - N_p N_p^T V^-1 - V^-1 N_p N_p^T (free_gauge.h)
 void CovarianceComputation::TakeGaugeOut(int point, const double* inverse,
                                          Matrix3* covariance) const {

@@ -21,9 +21,9 @@
 ///
 ///   w_ba = w_b - R_ba w_a,      t_ba' = t_b' - R_ba t_a' + [R_ba t_a]x w_ba.
 ///
-/// A linear function of the poses and parameters of all images has the coefficients m = sum M_i^T
-/// f_i by the unknowns. Any number of functions has the joint covariance m^T C m', with one solve
-/// each.
+/// A linear function of the poses and parameters of all images, and of points, has the coefficients
+/// m = sum M_i^T f_i - sum W_p V_p^-1 f_p by the unknowns. Any number of functions has the joint
+/// covariance m^T C m' + sum f_p^T V_p^-1 f_p', with one solve each.
 ///
 /// All covariances assume residuals with a sigma of one pixel, or with their own sigmas. The output
 /// includes sum r^T W r over all measurements, for scaling them.
@@ -50,6 +50,8 @@ struct CovarianceOptions {
   /// Linear functions whose joint covariance is wanted: functions x num_images x (6 + stride), the
   /// derivatives w.r.t. (w, t) about the problem's origin and the image's camera parameters.
   std::vector<double> functions;
+  std::vector<int> function_points;           ///< points on which the functions depend, too
+  std::vector<double> functions_of_points;    ///< functions x function_points x 3
   std::vector<std::pair<int, int>> relative;  ///< image pairs (a, b), for cam_b_from_cam_a
 };
 

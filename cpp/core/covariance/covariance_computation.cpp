@@ -8,6 +8,7 @@
 #include <Eigen/Core>
 #include <algorithm>
 #include <cstddef>
+#include <map>
 #include <memory>
 #include <optional>
 #include <utility>
@@ -226,8 +227,38 @@ void CovarianceComputation::FindFunctions() {
           WholeMap(map).transpose().lazyProduct(local);
     }
   }
-  const Matrix found = MultiplyTransposed(rhs, CovarianceTimes(rhs));
+  const Eigen::MatrixXd own = AddFunctionsOfPoints(&rhs);
+  const Matrix found = MultiplyTransposed(rhs, CovarianceTimes(rhs)) + own;
   output_.functions.assign(found.data(), found.data() + found.size());
+}
+
+/// Adds the coefficients by points; returns f_p^T V_p^-1 f_p', functions x functions.
+Eigen::MatrixXd CovarianceComputation::AddFunctionsOfPoints(Eigen::MatrixXd* rhs) const {
+  const std::vector<int>& points = wanted_.function_points;
+  Eigen::MatrixXd own = Eigen::MatrixXd::Zero(rhs->cols(), rhs->cols());
+  std::map<int, std::vector<std::pair<Eigen::Index, Vector3>>> of_point;  // those that are not zero
+  for (size_t p = 0; p < points.size(); ++p) {
+    const int kept = layout().kept_block(points[p]);
+    for (Eigen::Index k = 0; k < rhs->cols(); ++k) {
+      const double* const from = &wanted_.functions_of_points[3 * (size_t(k) * points.size() + p)];
+      const Eigen::Map<const Vector3> by_point(from);
+      if (by_point.isZero(0)) continue;
+      if (kept >= 0) rhs->col(k).segment<3>(layout().blocks()[kept].offset) += by_point;
+      if (layout().point_is_free(points[p])) of_point[points[p]].emplace_back(k, by_point);
+    }
+  }
+  std::vector<int> eliminated;
+  for (const auto& [point, functions] : of_point) eliminated.push_back(point);
+  system_.ForPoints(1, eliminated,
+                    [&](int p, const PointBlocks& blocks, const PointAssembler&, int) {
+                      const auto& functions = of_point.at(p);
+                      for (const auto& [a, by_a] : functions) {
+                        SubtractEliminated(blocks, by_a, rhs, static_cast<int>(a));
+                        const Vector3 moved = Eigen::Map<const Matrix3>(blocks.inverse) * by_a;
+                        for (const auto& [b, by_b] : functions) own(b, a) += by_b.dot(moved);
+                      }
+                    });
+  return own;
 }
 
 void CovarianceComputation::FindRelative() {

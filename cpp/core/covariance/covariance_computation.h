@@ -51,6 +51,7 @@ class CovarianceComputation {
         is_small_(wanted.long_sums && system_.is_small()) {}
 
   CovarianceOutput Run() {
+    if (wanted_.sandwich) RefuseKeptPoints();
     if (is_small_) system_.EliminateByRows();
     HoldGauge();
     CountResiduals();
@@ -72,6 +73,7 @@ class CovarianceComputation {
     }
     FindImages();
     FindRigs();
+    if (wanted_.of_points) FindKeptPoints();
     for (const NullPoint& null : system_.null_points()) output_.null_points.push_back(null.point);
     output_.warnings = system_.warnings();
     WarnOfTriangle();
@@ -85,15 +87,7 @@ class CovarianceComputation {
   const ParameterLayout& layout() const { return system_.layout(); }
   const AdjustmentProblem& view() const { return centered_.view(); }
 
-  /// Three points that fix the gauge also fix the shape of their triangle (gauge.cpp).
-  void WarnOfTriangle() {
-    if (SelectFreeParameters(view(), options_).point == layout().free().point) return;
-    Warn(WarningKind::kGaugeNotHeld,
-         "Gauge three_points fixes 2 numbers too many, the shape of a triangle: all "
-         "covariances are too small. Use inner or two_cameras.",
-         &output_.warnings);
-  }
-
+  void WarnOfTriangle();
   void CountResiduals();
 
   /// Throws if a factorisation failed. The unknowns of S are in the order of its elimination, so
@@ -315,6 +309,9 @@ class CovarianceComputation {
   void FindScatter();
   // covariance.cpp
   void FindPoints();
+  void RefuseKeptPoints() const;
+  Matrix3 OfKeptPoint(int point) const;
+  void FindKeptPoints();
   void TakeGaugeOut(int point, const double* inverse, Matrix3* covariance) const;
   Matrix3 OfPoint(int point, const PointBlocks& blocks, PaddedRows* y) const;
   Matrix3 ScatterOfPoint(int point, const PointBlocks& blocks, const PointAssembler& rows,
@@ -325,6 +322,7 @@ class CovarianceComputation {
   Eigen::MatrixXd UnknownsOfImage(int image) const;
   Matrix CovarianceTimes(const Eigen::MatrixXd& rhs);
   void FindFunctions();
+  Eigen::MatrixXd AddFunctionsOfPoints(Eigen::MatrixXd* rhs) const;
   Matrix LocalRows(int image, const Matrix& columns) const;
   void FindSteps();
 

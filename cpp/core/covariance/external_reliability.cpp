@@ -105,7 +105,7 @@ void CovarianceComputation::FindEffects(BlockValues inverse, ReliabilityOutput* 
       }
     }
     const int point = view().observation_point[i];
-    if (!layout().point_is_free(point)) continue;
+    if (!layout().point_is_free(point)) continue;  // an unknown among those above, or constant
     Vector3 of_point;
     for (int c = 0; c < 3; ++c) of_point[c] = u[0] * rows.point[c] + u[1] * rows.point[3 + c];
     system_.ForPoints(1, {point}, [&](int, const PointBlocks& blocks, const PointAssembler&, int) {
@@ -254,8 +254,16 @@ void CovarianceComputation::MovePoints(const std::vector<int>& effects, const Ma
   if (!is_in_lanes.empty()) {
     system_.FindMovements(by_unknown.data(), width, is_in_lanes, judge_in_lanes);
   }
+  std::vector<int> eliminated;
+  for (const int p : by_rows) {
+    if (const int kept = layout().kept_block(p); kept >= 0) {
+      judge(p, by_unknown.middleRows<3>(layout().blocks()[kept].offset), OfKeptPoint(p), 0);
+    } else {
+      eliminated.push_back(p);
+    }
+  }
   std::vector<PaddedRows> padded(system_.num_threads());
-  system_.ForPoints(system_.num_threads(), by_rows,
+  system_.ForPoints(system_.num_threads(), eliminated,
                     [&](int p, const PointBlocks& blocks, const PointAssembler&, int thread) {
                       if (blocks.num_null > 0) return;
                       Columns moved = Columns::Zero(3, 4 * width);
@@ -293,7 +301,7 @@ std::vector<int> CovarianceComputation::PointsBeside(const ReliabilityOutput& fo
   }
   std::vector<int> points;
   for (int p = 0; p < view().num_points; ++p) {
-    if (is_wanted[p] != 0 && layout().point_is_free(p)) points.push_back(p);
+    if (is_wanted[p] != 0 && layout().free().point[p] != 0) points.push_back(p);
   }
   return points;
 }

@@ -5,7 +5,6 @@
 #include <cstddef>
 
 #include "core/dense/decompositions.h"
-#include "core/geometry/rotation.h"
 #include "core/model/scene_frame.h"
 
 namespace bundle {
@@ -66,6 +65,12 @@ SimilarityMoves::SimilarityMoves(const AdjustmentProblem& problem, const Paramet
       if (column < kPoseSize) std::copy_n(rows + column * kSimilarities, kSimilarities, to);
     }
   }
+  for (const int point : layout.kept_points()) {
+    const size_t first = layout.blocks()[layout.kept_block(point)].offset;
+    Eigen::Map<Eigen::Matrix<double, 3, kSimilarities, Eigen::RowMajor>> rows(
+        &cameras_[first * kSimilarities]);
+    rows = OfPoint(point);
+  }
 }
 
 Eigen::Matrix<double, kPoseSize, kSimilarities> SimilarityMoves::OfPose(
@@ -77,19 +82,9 @@ Eigen::Matrix<double, kPoseSize, kSimilarities> SimilarityMoves::OfPose(
 }
 
 Eigen::Matrix<double, 3, kSimilarities> SimilarityMoves::OfPoint(int point) const {
-  const double* const x = problem_.points + 3 * int64_t{point};
-  const double arm[3] = {x[0] - center_[0], x[1] - center_[1], x[2] - center_[2]};
-  Eigen::Matrix<double, 3, kSimilarities> rows;
-  for (int k = 0; k < 3; ++k) {
-    double axis[3] = {0, 0, 0}, turned[3];
-    axis[k] = 1;
-    Cross3(axis, arm, turned);
-    for (int i = 0; i < 3; ++i) {
-      rows(i, k) = i == k ? size_ : 0;
-      rows(i, 3 + k) = turned[i];
-    }
-  }
-  for (int i = 0; i < 3; ++i) rows(i, 6) = arm[i];
+  Eigen::Matrix<double, 3, kSimilarities, Eigen::RowMajor> rows;
+  GaugeRowsOfPoint(problem_.points + 3 * int64_t{point}, center_, rows.data());
+  rows.leftCols<3>() *= size_;
   return rows;
 }
 
@@ -100,9 +95,9 @@ GaugeSums::GaugeSums(const AdjustmentProblem& problem, const ParameterLayout& la
   for (Sums& sums : of_thread_) sums.eliminated = total_.eliminated;
 }
 
-SimilarityRow GaugeSums::ByCameras(const ObservationRows& rows, int row) const {
+SimilarityRow GaugeSums::ByBlocks(const ObservationRows& rows, int row, int first, int last) const {
   SimilarityRow sum = SimilarityRow::Zero();
-  for (int b = 0; b < rows.num_blocks; ++b) {
+  for (int b = first; b < last; ++b) {
     const CameraBlock& block = layout_.blocks()[rows.block[b]];
     const double* const j = rows.jacobian[b] + row * rows.size[b];
     for (int k = 0; k < rows.size[b]; ++k) sum += j[k] * moves_.OfUnknown(block.offset + k);
@@ -111,7 +106,10 @@ SimilarityRow GaugeSums::ByCameras(const ObservationRows& rows, int row) const {
 }
 
 void GaugeSums::AddObservation(const ObservationRows& rows, GaugeTriangle* triangle) const {
-  for (int row = 0; row < 2; ++row) triangle->Add(ByCameras(rows, row), SimilarityRow::Zero());
+  const int first = rows.num_image_blocks, last = rows.num_blocks;
+  for (int row = 0; row < 2; ++row) {
+    triangle->Add(ByBlocks(rows, row, 0, first), ByBlocks(rows, row, first, last));
+  }
 }
 
 void GaugeSums::AddPoint(int point, const PointBlocks& blocks, const PointAssembler& rows,
@@ -123,7 +121,8 @@ void GaugeSums::AddPoint(int point, const PointBlocks& blocks, const PointAssemb
     const ObservationRows& of = rows.row(i);
     for (int row = 0; row < 2; ++row) {
       const double* const j = of.point + 3 * row;
-      sums.triangle.Add(ByCameras(of, row), j[0] * n.row(0) + j[1] * n.row(1) + j[2] * n.row(2));
+      sums.triangle.Add(ByBlocks(of, row, 0, of.num_blocks),
+                        j[0] * n.row(0) + j[1] * n.row(1) + j[2] * n.row(2));
     }
   }
   if (blocks.num_null > 0) return;  // not included in the constraints

@@ -96,7 +96,7 @@ class GaugeSums {
   void Finish();
 
   const SimilarityMoves& moves() const { return moves_; }
-  /// The rows of J N of an observation whose point is constant.
+  /// The rows of J N of an observation whose point is not eliminated.
   void AddObservation(const ObservationRows& rows, GaugeTriangle* triangle) const;
 
   const GaugeTriangle& triangle() const { return total_.triangle; }
@@ -112,7 +112,7 @@ class GaugeSums {
     SimilaritySquare weighted = SimilaritySquare::Zero(), squares = SimilaritySquare::Zero();
   };
 
-  SimilarityRow ByCameras(const ObservationRows& rows, int row) const;
+  SimilarityRow ByBlocks(const ObservationRows& rows, int row, int first, int last) const;
 
   const ParameterLayout& layout_;
   const SimilarityMoves moves_;

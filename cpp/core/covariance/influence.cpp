@@ -66,7 +66,8 @@ double WithoutPoint(const Eigen::MatrixXd& leverages, const Eigen::VectorXd& alo
 
 }  // namespace
 
-/// g_c, by the maps of the images; a camera's part by its first observed image.
+/// g_c, by the maps of the images and the points that are not eliminated; a camera's part by its
+/// first observed image.
 Eigen::MatrixXd CovarianceComputation::GradientOfCameras(const InfluenceOptions& wanted) const {
   Eigen::MatrixXd gradient = Eigen::MatrixXd::Zero(system_.num_unknowns(), 1);
   const int stride = view().camera_params_stride;
@@ -86,6 +87,10 @@ Eigen::MatrixXd CovarianceComputation::GradientOfCameras(const InfluenceOptions&
       gradient.col(0).segment(layout().blocks()[map.block].offset, map.size) +=
           WholeMap(map).transpose().lazyProduct(local);
     }
+  }
+  for (const int p : layout().kept_points()) {
+    gradient.col(0).segment<3>(layout().blocks()[layout().kept_block(p)].offset) =
+        Eigen::Map<const Vector3>(&wanted.points[3 * size_t(p)]);
   }
   return gradient;
 }

@@ -231,6 +231,13 @@ bool ObservationEvaluator::Evaluate(int64_t observation, ObservationRows* rows,
     rows->size[b] = map.size;
     Chain(local, map, weight, rows->jacobian[b]);
   }
+  rows->num_image_blocks = rows->num_blocks;
+  if (const int kept = layout_.kept_block(problem_.observation_point[observation]); kept >= 0) {
+    const int b = rows->num_blocks++;
+    rows->block[b] = kept;
+    rows->size[b] = 3;
+    std::copy_n(rows->point, 6, rows->jacobian[b]);
+  }
   return true;
 }
 

@@ -41,14 +41,15 @@ std::vector<LocalMap> FindLocalMaps(const AdjustmentProblem& problem, const Para
 
 /// Whitened by the sigma and weighted by the loss, row-major.
 struct ObservationRows {
-  static constexpr int kMaxBlocks = ParameterLayout::kNumPlaces;
+  static constexpr int kMaxBlocks = ParameterLayout::kNumPlaces + 1;
   int64_t observation;
   double residual[2];
   double score[2];  ///< J~^T score enters the sandwich; the residual until SetScores
   double point[2 * 3];
   double bend;    ///< beta
   double weight;  ///< kappa rho', with the kappa of SetScores
-  int num_blocks = 0;
+  int num_image_blocks = 0;
+  int num_blocks = 0;  ///< those of the image, then that of a point that is not eliminated
   int block[kMaxBlocks];
   int size[kMaxBlocks];
   double jacobian[kMaxBlocks][2 * BlockSystem::kMaxBlockSize];  ///< 2 x size each

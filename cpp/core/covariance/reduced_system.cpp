@@ -25,11 +25,20 @@ namespace {
 /// With fewer unknowns, building the structure of S takes longer than a dense factorisation.
 constexpr int kUnknownsWorthALook = 300;
 
-void RefuseUnsupported(const PreparedSolve& prepared) {
-  if (!prepared.factor_for_ceres.empty()) {
-    throw InputError("factors: expected factors of images and cameras, or of one point, found " +
-                     prepared.factor_for_ceres);
+/// A layout in which points that factors join with other unknowns are not eliminated.
+ParameterLayout KeepJoinedPoints(const AdjustmentProblem& problem, ParameterLayout layout) {
+  FreeParameters free = layout.free();
+  bool has_joined = false;
+  for (const FactorUnknowns& unknowns : FindFactorUnknowns(problem, layout)) {
+    if (LeavesPointsApart(unknowns)) continue;
+    for (const int point : unknowns.points) free.point[point] = FreeParameters::kKeptPoint;
+    has_joined = has_joined || !unknowns.points.empty();
   }
+  if (!has_joined) return layout;
+  return {problem, std::move(free)};
+}
+
+void RefuseUnsupported(const PreparedSolve& prepared) {
   for (size_t p = 0; p < prepared.track_lengths.size(); ++p) {
     if (prepared.track_lengths[p] <= kMaxTrackLength) continue;
     throw InputError("observation_point: expected at most " + std::to_string(kMaxTrackLength) +
@@ -50,7 +59,7 @@ ReducedSystem::ReducedSystem(const AdjustmentProblem& problem, const SolveOption
       // One sum per thread; rounding depends on the points of each thread.
       num_threads_(options.deterministic ? 1 : EffectiveNumThreads(options.num_threads)),
       warnings_(std::move(prepared.warnings)),
-      layout_(std::move(prepared.layout)),
+      layout_(KeepJoinedPoints(problem, std::move(prepared.layout))),
       view_(problem) {
   RefuseUnsupported(prepared);
   Order();
@@ -132,6 +141,7 @@ void ReducedSystem::FinishLinearization() {
   held_ = schur_->active_columns();
   if (std::none_of(held_.begin(), held_.end(), [](uint8_t bit) { return bit != 0; })) held_.clear();
   if (!held_.empty()) evaluator_->Hold(held_);
+  AddKeptPoints();
   ReadDiagonal();
 }
 

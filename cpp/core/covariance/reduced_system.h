@@ -11,6 +11,9 @@
 /// solvers (linear/). Null directions of points are left out (point_blocks.h): in the passes, a
 /// factor on the point alone holds them constant.
 ///
+/// A point that a factor joins with another free variable is not eliminated: it is one of the
+/// unknowns x_c, and its observations add to U alone.
+///
 /// A camera parameter on an active bound, beyond which the cost decreases, is held constant: its
 /// row and column of S are replaced by those of the identity.
 
@@ -61,8 +64,7 @@ class ReducedSystem {
   /// camera models, and must outlive this object. `sums_gauge`: the pass over the points also
   /// computes the sums that a FreeGauge needs.
   ///
-  /// Throws InputError if an id to be fixed does not exist, if a factor couples a point with
-  /// another free variable or is a Python function, or if the memory does not suffice.
+  /// Throws InputError if an id to be fixed does not exist, or if the memory does not suffice.
   ReducedSystem(const AdjustmentProblem& problem, const SolveOptions& options,
                 bool sums_gauge = false);
   ~ReducedSystem();
@@ -179,7 +181,8 @@ class ReducedSystem {
   };
   /// Calls visit(rows) for every factor of the problem that has a value, in order.
   void ForFactors(const std::function<void(const FactorRows&)>& visit) const;
-  /// Calls visit(rows) for the observations of constant points, except those that do not count.
+  /// Calls visit(rows) for the observations of points that are constant or not eliminated, except
+  /// those that do not count.
   void ForObservationsOfFixedPoints(const std::function<void(const ObservationRows&)>& visit) const;
 
   /// Block (row, column) of a matrix with the structure of S, rows of block `row` x columns of
@@ -200,6 +203,7 @@ class ReducedSystem {
                     PointSums* sums) const;
   void HoldNullDirections();
   void LinearizeSchur(const SolveOptions& options);
+  void AddKeptPoints();
   void FinishLinearization();
   void ReadDiagonal();
 

@@ -1,5 +1,5 @@
-/// Part of ReducedSystem (reduced_system.h): rows of the Jacobian other than observations of free
-/// points, and the decision whether points are eliminated from rows.
+/// Part of ReducedSystem (reduced_system.h): rows of the Jacobian other than observations of
+/// eliminated points, and the decision whether points are eliminated from rows.
 
 #include <cstddef>
 #include <cstdint>
@@ -78,6 +78,36 @@ void ReducedSystem::ForFactors(const std::function<void(const FactorRows&)>& vis
     ApplyLoss(*factor, columns, rows.residual.data(), columns == 0 ? &none : rows.jacobian.data());
     visit(rows);
   }
+}
+
+/// Adds the blocks of S of points that are not eliminated. The passes have added those of the
+/// images that see them.
+void ReducedSystem::AddKeptPoints() {
+  if (layout_.kept_points().empty()) return;
+  BlockSystem& system = schur_->system();
+  ForObservationsOfFixedPoints([&](const ObservationRows& rows) {
+    if (rows.num_image_blocks == rows.num_blocks) return;
+    const int kept = rows.num_image_blocks, block = rows.block[kept];
+    for (int b = 0; b < rows.num_blocks; ++b) {
+      const bool is_below = rows.block[b] > block;
+      const int i = is_below ? b : kept, j = is_below ? kept : b;  // row and column
+      const int64_t entry = structure_.Entry(rows.block[j], rows.block[i]);
+      for (int c = 0; c < rows.size[j]; ++c) {
+        for (int r = b == kept ? c : 0; r < rows.size[i]; ++r) {
+          double& to = system.values[structure_.ValueIndex(rows.block[j], entry, r, c)];
+          for (int k = 0; k < 2; ++k) {
+            to += rows.jacobian[i][k * rows.size[i] + r] * rows.jacobian[j][k * rows.size[j] + c];
+          }
+        }
+      }
+    }
+    for (int r = 0; r < 3; ++r) {
+      for (int k = 0; k < 2; ++k) {
+        system.rhs[structure_.offset[block] + r] -=
+            rows.jacobian[kept][3 * k + r] * rows.residual[k];
+      }
+    }
+  });
 }
 
 }  // namespace bundle

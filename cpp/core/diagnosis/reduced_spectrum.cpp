@@ -76,9 +76,13 @@ std::vector<int> FindPieces(const AdjustmentProblem& problem, const std::vector<
     const int frame = problem.FrameOf(i);
     if (frame >= 0 && image_piece[i] >= 0) frame_piece[frame] = image_piece[i];
   }
+  std::vector<int> point_piece(problem.num_points, -1);
+  for (int64_t i = 0; i < problem.num_observations; ++i) {
+    point_piece[problem.observation_point[i]] = image_piece[problem.observation_image[i]];
+  }
   std::vector<int> pieces;
   for (const UnknownName& name : names) {
-    int piece = -1;
+    int piece = name.kind == UnknownName::kPoint ? point_piece[name.index] : -1;
     const bool is_of_image = name.kind == UnknownName::kImage || name.kind == UnknownName::kTwist;
     if (is_of_image) piece = image_piece[name.index];
     if (name.kind == UnknownName::kFrame) piece = frame_piece[name.index];
@@ -137,6 +141,7 @@ class SpectrumSearch {
         unit = std::max(1.0, std::abs(problem_.ParamsOf(name.index)[name.coordinate]));
       }
       if (name.kind == UnknownName::kReadout) unit = 1;
+      if (name.kind == UnknownName::kPoint) unit = distance;
       units.push_back(unit);
     }
     return units;

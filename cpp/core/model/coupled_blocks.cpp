@@ -106,6 +106,10 @@ std::vector<std::vector<int>> FindDirectlyCoupledBlocks(const AdjustmentProblem&
       for (size_t a = 0; a < b; ++a) couple(of[a], of[b]);
     }
   }
+  for (int64_t i = 0; i < problem.num_observations && !layout.kept_points().empty(); ++i) {
+    const int kept = layout.kept_block(problem.observation_point[i]);
+    for (const int block : layout.blocks_of(problem.observation_image[i])) couple(block, kept);
+  }
   for (const FactorUnknowns& unknowns : FindFactorUnknowns(problem, layout)) {
     const std::vector<int>& blocks = unknowns.blocks;
     for (size_t b = 1; b < blocks.size(); ++b) {

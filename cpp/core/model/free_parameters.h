@@ -14,10 +14,12 @@ namespace bundle {
 /// Bit j of a pose: entry j of (w, t) (factors/reprojection.h). Bit j of a camera: parameter j.
 struct FreeParameters {
   static constexpr uint8_t kWholePose = 0b111111;
+  /// Free, but not eliminated: it has a block of the layout (ReducedSystem).
+  static constexpr uint8_t kKeptPoint = 2;
 
   std::vector<uint8_t> pose;  ///< num_images; 0 for images of rigs, whose poses are not their own
   std::vector<uint32_t> camera;  ///< num_cameras
-  std::vector<uint8_t> point;    ///< num_points: 0 or 1
+  std::vector<uint8_t> point;    ///< num_points: 0, 1, or kKeptPoint
   std::vector<uint8_t> frame;    ///< num_frames: of rig_from_world
   std::vector<uint8_t> sensor;   ///< num_sensors: of sensor_from_rig
   std::vector<uint8_t> twist;    ///< num_images: 1 if it moves with the pose of its image

@@ -184,6 +184,21 @@ void GaugeRowsOfPose(const PoseState& pose, const double centre[3],
   out.block<3, 1>(3, 6) = translation + rotation * c;
 }
 
+void GaugeRowsOfPoint(const double point[3], const double centre[3],
+                      double rows[3 * kNumGaugeDirections]) {
+  const double arm[3] = {point[0] - centre[0], point[1] - centre[1], point[2] - centre[2]};
+  for (int k = 0; k < 3; ++k) {
+    double axis[3] = {0, 0, 0}, turned[3];
+    axis[k] = 1;
+    Cross3(axis, arm, turned);
+    for (int i = 0; i < 3; ++i) {
+      rows[kNumGaugeDirections * i + k] = axis[i];
+      rows[kNumGaugeDirections * i + 3 + k] = turned[i];
+    }
+    rows[kNumGaugeDirections * k + 6] = arm[k];
+  }
+}
+
 std::array<double, 3> MeanCentre(const CameraStates& cameras, int num_images) {
   Eigen::Vector3d sum = Eigen::Vector3d::Zero();
   for (int i = 0; i < num_images; ++i) {
@@ -214,6 +229,11 @@ std::vector<double> GaugeDirections(const AdjustmentProblem& problem, const Para
       if (column >= kFirstTwist + 3) to[6] = cameras.twist(i)[column - kFirstTwist];
       for (int m = 0; m < kCount && column < kPoseSize; ++m) to[m] = rows[column * kCount + m];
     }
+  }
+  for (const int p : layout.kept_points()) {
+    const size_t first = layout.blocks()[layout.kept_block(p)].offset;
+    GaugeRowsOfPoint(problem.points + 3 * int64_t{p}, centre.data(),
+                     &gauge_directions[first * kCount]);
   }
   return gauge_directions;
 }

@@ -28,6 +28,10 @@ inline constexpr int kNumGaugeDirections = 7;
 void GaugeRowsOfPose(const PoseState& pose, const double centre[3],
                      double rows[kPoseSize * kNumGaugeDirections]);
 
+/// Likewise of the coordinates of a point: 3 x directions, row-major.
+void GaugeRowsOfPoint(const double point[3], const double centre[3],
+                      double rows[3 * kNumGaugeDirections]);
+
 /// Mean of the camera centres of all images.
 std::array<double, 3> MeanCentre(const CameraStates& cameras, int num_images);
 

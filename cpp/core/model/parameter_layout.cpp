@@ -61,6 +61,11 @@ ParameterLayout::ParameterLayout(const AdjustmentProblem& problem, FreeParameter
     // Its column is a placeholder outside the columns of a pose.
     if (free_.readout[c] != 0) readout_block_[c] = AddBlock(0, 1);
   }
+  for (int p = 0; p < problem.num_points; ++p) {
+    if (free_.point[p] == FreeParameters::kKeptPoint) kept_points_.push_back(p);
+  }
+  if (!kept_points_.empty()) kept_block_.assign(problem.num_points, -1);
+  for (const int p : kept_points_) kept_block_[p] = AddBlock(0b111, 0);  // columns: coordinates
   FindImageBlocks(problem);
   num_free_points_ = static_cast<int>(std::count(free_.point.begin(), free_.point.end(), 1));
 }
@@ -119,6 +124,7 @@ void ParameterLayout::Reorder(const std::vector<int>& order) {
   }
   for (ImageBlocks& of : image_blocks_) std::for_each(of.begin(), of.end(), renumber);
   std::for_each(tied_block_.begin(), tied_block_.end(), renumber);
+  std::for_each(kept_block_.begin(), kept_block_.end(), renumber);
   for (std::vector<TiedParameter>& ties : tied_) {
     for (TiedParameter& tie : ties) renumber(tie.block);
   }
@@ -126,7 +132,7 @@ void ParameterLayout::Reorder(const std::vector<int>& order) {
 
 bool ParameterLayout::IsRefined(const AdjustmentProblem& problem, int64_t observation) const {
   const ImageBlocks& blocks = image_blocks_[problem.observation_image[observation]];
-  return point_is_free(problem.observation_point[observation]) ||
+  return free_.point[problem.observation_point[observation]] != 0 ||
          std::any_of(blocks.begin(), blocks.end(), [](int block) { return block >= 0; });
 }
 
@@ -147,10 +153,10 @@ std::set<int> ParameterLayout::BlocksBesideFirst() const {
   return beside;
 }
 
-template <typename Pose, typename Readout>
+template <typename Pose, typename Readout, typename Point>
 std::vector<double> ParameterLayout::Gather(const AdjustmentProblem& problem, const Pose& of_pose,
-                                            const double* camera_params,
-                                            const Readout& of_readout) const {
+                                            const double* camera_params, const Readout& of_readout,
+                                            const Point& of_point) const {
   std::vector<double> state(state_size_);
   const auto fill = [&](int index, int pose, int camera) {
     if (index < 0) return;
@@ -176,6 +182,9 @@ std::vector<double> ParameterLayout::Gather(const AdjustmentProblem& problem, co
     }
     if (readout_block_[c] >= 0) state[blocks_[readout_block_[c]].offset] = of_readout(c);
   }
+  for (const int p : kept_points_) {
+    for (int k = 0; k < 3; ++k) state[blocks_[kept_block_[p]].offset + k] = of_point(p, k);
+  }
   return state;
 }
 
@@ -184,8 +193,9 @@ std::vector<double> ParameterLayout::InitialState(const AdjustmentProblem& probl
     if (column >= kFirstTwist) return problem.TwistOf(pose)[column - kFirstTwist];
     return column < 3 ? 0.0 : ValueOfPose(problem, pose)[4 + column - 3];
   };
-  return Gather(problem, of_pose, problem.camera_params,
-                [&](int camera) { return problem.readouts[camera]; });
+  return Gather(
+      problem, of_pose, problem.camera_params, [&](int camera) { return problem.readouts[camera]; },
+      [&](int point, int k) { return problem.points[3 * int64_t{point} + k]; });
 }
 
 StateBounds ParameterLayout::Bounds(const AdjustmentProblem& problem) const {
@@ -193,8 +203,8 @@ StateBounds ParameterLayout::Bounds(const AdjustmentProblem& problem) const {
   StateBounds bounds;
   const auto below = [](auto...) { return -std::numeric_limits<double>::infinity(); };
   const auto above = [](auto...) { return std::numeric_limits<double>::infinity(); };
-  bounds.lower = Gather(problem, below, problem.restrictions.camera_lower, below);
-  bounds.upper = Gather(problem, above, problem.restrictions.camera_upper, above);
+  bounds.lower = Gather(problem, below, problem.restrictions.camera_lower, below, below);
+  bounds.upper = Gather(problem, above, problem.restrictions.camera_upper, above, above);
   const auto is_none = [](double bound) { return std::isinf(bound); };
   const bool has_none = std::all_of(bounds.lower.begin(), bounds.lower.end(), is_none) &&
                         std::all_of(bounds.upper.begin(), bounds.upper.end(), is_none);

@@ -6,8 +6,9 @@
 /// its camera's intrinsics if no other image uses that camera), or of one frame or one sensor of
 /// rigs. An image with a rolling shutter has its twist there, too. Other blocks have the free
 /// numbers of one camera: a camera that several images or an image of a rig use, or that has
-/// factors and no observations; or the readout of a camera. Points are a separate array. A block
-/// has only refined numbers, so that no solver gets constant numbers, subset manifolds or zero
+/// factors and no observations; or the readout of a camera. Points are a separate array, but for
+/// those that are not eliminated (kKeptPoint), which have blocks, too. A block has only refined
+/// numbers, so that no solver gets constant numbers, subset manifolds or zero
 /// columns. Blocks have equal sizes if the problem allows it, which fixed-size Schur kernels such
 /// as Ceres' (2,3,6) and (2,3,9) require.
 ///
@@ -122,7 +123,8 @@ class ParameterLayout {
   std::vector<int> BlockSizes() const;
   int state_size() const { return state_size_; }
   int num_free_points() const { return num_free_points_; }
-  bool point_is_free(int point) const { return free_.point[point] != 0; }
+  /// False for constant points and for those with a block.
+  bool point_is_free(int point) const { return free_.point[point] == 1; }
 
   /// Blocks on which an image's observations depend; -1: no block. They are: the block of its pose
   /// (its own, including intrinsics if merged, or its frame's), of its sensor, of its camera if not
@@ -150,6 +152,10 @@ class ParameterLayout {
   int camera_block(int camera) const { return camera_block_[camera]; }
   /// Index of the block with a camera's intrinsics, its own or an image's; -1 if all are constant.
   int params_block(int camera) const { return params_block_[camera]; }
+  /// Index of the block with a point that is not eliminated; -1 for all others.
+  int kept_block(int point) const { return kept_block_.empty() ? -1 : kept_block_[point]; }
+  /// Points with a block, ascending.
+  const std::vector<int>& kept_points() const { return kept_points_; }
   /// Index of the block with a camera's readout only; -1 if it is constant.
   int readout_block(int camera) const { return readout_block_[camera]; }
   /// The parameters of a camera that are multiples of unknowns, except the unknowns themselves.
@@ -194,10 +200,11 @@ class ParameterLayout {
   void AddTiedBlocks();
   void FindImageBlocks(const AdjustmentProblem& problem);
   /// A state: of_pose(pose, column), also for columns of twists, camera parameters (as in
-  /// ProblemView), of_readout(camera).
-  template <typename Pose, typename Readout>
+  /// ProblemView), of_readout(camera), of_point(point, coordinate).
+  template <typename Pose, typename Readout, typename Point>
   std::vector<double> Gather(const AdjustmentProblem& problem, const Pose& pose,
-                             const double* camera_params, const Readout& of_readout) const;
+                             const double* camera_params, const Readout& of_readout,
+                             const Point& of_point) const;
 
   FreeParameters free_;
   std::vector<CameraBlock> blocks_;
@@ -205,6 +212,8 @@ class ParameterLayout {
   std::vector<int> camera_block_;
   std::vector<int> params_block_;
   std::vector<int> readout_block_;
+  std::vector<int> kept_points_;
+  std::vector<int> kept_block_;  ///< per point; empty: all points are eliminated
   std::vector<ImageBlocks> image_blocks_;
   std::vector<std::vector<TiedParameter>> tied_;  ///< per camera; empty: no camera has ties
   std::vector<int> tied_block_;                   ///< per camera; -1: no block

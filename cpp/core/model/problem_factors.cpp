@@ -43,7 +43,7 @@ struct VariableBlock {
   int rig_column;
 };
 
-/// The blocks that have unknowns of a variable; empty for points.
+/// The blocks that have unknowns of a variable; empty for eliminated points.
 std::vector<VariableBlock> BlocksOf(const ProblemVariable& variable,
                                     const AdjustmentProblem& problem,
                                     const ParameterLayout& layout) {
@@ -51,7 +51,10 @@ std::vector<VariableBlock> BlocksOf(const ProblemVariable& variable,
   const auto add = [&](int block, bool is_of_rig, int rig_column) {
     if (block >= 0) blocks.push_back({block, is_of_rig, rig_column});
   };
-  if (variable.kind == Kind::kPoint) return blocks;
+  if (variable.kind == Kind::kPoint) {
+    add(layout.kept_block(variable.index), false, 0);
+    return blocks;
+  }
   if (variable.kind == Kind::kTwist) {
     add(layout.pose_block(variable.index), false, 0);
     return blocks;
@@ -106,9 +109,8 @@ FactorUnknowns UnknownsOf(const Factor& factor, const AdjustmentProblem& problem
   FactorUnknowns unknowns;
   for (size_t v = 0; v < factor.blocks().size(); ++v) {
     const ProblemVariable& variable = VariableOf(factor, problem, v);
-    if (variable.kind == Kind::kPoint) {
-      if (layout.point_is_free(variable.index)) unknowns.points.push_back(variable.index);
-      continue;
+    if (variable.kind == Kind::kPoint && layout.point_is_free(variable.index)) {
+      unknowns.points.push_back(variable.index);
     }
     for (const VariableBlock& of : BlocksOf(variable, problem, layout)) {
       bool is_free = false;

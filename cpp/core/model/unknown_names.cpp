@@ -17,6 +17,7 @@ std::vector<UnknownName> NameUnknowns(const AdjustmentProblem& problem,
   for (int c = 0; c < problem.num_cameras; ++c)
     own(layout.readout_block(c), UnknownName::kReadout, c);
   for (int i = 0; i < problem.num_images; ++i) own(layout.pose_block(i), UnknownName::kImage, i);
+  for (const int p : layout.kept_points()) own(layout.kept_block(p), UnknownName::kPoint, p);
   for (int f = 0; f < problem.num_frames; ++f) {
     own(layout.pose_block(PoseOfFrame(problem, f)), UnknownName::kFrame, f);
   }
@@ -61,6 +62,10 @@ std::string Words(const AdjustmentProblem& problem, const UnknownName& name) {
   }
   if (name.kind == UnknownName::kReadout) {
     return "readout of camera " + std::to_string(problem.camera_ids[name.index]);
+  }
+  if (name.kind == UnknownName::kPoint) {
+    return std::string(1, "xyz"[name.coordinate]) + " of point " +
+           std::to_string(problem.point_ids[name.index]);
   }
   if (name.kind == UnknownName::kTwist) {
     return std::string("twist ") + (name.coordinate < 3 ? "w" : "v") + "xyz"[name.coordinate % 3] +

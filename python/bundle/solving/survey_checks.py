@@ -87,25 +87,27 @@ def _check_bars(prepared: Prepared) -> tuple[BarCheck, ...]:
     group, problem = bars_among(prepared.placed.groups), prepared.start
     if group is None:
         return ()
-    count, layout = len(group.priors), prepared.layout
-    given = layout.options.replace(gauge="none").asdict(), layout.limits, layout.core_factors()
+    count = len(group.priors)
     by_bar = [group.gradient(problem, row) for row in range(count)]
     cameras, s, share = np.zeros_like(problem.camera_params), np.zeros((count, count)), 0.0
 
     def variance(*rows: int) -> tuple[float, float]:
         images, points = (np.sum([by_bar[row][k] for row in rows], axis=0) for k in range(2))
-        out = _core.influence(problem, *given, "", images, cameras, points)
+        out = _core.influence(problem, options, limits, factors, "", images, cameras, points)
         return out["variance"], out["gauge_share"]
 
     if count > MOST_TESTED or problem.num_images > MOST_IMAGES:
         return group.checks(problem, None, True)
     try:
+        layout = prepared.layout
+        options = layout.options.replace(gauge="none").asdict()
+        limits, factors = layout.limits, layout.core_factors()
         for i in range(count):
             s[i, i], share = variance(i)
         for i in range(count):
             for j in range(i):
                 s[i, j] = s[j, i] = (variance(i, j)[0] - s[i, i] - s[j, j]) / 2
-    except InputError:  # something is undetermined
+    except InputError:  # something is undetermined without the bars
         return group.checks(problem, None, True)
     return group.checks(problem, s, share > GAUGE)
 

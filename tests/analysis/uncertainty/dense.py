@@ -42,6 +42,7 @@ class Dense:
             for i, row in enumerate(rows):
                 if (kind, i) in poses:
                     self.starts[kind, i] = Rotation.from_quat(row[:4]).as_matrix(), row[4:]
+        self.prior_sizes = []  # rows of each prior
         self.residual = self.residuals(np.zeros(len(self.names)))
         self.jacobian = self.derivatives()
         s = (self.residual.reshape(-1, 2) ** 2).sum(axis=1)
@@ -121,6 +122,7 @@ class Dense:
         jacobian = np.zeros((len(residual), len(self.names)))
         for name, values in rows.items():
             jacobian[:, self.column[name]] = values
+        self.prior_sizes.append(len(residual))
         self.residual = np.concatenate([self.residual, residual])
         self.jacobian = np.vstack([self.jacobian, jacobian])
 

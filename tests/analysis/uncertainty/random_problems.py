@@ -22,6 +22,7 @@ class Case:
     dense: Dense
     basis: np.ndarray  # columns of the dense form x unknowns
     num_prior_rows: int
+    joins_points: bool = False  # a factor joins a free point with another free variable
 
 
 def random_case(seed):
@@ -96,11 +97,22 @@ def random_case(seed):
     if not is_rig and rng.random() < 0.3:
         for image in rng.choice(problem.num_images, int(rng.integers(1, 4)), replace=False):
             _known_position(problem, dense, factors, int(image), rng)
+    own = np.random.default_rng([seed, 1])  # all else is as without
+    if own.random() < 0.5:
+        known_distances(problem, dense, factors, own, has_image=not is_rig and own.random() < 0.5)
 
     basis = np.eye(len(dense.names))[:, [free[name] for name in dense.names]]
     if shares_focal:
         basis = _share_focal(problem, dense, free, settings)
-    return Case(problem, settings, factors, dense, basis, len(dense.residual) - before)
+    rows = dense.jacobian[before:] != 0
+    of_points = np.array([name[0] == "point" for name in dense.names])
+    used = basis.any(axis=1)
+    joins = (rows[:, used & of_points].sum(axis=1) > 3) | (
+        rows[:, used & of_points].any(axis=1) & rows[:, used & ~of_points].any(axis=1)
+    )
+    return Case(
+        problem, settings, factors, dense, basis, len(dense.residual) - before, bool(joins.any())
+    )
 
 
 def _parameter_kinds(model):
@@ -141,17 +153,61 @@ def _known_point(problem, dense, factors, rng):
 
 def _known_position(problem, dense, factors, image, rng):
     sigma = float(rng.uniform(0.01, 0.3))
-    rotation = Rotation.from_quat(problem.cam_from_world[image, :4]).as_matrix()
-    translation = problem.cam_from_world[image, 4:]
-    centre = -rotation.T @ translation
+    centre, by_pose = _centre(problem, image)
     value = centre + rng.normal(0, sigma, 3)
     key = ("image", int(problem.image_ids[image]))
     factors.append(bundle.PositionFactor(key, value, np.eye(3) / sigma**2))
-    # c = -R^T t and R goes to Exp(w) R: dc = -R^T (t x w) - R^T dt.
-    by_turn = np.stack([-rotation.T @ np.cross(translation, e) for e in np.eye(3)], axis=1)
-    rows = {("image", image, k): by_turn[:, k] / sigma for k in range(3)}
-    rows |= {("image", image, 3 + k): -rotation.T[:, k] / sigma for k in range(3)}
+    rows = {("image", image, k): by_pose[:, k] / sigma for k in range(6)}
     dense.add((centre - value) / sigma, rows)
+
+
+def _centre(problem, image):
+    """Centre and its derivatives by (w, t): dc = -R^T (t x w) - R^T dt."""
+    rotation = Rotation.from_quat(problem.cam_from_world[image, :4]).as_matrix()
+    translation = problem.cam_from_world[image, 4:]
+    by_turn = np.stack([-rotation.T @ np.cross(translation, e) for e in np.eye(3)], axis=1)
+    return -rotation.T @ translation, np.hstack([by_turn, -rotation.T])
+
+
+def known_distances(problem, dense, factors, rng, *, has_image):
+    """Distances along a chain of points, and from a camera to the first of them: one factor."""
+    points = rng.choice(problem.num_points, int(rng.integers(2 - has_image, 5)), replace=False)
+    image, sigma = int(rng.integers(problem.num_images)), float(rng.uniform(0.01, 0.3))
+    keys = [("image", int(problem.image_ids[image]))] * has_image
+    keys += [("point", int(problem.point_ids[p])) for p in points]
+    places, by_pose = list(problem.points[points]), np.zeros((3, 6))
+    if has_image:
+        centre, by_pose = _centre(problem, image)
+        places.insert(0, centre)
+    lengths = np.linalg.norm(np.diff(places, axis=0), axis=1)
+    lengths += rng.normal(0, sigma, len(lengths))
+
+    def along(x):  # distances and their derivatives by each place (m, 3)
+        lines = np.diff(x, axis=0)
+        norms = np.linalg.norm(lines, axis=1)
+        by = np.zeros((len(x), len(lines), 3))
+        for k, line in enumerate(lines):
+            by[k, k], by[k + 1, k] = -line / norms[k], line / norms[k]
+        return (norms - lengths) / sigma, by / sigma
+
+    def function(values):
+        if not has_image:
+            return along(np.array(values))
+        pose, *rest = values
+        turn = Rotation.from_quat(pose[:4]).as_matrix()
+        c = -turn.T @ pose[4:]
+        residual, by = along(np.array([c, *rest]))
+        by_own = np.hstack([np.cross(c, np.eye(3)).T, -np.eye(3)])  # c + c x phi - rho
+        return residual, [by[0] @ by_own, *by[1:]]
+
+    factors.append(bundle.FunctionFactor(keys, function))
+    residual, by = along(np.array(places))
+    rows = {}
+    if has_image:
+        rows = {("image", image, k): by[0] @ by_pose[:, k] for k in range(6)}
+    for p, of in zip(points, by[int(has_image) :], strict=True):
+        rows |= {("point", int(p), k): of[:, k] for k in range(3)}
+    dense.add(residual, rows)
 
 
 def _share_focal(problem, dense, free, settings):

@@ -20,6 +20,8 @@ from tests.scenes import make_problem
 
 FREE = [0, 3]  # focal length and k
 FRAME_RATE = 25.0
+IDLE = {"direction": 1, "plane of 5 points": 3, "level plane of 4 points": 1}
+"""Residuals that follow from the others of their prior."""
 
 
 class Case:
@@ -123,21 +125,50 @@ class Case:
                 f"g{k}",
                 lambda s, row=row, place=place: (s["points"][row] - place) / [0.02, 0.02, 0.04],
             )  # fmt: skip
+
+        def bar(ends, of, place):  # between control points, or between images
+            length = np.linalg.norm(np.subtract(*place)) + 0.01
+
+            def residual(s):
+                return np.array([(np.linalg.norm(np.subtract(*of(s))) - length) / 0.005])
+
+            name = f"scale bar {ends[0]} - {ends[1]}"
+            add(bundle.ScaleBar(*ends, length, 0.005, **robust), name, residual)
+
+        row = problem.num_points
+        bar(("g0", "g1"), lambda s: s["points"][row : row + 2], problem.points[:2])
+        i, j = 2, 4
+        bar(
+            (problem.image_names[i], problem.image_names[j]),
+            lambda s: [-s["poses"][k, :3, :3].T @ s["poses"][k, :3, 3] for k in (i, j)],
+            centers[[i, j]],
+        )
+        rules = ("points 7-11: on plane sigma 0.3", "points 11-14: on level plane sigma 0.4")
+        for name, rows, sigma in (("plane", np.s_[6:11], 0.3), ("level plane", np.s_[10:14], 0.4)):
+
+            def flat(s, rows=rows, sigma=sigma, is_level=name != "plane"):
+                x = s["points"][rows] - s["points"][rows].mean(axis=0)
+                normal = np.array([0, 0, 1]) if is_level else np.linalg.svd(x)[2][2]
+                return x @ normal * np.copysign(1, normal[2]) / sigma
+
+            kind = f"{name} of {rows.stop - rows.start} points"
+            self.sets.append((kind, flat, "trivial", 1.0))
         self.priors = priors
         focal = problem.camera_params[1] + [5.0, 0, 0, 0]
         sigmas = np.array([8.0, 1e3, 1e3, 0.05])
         self.factors = [bundle.PriorFactor(("camera", 2), focal, np.diag(sigmas**-2))]
         self.sets.append(("prior", lambda s: (s["params"][1] - focal) / sigmas, "trivial", 1.0))
         settings = {name: value for name, value in self.given.items() if name != "align"}
-        known = {"priors": priors, "factors": self.factors, "align": False}
+        self.given["constraints"] = rules
+        known = {
+            "priors": priors, "factors": self.factors, "align": False, "constraints": rules
+        }  # fmt: skip
         result = bundle.solve(
             problem, **known, **settings, function_tolerance=1e-16, gradient_tolerance=0,
             parameter_tolerance=1e-12, max_num_iterations=200,
         )  # fmt: skip
         self.problem = result.problem
-        request = request_at(
-            self.problem, None, settings, "reliability", **known, bounds=None, constraints=()
-        )
+        request = request_at(self.problem, None, settings, "reliability", **known, bounds=None)
         self.start = at_control_points(prepare(request)).start
         self.linearize(loss)
 
@@ -250,15 +281,15 @@ def test_redundancies_agree_with_differences(case):
         w = np.where(own >= NOT_CHECKABLE, case.r[: 2 * n].reshape(-1, 2) / np.sqrt(own), np.nan)
     np.testing.assert_allclose(found.standardized, w, rtol=1e-4, atol=1e-5)
     assert found.sum == pytest.approx(found.dof, abs=1e-5)
-    assert found.sum == pytest.approx(np.trace(whole) - 1, abs=1e-4)  # gravity: 2 of 3 numbers
+    assert found.sum == pytest.approx(np.trace(whole) - sum(IDLE.values()), abs=1e-4)
     assert len(found.priors) == len(case.sets)
-    named = ("control point", "position")
+    named = ("control point", "position", "function")
     priors = {prior.name if prior.kind in named else prior.kind: prior for prior in found.priors}
     assert priors.keys() == case.blocks.keys()
     for key, prior in priors.items():
         of = case.blocks[key]
         block, r = whole[of, of], case.r[of]
-        idle = int(key == "direction")
+        idle = IDLE.get(key, 0)
         assert prior.num_residuals == len(block) - idle
         assert prior.redundancy == pytest.approx(np.trace(block) - idle, abs=1e-5)
         values, vectors = np.linalg.eigh(block)

@@ -160,8 +160,7 @@ def test_random_problems_agree_with_dense_matrices(seed):
         check_rows(found, diagonal_blocks(whole)[:n], residual, rtol=1e-8, atol=1e-10)
     first = 2 * n
     test_of = {}
-    for factor in case.factors:
-        size = len(factor.information)
+    for factor, size in zip(case.factors, case.dense.prior_sizes, strict=True):
         block = whole[first : first + size, first : first + size]
         r = case.dense.residual[first : first + size]
         values, vectors = np.linalg.eigh(block)

@@ -247,11 +247,20 @@ def test_an_estimated_plane_moves_with_its_points_and_a_level_one_stays_level():
     np.testing.assert_allclose(free, solve(problem, **fixed).problem.points, atol=1e-7)
 
 
-def test_an_estimated_plane_has_no_covariance():
+def test_points_on_an_estimated_plane_share_its_certainty():
+    """An exact plane is three numbers for six distances, which nothing checks."""
     held = {"fixed_image_ids": (1, 2)}
-    for analyse in (bundle.covariance, bundle.reliability):
-        with pytest.raises(bundle.InputError, match=r"plane of 6 points[^\n]*$"):
-            analyse(mixed(), constraints=["points 4-9: on plane sigma 1"], **held)
+    given = {"constraints": ["points 4-9: on plane sigma 1e-6"], **held}
+    problem = bundle.solve(mixed(), **given, num_threads=1).problem
+    free, flat = (bundle.reliability(problem, **one) for one in (held, given))
+    assert flat.dof == free.dof + 3
+    assert flat.priors[0].num_residuals == 3
+    assert flat.priors[0].redundancy == pytest.approx(0, abs=1e-6)
+    sigmas = [
+        np.sqrt(np.trace(bundle.covariance(problem, **one).point_covariance[3:9], axis1=1, axis2=2))
+        for one in (held, given)
+    ]
+    assert (sigmas[1] < sigmas[0]).all()
 
 
 def test_points_that_no_plane_can_have(monkeypatch):

@@ -182,16 +182,22 @@ def _factorisation(
     kind, index, coordinate = (
         int(a[row]) for a in (unknowns.kind, unknowns.index, unknowns.coordinate)
     )
-    if kind == 3:
+    if kind == _CAMERA:
         from bundle.model.cameras import camera_models
 
         name = camera_models()[problem.camera_models[index]][coordinate]
         where = f"{name} of camera {problem.camera_ids[index]}"
     else:
-        ids = (problem.image_ids, problem.frame_ids, problem.sensor_camera_ids)[kind]
-        what = ("image", "frame", "the sensor of camera")[kind]
-        part = "rotation" if coordinate < 3 else "translation"
-        where = f"{part} {'xyz'[coordinate % 3]} of {what} {ids[index]}"
+        parts, what, ids = {
+            _IMAGE: (("rotation ", "translation "), "image", problem.image_ids),
+            _FRAME: (("rotation ", "translation "), "frame", problem.frame_ids),
+            _SENSOR: (("rotation ", "translation "), "sensor of camera", problem.sensor_camera_ids),
+            _TWIST: (("twist w", "twist v"), "image", problem.image_ids),
+            _READOUT: (("readout",), "camera", problem.camera_ids),
+            _POINT: (("",), "point", problem.point_ids),
+        }[kind]
+        axis = "" if kind == _READOUT else "xyz"[coordinate % 3]
+        where = f"{parts[coordinate // 3]}{axis} of {what} {ids[index]}"
     yield note(
         "failing_column",
         f"A Cholesky factorisation without damping stops at column {row + 1}: {where}.",
@@ -292,7 +298,7 @@ def rigs_without_baseline(problem: Problem) -> Iterator[Finding]:
         )
 
 
-_IMAGE, _FRAME, _SENSOR, _CAMERA = range(4)
+_IMAGE, _FRAME, _SENSOR, _CAMERA, _TWIST, _READOUT, _POINT = range(7)
 
 Floats = NDArray[np.float64]
 

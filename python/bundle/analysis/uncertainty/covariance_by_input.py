@@ -229,7 +229,10 @@ def at_control_points(prepared: Prepared) -> Prepared:
         cheirality=prepared.options.cheirality, num_threads=prepared.options.num_threads,
         function_tolerance=1e-15, gradient_tolerance=0.0, gauge="none", check_solution=False,
     )  # fmt: skip
-    own = SolveRequest(problem=part, options=options, factors=targets.factors(part))
+    ids = {("point", key) for key in targets.point_ids}
+    known = () if prepared.layout.known is None else prepared.layout.known.factors
+    of_targets = [factor for factor in known if ids.issuperset(factor.keys)]  # bars, too
+    own = SolveRequest(problem=part, options=options, factors=of_targets)
     points = start.points.copy()
     points[added] = solve_prepared(prepare(own), None, ThisProcess()).problem.points
     return prepared.at(start.replace(points=points))

@@ -1,14 +1,7 @@
 """Joint covariance of some poses, parameters and points, and what more measurements change.
 
-Points. Given the cameras x_c, a point is independent of all others:
-
-    x_p = e_p - F_p x_c,    cov(e_p) = V_p^-1,    F_p = V_p^-1 sum_i w_i J_p^T J_c,
-
-with the sum over its observations, and V its normal equations with its priors. V^-1 is the
-covariance of points if no camera is refined. The rows F are linear functions of the poses and
-parameters of images, so that the core gives the joint covariance of the unknowns x of interest,
-
-    C = F C_c F^T + diag(0, V^-1).
+Covariance. The core gives that of linear functions of poses, parameters and points, such as each
+unknown of interest (core/covariance/covariance.h).
 
 Measurements. Let A be the whitened rows w.r.t. x of an additional measurement, whose own unknowns
 are eliminated: with B their columns, rows U^T A, U an orthonormal basis of the null space of B^T.
@@ -38,12 +31,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 import bundle._core as _core
-from bundle.analysis.uncertainty.influence import with_observations
 from bundle.analysis.uncertainty.quantity import Quantity
 from bundle.base.records import dataclass
 from bundle.model.cameras import camera_models, project
 from bundle.model.problem import Problem
-from bundle.model.residuals import linearize
 from bundle.model.rigid_motions import cross_matrices, rotation_matrices
 from bundle.solving.prepare import Prepared
 
@@ -129,7 +120,6 @@ def null_basis(b: _Floats) -> _Floats:
 def joint_covariance(
     prepared: Prepared,
     quantity: Quantity,
-    weights: _Floats,
     images: Sequence[int],
     cameras: Sequence[int],
     points: Sequence[int],
@@ -137,7 +127,6 @@ def joint_covariance(
     """Return the joint covariance of poses, parameters and points, and those of the quantity.
 
     Args:
-        weights: (n,) weights of the observations under the loss; 0 of those that do not count.
         images: rows of images, likewise of cameras and points.
     """
     start, layout = prepared.start, prepared.layout
@@ -163,41 +152,18 @@ def joint_covariance(
     for camera, place in of_cameras.items():
         if camera in first:
             functions[place : place + params, first[camera], 6:] = np.eye(params)
+    by_points = np.zeros((count, len(of_points), 3))
+    for row, place in enumerate(of_points.values()):
+        by_points[place : place + 3, row] = np.eye(3)
     given = layout.limits, layout.core_factors()
     options = layout.options.replace(gauge="none")
-    own = _given_the_cameras(start, options, given)
-    sigma = 1.0 if start.observation_sigma is None else start.observation_sigma
-    information = np.where(weights > 0, weights, 0) / sigma**2
-    is_wanted = np.isin(start.observation_point, list(of_points)) & (information > 0)
-    part = with_observations(start, is_wanted)
-    lines = linearize(part, options.cheirality)
-    by_camera = np.concatenate([lines.d_pose, lines.d_params], axis=2)
-    normal = np.einsum("n,nai,naj->nij", information[is_wanted], lines.d_point, by_camera)
-    pairs = zip(part.observation_point.tolist(), part.observation_image.tolist(), strict=True)
-    for row, (point, image) in enumerate(pairs):
-        place = of_points[point]
-        functions[place : place + 3, image] -= own[point] @ normal[row]
     out = _core.covariance(
         start, options.asdict(), *given, inner=True, sandwich=False, of_points=False, relative=[],
-        long_sums=True, of_images=False, functions=functions,
+        long_sums=True, of_images=False, functions=functions, function_points=list(of_points),
+        functions_of_points=by_points,
     )  # fmt: skip
-    matrix = np.array(out["functions"])
-    for point, place in of_points.items():
-        matrix[place : place + 3, place : place + 3] += own[point]
     free = _free_motions(start, options, given, of_images, of_points, count)
-    return Joint(matrix, free, gradient, *places)
-
-
-def _given_the_cameras(start: Problem, options: Any, given: tuple[Any, Any]) -> _Floats:
-    """Return V^-1 (num_points, 3, 3); 0 of constant points, and along undetermined directions."""
-    if "points" not in options.refine:
-        return np.zeros((start.num_points, 3, 3))
-    alone = options.replace(refine=("points",), refine_sensor_from_rig=False).asdict()
-    out = _core.covariance(
-        start, alone, *given, inner=False, sandwich=False, of_points=True, relative=[],
-        long_sums=True,
-    )  # fmt: skip
-    return np.asarray(np.nan_to_num(out["points"]))
+    return Joint(np.array(out["functions"]), free, gradient, *places)
 
 
 def _free_motions(

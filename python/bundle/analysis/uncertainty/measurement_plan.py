@@ -307,7 +307,7 @@ class Scene:
         ids = {row: int(start.point_ids[row]) for row in wanted[2]}
         return Scene(
             start,
-            joint_covariance(prepared, quantity, weights, *wanted),
+            joint_covariance(prepared, quantity, *wanted),
             float(np.median(spread / np.sqrt(weights[used]))),
             {row: by_id.get(key, f"point {key}") for row, key in ids.items()},
             images,

@@ -270,7 +270,7 @@ def _priors(prepared: Prepared, out: Mapping[str, Any]) -> tuple[PriorReliabilit
         redundancy = float(out["factor_redundancy"][k])
         if not np.isfinite(redundancy):
             continue
-        target = names.get(factor.keys[0])
+        target = names.get(factor.keys[0]) if len(factor.keys) == 1 else None
         found.append(
             PriorReliability(
                 name=factor.name if target is None else target,

@@ -206,7 +206,7 @@ def _candidate(
     name = factor_name(position, factor)
     own = [variables[key] for key in factor.keys]
     sizes = tuple(len(variable.coordinates) for variable in own)
-    (evaluate,) = factor.core_arguments(name, sizes)
+    evaluate, _ = factor.core_arguments(name, sizes)
     return Candidate(
         name,
         evaluate,

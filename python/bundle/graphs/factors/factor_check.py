@@ -235,16 +235,10 @@ def check_graph(
         arguments = factor.core_arguments(name, tuple(len(v.coordinates) for v in own))
         is_own = isinstance(factor, FunctionFactor)
         if is_own:
-            (user,) = arguments
+            user, _ = arguments
             user.function = partial(called, name, user.function)
-        given = (
-            factor.kind,
-            name,
-            list(range(len(own))),
-            factor.loss,
-            factor.loss_scale,
-            arguments,
-        )
+        places = list(range(len(own)))
+        given = (factor.kind, name, places, factor.loss, factor.loss_scale, arguments)
         try:
             function = _core.factor_function([variable.core() for variable in own], given)
         except Exception as error:

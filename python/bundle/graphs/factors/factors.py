@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bundle.base.arrays import FrozenArrays, as_array, as_flag, check_distinct, freeze
+from bundle.base.arrays import FrozenArrays, as_array, as_flag, check_distinct, check_type, freeze
 from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
 from bundle.checking.function import UserFunction
@@ -396,6 +396,8 @@ class FunctionFactor(Factor):
         keys: the variables.
         function: function of their values, as above. m must not change between calls. A residual
             that is not finite rejects the step.
+        num_dependent: how many of the m numbers follow from the others, as three of the distances
+            of points from their best plane do; degrees of freedom do not count them.
 
     Raises:
         InputError: keys is not a list, or the function is not callable. A solve raises it if the
@@ -404,6 +406,7 @@ class FunctionFactor(Factor):
 
     keys: tuple[Key, ...]
     function: FactorFunction
+    num_dependent: int = 0
 
     kind = "function"
 
@@ -417,11 +420,12 @@ class FunctionFactor(Factor):
             raise InputError("FunctionFactor: keys: expected at least one variable, found 0")
         if not callable(self.function):
             raise InputError(f"{self.name}: expected a function, found {brief(self.function)}")
+        check_type(f"{self.name}: num_dependent", self.num_dependent, int)
 
     def core_arguments(self, name: str, sizes: tuple[int, ...]) -> tuple[Any, ...]:
         """See :meth:`Factor.core_arguments`."""
         labels = [f"{variable_name(key)}: Jacobian" for key in self.keys]
-        return (UserFunction(self._timed, sizes, name, labels, is_vector=True),)
+        return UserFunction(self._timed, sizes, name, labels, is_vector=True), self.num_dependent
 
     def _timed(self, values: list[Array]) -> Any:
         began = perf_counter()

@@ -507,7 +507,8 @@ def factor_of(prior: KnownPrior) -> Factor:
     key = prior.subject
     if prior.flatness is not None:
         keys = tuple(("point", one) for one in prior.flatness.points)
-        factor = FunctionFactor(keys, prior.flatness)
+        num_of_plane = 1 if prior.flatness.normal is None else 3
+        factor = FunctionFactor(keys, prior.flatness, num_of_plane)
         factor.__dict__["name"] = f"{prior.parameter} of {plural(len(keys), 'point')}"
         return factor
     if prior.normals:
