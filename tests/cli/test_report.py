@@ -71,3 +71,22 @@ def test_positions_are_on_the_page_of_refine(run, tmp_path):
     positions = ("--gps", tmp_path / "geo.txt")
     assert run("report", tmp_path / "out", "-o", again, "--quiet", *positions).code == 0
     assert certainty(again) == certainty(page) != certainty(alone)
+
+
+def test_a_page_under_the_loss_of_the_solve(run, tmp_path):
+    scene = bundle.synthesize(
+        num_images=8, num_points=150, outlier_share=0.03, seed=3, scene="orbit"
+    )
+    bundle.save(scene.problem, tmp_path / "model", "colmap")
+    page, alone, again = (tmp_path / name for name in ("page.html", "alone.html", "again.html"))
+    loss, out = ("--loss", "cauchy", "--loss-scale", "0.8"), tmp_path / "out"
+    words = ("refine", tmp_path / "model", "-o", out, "--html", page, "--quiet")
+    assert run(*words, *loss).code == 0
+    assert run("report", out, "-o", alone, "--quiet").code == 0
+    report = tmp_path / "report.json"
+    assert run("report", out, "-o", again, "--quiet", "--json", report, *loss).code == 0
+    assert certainty(again) == certainty(page) != certainty(alone)
+    found = json.loads(report.read_text())["findings"]
+    assert "not_refined" not in {one["kind"] for one in found}
+    commands = [one["command"] for one in found if one.get("command", "").startswith("bundle ref")]
+    assert all(" ".join(loss) in command for command in commands)

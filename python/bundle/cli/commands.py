@@ -502,6 +502,7 @@ COMMANDS: dict[str, Command] = {
             a.INPUT,
             a.PAGE_OUTPUT,
             a.RIG_CONFIG,
+            a.options("SolveOptions", "loss with which INPUT was made", ("loss", "loss_scale")),
             a.RULES,
             a.measurements(
                 "The priors with which `bundle refine` made INPUT, by the same flags: standard "

@@ -205,7 +205,8 @@ def report_model(run: Run) -> Report:
     from bundle.reports.terminal.outputs import reported
 
     source, page = str(run.source), _page(run)
-    run.check_knowledge(SolveOptions().refine, page=True)
+    run.options = run.given(SolveOptions, ("loss", "loss_scale"))
+    run.check_knowledge(run.options.refine, page=True)
     run.open()
     place, lost = placed(source)
     with run.naming():
@@ -213,8 +214,9 @@ def report_model(run: Run) -> Report:
         certainty = None  # if it does not exist, the page says why
         with suppress(InputError):
             certainty = covariance(
-                run.input, priors=run.priors, constraints=run.constraints, scale="sigma0"
-            )
+                run.input, run.options, priors=run.priors, constraints=run.constraints,
+                scale="sigma0",
+            )  # fmt: skip
         run.progress.stage("judging")
         run.judge(lens_sigmas=None if certainty is None else certainty.lens_sigmas)
         found = one_list(describe(run.input).suspicions, run.findings)
@@ -222,6 +224,7 @@ def report_model(run: Run) -> Report:
         notes = write_report(
             run.input,
             page,
+            options=run.options,
             images=run.arguments.images,
             georeference=place,
             covariance=certainty,

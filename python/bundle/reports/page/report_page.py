@@ -92,6 +92,7 @@ def write_report(
     result_or_problem: Result | Source,
     path: str | os.PathLike[str],
     *,
+    options: SolveOptions | None = None,
     images: str | os.PathLike[str] | None = None,
     georeference: Mapping[str, Any] | Georeference | None = None,
     covariance: Covariance | None = None,
@@ -108,6 +109,7 @@ def write_report(
         result_or_problem: result of a solve, or a problem, its path, or a pycolmap.Reconstruction.
             Only a result has values before and after.
         path: path of the page. A failed write leaves no partial file.
+        options: options of the solve, such as its loss; None: defaults, or those of a result.
         images: folder of the photographs, for the worst images and the time of capture; names of
             images are paths relative to it.
         georeference: fit of the model to positions and control points: the content of
@@ -136,7 +138,7 @@ def write_report(
     if images is not None and not Path(images).is_dir():
         raise InputError(f"{shown(str(images))}: expected a folder of images")
     page = _Page(problem, result, name)
-    page.command = command or page.command
+    page.command, page.options = command or page.command, options or page.options
     if georeference is not None:
         given = georeference if isinstance(georeference, Mapping) else georeference.asdict()
         page.place = placement(problem, given)
@@ -150,9 +152,8 @@ class _Page:
     """Sections of a page with their numbers, and notes on missing parts."""
 
     def __init__(self, problem: Problem, result: Result | None, name: str) -> None:
-        self.problem = problem
-        self.result = result
-        self.name = name
+        self.problem, self.result, self.name = problem, result, name
+        self.options = SolveOptions() if result is None else result.options
         self.command = NextCommand(name or "INPUT")
         self.initial: Problem | None = None  # in the frame of the result
         if result is not None:
@@ -175,8 +176,7 @@ class _Page:
         self, path: Path, folder: str | os.PathLike[str] | None, findings: Sequence[Finding] | None
     ) -> None:
         """Make every section and write the page."""
-        problem, result = self.problem, self.result
-        options = SolveOptions() if result is None else result.options
+        problem, result, options = self.problem, self.result, self.options
         description, tracks = describe(problem), track_statistics(problem)
         found = residuals(problem, options.cheirality)
         counts = bool(found.counted.any())
@@ -191,7 +191,7 @@ class _Page:
         self.notes += photographs.notes
         findings = report_findings(
             problem, result, description.suspicions, findings, source=self.name or "INPUT",
-            known=self.known, no_covariance=self.no_certainty, priors=self.priors,
+            options=options, known=self.known, no_covariance=self.no_certainty, priors=self.priors,
         )  # fmt: skip
         judged = verdicts(
             Judged(
@@ -321,9 +321,10 @@ class _Page:
         """Return the covariances; None, with a note, if they cannot be computed."""
         if given is None:
             source = self.problem if self.result is None else self.result
+            options = self.options if self.result is None else None
             try:
                 given = compute_covariance(
-                    source, priors=self.priors, constraints=constraints, scale="sigma0"
+                    source, options, priors=self.priors, constraints=constraints, scale="sigma0"
                 )
             except InputError as error:
                 self.no_certainty = (
@@ -336,8 +337,7 @@ class _Page:
         if self.known is None:
             return []
         cameras, known = most_observed_cameras(self.problem), self.known
-        options = SolveOptions() if self.result is None else self.result.options
-        used = known.covariance
+        options, used = self.options, known.covariance
         made = (
             projection_uncertainty(
                 self.problem, index, known.cameras[index], found=found,
@@ -369,6 +369,7 @@ def report_findings(
     given: Iterable[Finding] | None,
     *,
     source: str,
+    options: SolveOptions,
     known: Certainty | None,
     no_covariance: str = "",
     priors: Sequence[Any] = (),
@@ -387,7 +388,7 @@ def report_findings(
         given = find(
             problem,
             source=source,
-            options=None if result is None else result.options,
+            options=options,
             lens_sigmas=None if known is None else known.covariance.lens_sigmas,
             priors=priors,
             is_minimum=result is not None and result.summary.termination_type == "CONVERGENCE",
