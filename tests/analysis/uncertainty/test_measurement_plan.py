@@ -20,6 +20,7 @@ from bundle.analysis.uncertainty.quantity import quantity_of
 from bundle.georeference.gcp_list import read_gcp_list
 from bundle.georeference.scale_bars import read_scale_bars
 from bundle.model.rigid_motions import inverse_poses, rotation_matrices
+from bundle.reports.terminal import analyses
 from tests.analysis.uncertainty.dense import Dense
 from tests.analysis.uncertainty.random_problems import random_case
 from tests.analysis.uncertainty.test_influence import gradient_of
@@ -504,6 +505,18 @@ def test_the_result_is_sorted_and_pickles(small):
     assert again.together == found.together and again.proposals == found.proposals
     assert repr(found).startswith("Plan: distance 3 9")
     assert [one["kind"] for one in map(dataclasses.asdict, found.together)]
+
+
+@pytest.mark.parametrize(("share", "is_shown"), [(1e-6, False), (1e-2, True)])
+def test_a_sigma_that_keeps_its_digits_stays(small, share, is_shown):
+    found = bundle.plan(small, RATIO)
+    (first, *_) = found.proposals
+    less = dataclasses.replace(first, sigma_after=(1 - share) * first.sigma_before)
+    one = dataclasses.replace(found, sigma=first.sigma_before, proposals=(less,))
+    assert less.is_shown is is_shown
+    assert ("->" in one.sentences[1]) is is_shown and ("stays" in one.sentences[1]) is not is_shown
+    shown = analyses.planned("model", small, one, {}, "", 0.0).headline[1]
+    assert ("bundle refine" in shown) is (is_shown and bool(first.then))
 
 
 def test_images_without_a_known_size_end_where_their_observations_do(small):

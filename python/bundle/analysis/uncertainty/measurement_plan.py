@@ -93,6 +93,11 @@ class Proposal:
     lines: tuple[str, ...]  # to write down: of gcp_list.txt and bars.txt, or a camera_from_world
     then: tuple[str, ...]  # flags with which bundle refine uses these lines; () if none does
 
+    @property
+    def is_shown(self) -> bool:
+        """True if the sigmas differ in the digits that are printed."""
+        return number(self.sigma_before) != number(self.sigma_after)
+
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class Plan(Displayed, Tabular):
@@ -124,6 +129,8 @@ class Plan(Displayed, Tabular):
         said = [f"{self.on}: {number(self.value)}{unit}, sigma {now}{unit}."]
         for one in self.proposals:
             change = f"sigma {number(one.sigma_before)} -> {number(one.sigma_after)}{unit}"
+            if not one.is_shown:
+                change = f"sigma stays {now}{unit}"
             said.append(f"{WORDS[one.kind]}: {one.what}: {change}.")
         if len(self.together) > 1:
             named = "; ".join(f"{one.what} ({WORDS[one.kind].lower()})" for one in self.together)

@@ -353,7 +353,7 @@ def planned(
     )
     headline = list(found.sentences)
     for place, one in enumerate(found.proposals, 1):
-        if one.then:
+        if one.then and one.is_shown:
             said = f"{headline[place].rstrip('.')}; write its lines (--verbose), then "
             headline[place] = said + _use(one, path, flags)
     steps = {one.what: one.lines for one in (*found.proposals, *found.together)}
