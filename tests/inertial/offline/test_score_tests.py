@@ -214,24 +214,6 @@ def test_right_flights_have_no_clear_error_that_is_relevant(scene, monkeypatch):
     assert 0.002 < min(one.sigma for one in found if one.kind == "accel_scale") < 0.008
 
 
-def test_motions_have_the_noise_of_the_recording_unless_it_is_contradicted(scene, monkeypatch):
-    given, kept, costs = [], [], []
-    whole = imu_adjustment.imu_findings
-    monkeypatch.setattr(
-        imu_adjustment, "imu_findings", lambda known: kept.append(known) or whole(known)
-    )
-    monkeypatch.setattr(imu_adjustment, "largest_score", lambda *all_: given.append(all_))
-    for is_contradicted in (False, True):
-        monkeypatch.setattr(Agreement, "is_contradicted", is_contradicted)
-        scene.run(None)
-        shown, (least, cost, _, _, used) = kept[-1].agreement, given[-1]
-        assert used == shown._replace(variance=shown.variance if is_contradicted else 1.0)
-        costs.append(cost(Change()))
-        assert costs[-1] == pytest.approx(least(Change()).motions, rel=0.03)  # at a minimum
-    assert shown.variance == pytest.approx(0.05)
-    assert costs[0] == pytest.approx(0.39 * costs[1], rel=0.05)
-
-
 @pytest.mark.parametrize(
     ("fault", "kind", "number", "right", "tolerance"),
     [

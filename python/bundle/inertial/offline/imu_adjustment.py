@@ -359,22 +359,18 @@ def _accel_axes(case: _Case, intervals: list[ImuInterval], rule: str) -> str:
 def _held(
     case: _Case, found: _Adjusted, agreement: Agreement, rotations: RotationMap
 ) -> Score | None:
-    variance = 1.0 if agreement.is_contradicted else agreement.variance
-    noise = case.noise.scaled(math.sqrt(variance), walks=False)
-    agreement = agreement._replace(variance=agreement.variance / variance)
-    shortly = case._replace(options=few_steps(case.options), progress=None, noise=noise)
+    shortly = case._replace(options=few_steps(case.options), progress=None)
     has_scale = case.is_metric or case.priors
 
-    def solved(change: Change, **options: Any) -> tuple[_Adjusted, LeastCost]:
+    def solved(change: Change, **options: Any) -> tuple[Result, LeastCost]:
         start = found.state if has_scale else found.state.scaled(1 / change.forces)
         there = shortly._replace(
             bodies=change.of_bodies(case.bodies), options=shortly.options.replace(**options)
         )
-        end = found._replace(state=start).solved(there, found.motions(shortly, change))
-        return end, LeastCost.of(end.results[-1], end.state, case.bodies)
+        end = found._replace(state=start).solved(there, found.motions(case, change))
+        return end.results[-1], LeastCost.of(end.results[-1], end.state, case.bodies)
 
-    found, _ = solved(Change())  # all slopes are those at the minimum with this noise
-    motions, likely = found.motions(shortly), []
+    motions, noise, likely = found.motions(case), case.noise, []
     if rotations.angle > ANGLE / 2:
         likely.append(Score("camera_from_imu", unit(rotations.turn)))
     if abs(rotations.scale - 1) > SCALE / 2:

@@ -8,8 +8,7 @@ points, velocities and biases free. For residuals r that are linear in all unkno
 where j is the derivative of the residuals w.r.t. x along the minimum: g is the score of x at the
 present minimum (C. R. Rao, 1948), and h its information without what other unknowns explain. The
 residuals of images and motions have the variance factors v and w. Random walks of biases and all
-priors have 1: no factor for vibration is in their sigmas. Motions are tested with the noise that
-this recording shows, so that w is 1 and sigmas are a third smaller for noisy sensors. So
+priors have 1: no factor for vibration is in their sigmas. So
 
     x = -g / h,      var g = v h_images + w h_motions + h_priors,      T = g^2 / var g,
 
@@ -29,8 +28,8 @@ images is an error of its random walk e_k = b_(k+1) - b_k - s, so that g = -e_k 
 density of the walk. The largest of n intervals is tested.
 
 Relevance. The estimated x would move each position by a share of its distance from the mean
-position. On V1_01, whose real errors are not white, T is up to 75; this share is 1.7 % by forces
-and 0.6 % by others.
+position. On V1_01, whose real errors are not white, T is up to 33; this share is 1.4 % by forces
+and 0.3 % by others.
 """
 
 from __future__ import annotations
