@@ -511,12 +511,13 @@ def test_the_result_is_sorted_and_pickles(small):
 def test_a_sigma_that_keeps_its_digits_stays(small, share, is_shown):
     found = bundle.plan(small, RATIO)
     (first, *_) = found.proposals
-    less = dataclasses.replace(first, sigma_after=(1 - share) * first.sigma_before)
+    sigma = (1 - share) * first.sigma_before
+    less = dataclasses.replace(first, sigma_after=sigma, then=planning.GCP)
     one = dataclasses.replace(found, sigma=first.sigma_before, proposals=(less,))
     assert less.is_shown is is_shown
     assert ("->" in one.sentences[1]) is is_shown and ("stays" in one.sentences[1]) is not is_shown
     shown = analyses.planned("model", small, one, {}, "", 0.0).headline[1]
-    assert ("bundle refine" in shown) is (is_shown and bool(first.then))
+    assert ("bundle refine" in shown) is is_shown
 
 
 def test_images_without_a_known_size_end_where_their_observations_do(small):

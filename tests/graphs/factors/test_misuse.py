@@ -182,6 +182,11 @@ ARGUMENTS = {
         "FunctionFactor('a'): ",
         {"function"},
     ),
+    "dependent": (
+        lambda v: bundle.FunctionFactor(["a"], len, v),
+        "FunctionFactor('a'): num_dependent: ",
+        set(),
+    ),
     "own answer": (
         lambda v: solve_function(lambda _: v),
         "factor 0, FunctionFactor('a'): ",

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bundle.base.arrays import FrozenArrays, as_array, as_flag, check_distinct, check_type, freeze
+from bundle.base.arrays import FrozenArrays, as_array, as_flag, check_distinct, freeze
 from bundle.base.display import Display, Displayed
 from bundle.base.records import dataclass
 from bundle.checking.function import UserFunction
@@ -420,7 +420,8 @@ class FunctionFactor(Factor):
             raise InputError("FunctionFactor: keys: expected at least one variable, found 0")
         if not callable(self.function):
             raise InputError(f"{self.name}: expected a function, found {brief(self.function)}")
-        check_type(f"{self.name}: num_dependent", self.num_dependent, int)
+        given = number(f"{self.name}: num_dependent", self.num_dependent, minimum=0, whole=True)
+        self._set("num_dependent", given)
 
     def core_arguments(self, name: str, sizes: tuple[int, ...]) -> tuple[Any, ...]:
         """See :meth:`Factor.core_arguments`."""
