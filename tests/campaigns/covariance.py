@@ -39,9 +39,9 @@ class Comparison(NamedTuple):
         return not self.difference <= max(TOLERANCE, TIMES_ROUNDING * self.rounding)
 
 
-def compare_seed(seed: int) -> list[Comparison]:
+def compare_seed(seed: int, **given: bool) -> list[Comparison]:
     """Compare one problem, by weights and, where it has one, by its sandwich."""
-    case = random_case(seed)
+    case = random_case(seed, **given)
     found = []
     for robust in ("weights", *(() if case.joins_points else ("sandwich",))):
         try:

@@ -25,8 +25,11 @@ class Case:
     joins_points: bool = False  # a factor joins a free point with another free variable
 
 
-def random_case(seed):
-    """A problem off its minimum: an information is that of the place."""
+def random_case(seed, *, joins_points=None):
+    """A problem off its minimum: an information is that of the place.
+
+    ``joins_points``: False: no factor joins points; None: in half of the seeds.
+    """
     rng = np.random.default_rng(seed)
     model = rng.choice(MODELS)
     is_rig = rng.random() < 0.4
@@ -98,7 +101,7 @@ def random_case(seed):
         for image in rng.choice(problem.num_images, int(rng.integers(1, 4)), replace=False):
             _known_position(problem, dense, factors, int(image), rng)
     own = np.random.default_rng([seed, 1])  # all else is as without
-    if own.random() < 0.5:
+    if own.random() < 0.5 and joins_points is not False:
         known_distances(problem, dense, factors, own, has_image=not is_rig and own.random() < 0.5)
 
     basis = np.eye(len(dense.names))[:, [free[name] for name in dense.names]]

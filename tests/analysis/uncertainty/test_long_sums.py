@@ -102,6 +102,7 @@ def relative_moves(problem, a, b):
 @pytest.mark.parametrize("seed", [5, 11, 7, 86])
 def test_losses_that_are_flat_or_concave_along_many_residuals(seed):
     """Far off a minimum: in 5 and 86 negative ones count as flat, 7 and 11 have no sandwich."""
-    entry = next(entry for entry in compare_seed(seed) if entry.robust == "sandwich")
+    entries = compare_seed(seed, joins_points=False)
+    entry = next(entry for entry in entries if entry.robust == "sandwich")
     assert (entry.kind == "singular") == (seed in (7, 11))
     assert entry.difference < TOLERANCE
