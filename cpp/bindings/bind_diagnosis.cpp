@@ -9,6 +9,7 @@
 #include "bindings/given_problem.h"
 #include "bindings/immutable_array.h"
 #include "core/diagnosis/reduced_spectrum.h"
+#include "core/model/unknown_names.h"
 
 namespace py = pybind11;
 
@@ -56,6 +57,9 @@ py::dict ReducedSpectrum(const py::object& problem, const py::dict& options,
   BUNDLE_FIELD(failure);
   BUNDLE_FIELD(failed_unknown);
 #undef BUNDLE_FIELD
+  if (found.failed_unknown >= 0) {
+    d["failed_name"] = bundle::Words(given.view(), found.unknowns[found.failed_unknown]);
+  }
   return d;
 }
 

@@ -5,7 +5,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import bundle
-from bundle.analysis.diagnosis import findings
 from tests.analysis.diagnosis.blocks import block
 from tests.rig_scenes import rig_problem
 
@@ -177,26 +176,3 @@ def test_a_rig_without_a_baseline_gives_no_scale(share, named):
     found = bundle.diagnose(problem.replace(sensor_from_rig=arms))
     assert ("rig_without_baseline" in kinds(found)) == named
     assert found.ok == (not named)
-
-
-@pytest.mark.parametrize(
-    ("name", "words"),
-    [
-        ((0, 1, 4), "translation y of image 2"),
-        ((1, 0, 2), "rotation z of frame {frame}"),
-        ((3, 1, 0), "fx of camera 2"),
-        ((4, 2, 1), "twist wy of image 3"),
-        ((4, 2, 3), "twist vx of image 3"),
-        ((5, 0, 0), "readout of camera 1"),
-        ((6, 3, 2), "z of point 4"),
-    ],
-)
-def test_the_failing_column_of_any_unknown_is_named(name, words):
-    problem = rig_problem(num_frames=3, num_points=12)
-    found = {
-        "unknowns": np.array([name]), "scale": np.ones(1), "unseen": np.zeros(1),
-        "failure": "", "failed_unknown": 0,
-    }  # fmt: skip
-    (note,) = findings._factorisation(problem, findings.Unknowns(problem, found), found)
-    frame = problem.frame_ids[0] if name[0] == 1 else ""
-    assert note.sentence.endswith(f"column 1: {words.format(frame=frame)}.")

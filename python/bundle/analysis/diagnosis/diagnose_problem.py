@@ -238,7 +238,7 @@ def diagnose(
         ],
     }
     bare = Diagnosis(**parts, findings=())
-    said = findings(bare, start, tracks, unknowns, found, apart, drift)
+    said = findings(bare, start, tracks, found, apart, drift)
     if reliability:
         from bundle.analysis.uncertainty.reliability import reliability_of  # on request only
 

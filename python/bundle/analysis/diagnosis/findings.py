@@ -45,7 +45,6 @@ def findings(
     diagnosis: Diagnosis,
     problem: Problem,
     tracks: TrackTable,
-    unknowns: Unknowns,
     found: dict[str, Any],
     apart: list[WeakMode],
     drift: ScaleDrift | None,
@@ -66,7 +65,7 @@ def findings(
         *_images(diagnosis),
         *([] if (joint := weak_joint(problem, tracks)) is None else [joint]),
         *rigs_without_baseline(problem),
-        *_factorisation(problem, unknowns, found),
+        *_factorisation(found),
         *_rank(diagnosis),
         *_drift(drift),
         *_conditioning(diagnosis),
@@ -171,37 +170,15 @@ def _images(diagnosis: Diagnosis) -> Iterator[Finding]:
         )
 
 
-def _factorisation(
-    problem: Problem, unknowns: Unknowns, found: dict[str, Any]
-) -> Iterator[Finding]:
+def _factorisation(found: dict[str, Any]) -> Iterator[Finding]:
     if found["failure"]:
         yield fault("not_factorised", str(found["failure"]))
-    row = int(found["failed_unknown"])
-    if row < 0:
-        return
-    kind, index, coordinate = (
-        int(a[row]) for a in (unknowns.kind, unknowns.index, unknowns.coordinate)
-    )
-    if kind == _CAMERA:
-        from bundle.model.cameras import camera_models
-
-        name = camera_models()[problem.camera_models[index]][coordinate]
-        where = f"{name} of camera {problem.camera_ids[index]}"
-    else:
-        parts, what, ids = {
-            _IMAGE: (("rotation ", "translation "), "image", problem.image_ids),
-            _FRAME: (("rotation ", "translation "), "frame", problem.frame_ids),
-            _SENSOR: (("rotation ", "translation "), "sensor of camera", problem.sensor_camera_ids),
-            _TWIST: (("twist w", "twist v"), "image", problem.image_ids),
-            _READOUT: (("readout",), "camera", problem.camera_ids),
-            _POINT: (("",), "point", problem.point_ids),
-        }[kind]
-        axis = "" if kind == _READOUT else "xyz"[coordinate % 3]
-        where = f"{parts[coordinate // 3]}{axis} of {what} {ids[index]}"
-    yield note(
-        "failing_column",
-        f"A Cholesky factorisation without damping stops at column {row + 1}: {where}.",
-    )
+    if found["failed_unknown"] >= 0:
+        yield note(
+            "failing_column",
+            "A Cholesky factorisation without damping stops at column "
+            f"{found['failed_unknown'] + 1}: {found['failed_name']}.",
+        )
 
 
 def _rank(diagnosis: Diagnosis) -> Iterator[Finding]:
@@ -298,7 +275,7 @@ def rigs_without_baseline(problem: Problem) -> Iterator[Finding]:
         )
 
 
-_IMAGE, _FRAME, _SENSOR, _CAMERA, _TWIST, _READOUT, _POINT = range(7)
+_IMAGE, _FRAME, _SENSOR, _CAMERA = range(4)
 
 Floats = NDArray[np.float64]
 
