@@ -46,30 +46,20 @@ SimilarityMoves::SimilarityMoves(const AdjustmentProblem& problem, const Paramet
   const SceneFrame frame(problem);
   std::copy_n(frame.center, 3, center_);
   size_ = frame.size > 0 && std::isfinite(frame.size) ? frame.size : 1;
-  cameras_.assign(static_cast<size_t>(num_unknowns_) * kSimilarities, 0.0);
-  for (int pose = 0; pose < NumPoses(problem); ++pose) {
+  cameras_ = GaugeDirections(problem, layout, states, center_);
+  for (int unknown = 0; unknown < num_unknowns_; ++unknown) {
+    for (int m = 0; m < 3; ++m) cameras_[size_t(unknown) * kSimilarities + m] *= size_;
+  }
+  // The position of a sensor on its rig scales with the world.
+  for (int sensor = 0; sensor < problem.num_sensors; ++sensor) {
+    const int pose = PoseOfSensor(problem, sensor);
     if (layout.pose_block(pose) < 0) continue;
     const CameraBlock& block = layout.blocks()[layout.pose_block(pose)];
-    const PoseState& state = states.pose(pose);
-    double rows[kPoseSize * kSimilarities] = {};
-    if (pose < problem.num_images + problem.num_frames) {
-      Eigen::Map<PoseRows>(rows, kPoseSize, kSimilarities) = OfPose(state);
-    } else {  // the position of a sensor on its rig scales with the world
-      for (int i = 0; i < 3; ++i) rows[(3 + i) * kSimilarities + 6] = state.translation[i];
-    }
     for (int k = 0; k < block.size; ++k) {
-      const int column = block.columns[k];
-      double* const to = &cameras_[size_t(block.offset + k) * kSimilarities];
-      // The velocity of a twist scales with the world.
-      if (column >= kFirstTwist + 3) to[6] = states.twist(pose)[column - kFirstTwist];
-      if (column < kPoseSize) std::copy_n(rows + column * kSimilarities, kSimilarities, to);
+      const int axis = block.columns[k] - 3;
+      if (axis < 0) continue;
+      cameras_[size_t(block.offset + k) * kSimilarities + 6] = states.pose(pose).translation[axis];
     }
-  }
-  for (const int point : layout.kept_points()) {
-    const size_t first = layout.blocks()[layout.kept_block(point)].offset;
-    Eigen::Map<Eigen::Matrix<double, 3, kSimilarities, Eigen::RowMajor>> rows(
-        &cameras_[first * kSimilarities]);
-    rows = OfPoint(point);
   }
 }
 

@@ -212,9 +212,13 @@ std::array<double, 3> MeanCentre(const CameraStates& cameras, int num_images) {
 
 std::vector<double> GaugeDirections(const AdjustmentProblem& problem, const ParameterLayout& layout,
                                     const CameraStates& cameras) {
+  return GaugeDirections(problem, layout, cameras, MeanCentre(cameras, problem.num_images).data());
+}
+
+std::vector<double> GaugeDirections(const AdjustmentProblem& problem, const ParameterLayout& layout,
+                                    const CameraStates& cameras, const double centre[3]) {
   constexpr int kCount = kNumGaugeDirections;
   std::vector<double> gauge_directions(static_cast<size_t>(layout.state_size()) * kCount, 0.0);
-  const std::array<double, 3> centre = MeanCentre(cameras, problem.num_images);
   // The velocities of twists scale with the world.
   // The scaling of the world is not used as a direction of a sensor. A sensor's block is better as
   // a cluster of its own that has all its columns (linear/coarse_space.cpp).
@@ -222,7 +226,7 @@ std::vector<double> GaugeDirections(const AdjustmentProblem& problem, const Para
     if (layout.pose_block(i) < 0) continue;
     const CameraBlock& block = layout.blocks()[layout.pose_block(i)];
     double rows[kPoseSize * kCount];
-    GaugeRowsOfPose(cameras.pose(i), centre.data(), rows);
+    GaugeRowsOfPose(cameras.pose(i), centre, rows);
     for (int k = 0; k < block.size; ++k) {
       const int column = block.columns[k];
       double* const to = &gauge_directions[static_cast<size_t>(block.offset + k) * kCount];
@@ -232,8 +236,7 @@ std::vector<double> GaugeDirections(const AdjustmentProblem& problem, const Para
   }
   for (const int p : layout.kept_points()) {
     const size_t first = layout.blocks()[layout.kept_block(p)].offset;
-    GaugeRowsOfPoint(problem.points + 3 * int64_t{p}, centre.data(),
-                     &gauge_directions[first * kCount]);
+    GaugeRowsOfPoint(problem.points + 3 * int64_t{p}, centre, &gauge_directions[first * kCount]);
   }
   return gauge_directions;
 }

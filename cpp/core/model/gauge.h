@@ -39,5 +39,8 @@ std::array<double, 3> MeanCentre(const CameraStates& cameras, int num_images);
 /// each column of the layout, three translations, three rotations and the scale.
 std::vector<double> GaugeDirections(const AdjustmentProblem& problem, const ParameterLayout& layout,
                                     const CameraStates& cameras);
+/// Likewise about another centre.
+std::vector<double> GaugeDirections(const AdjustmentProblem& problem, const ParameterLayout& layout,
+                                    const CameraStates& cameras, const double centre[3]);
 
 }  // namespace bundle
