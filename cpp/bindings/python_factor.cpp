@@ -1,6 +1,7 @@
 #include "bindings/python_factor.h"
 
 #include <algorithm>
+#include <string>
 #include <utility>
 
 #include "bindings/arrays.h"
@@ -50,7 +51,13 @@ PythonFactor::PythonFactor(bundle::FactorHead head, std::vector<bundle::Retracti
                            const std::vector<const double*>& start)
     : Factor(head, retractions, CountResiduals(head.name, function, retractions, start)),
       function_(std::move(function)),
-      num_dependent_(num_dependent) {}
+      num_dependent_(num_dependent) {
+  if (num_dependent > num_residuals()) {
+    throw bundle::InputError(name() + ": num_dependent: expected at most " +
+                             std::to_string(num_residuals()) + ", found " +
+                             std::to_string(num_dependent));
+  }
+}
 
 PythonFactor::~PythonFactor() {
   const HoldGil held;

@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 import bundle
+import bundle._core as _core
+from bundle.solving.layout import lay_out
 from tests.analysis.uncertainty.dense import Dense
 from tests.analysis.uncertainty.random_problems import Case, known_distances
 from tests.analysis.uncertainty.test_covariance import compare
@@ -63,6 +65,30 @@ def test_six_directions_are_gauge_and_nothing_else_is_open(case):
     found = bundle.diagnose(case.problem, factors=case.factors)
     assert found.nullity == found.expected_nullity == 6
     assert not found.weak_modes
+
+
+def test_the_predicted_decrease_is_that_of_a_newton_step(case):
+    found = newton_step_of(case)
+    rows, r = case.dense.jacobian @ case.basis, case.dense.residual
+    step = np.linalg.lstsq(rows, -r, rcond=1e-12)[0]
+    assert found["predicted_decrease"] == pytest.approx(-0.5 * step @ rows.T @ r, rel=1e-6)
+    assert found["weighted_squares"] == pytest.approx(r @ r, rel=1e-12)
+
+
+def newton_step_of(case):
+    options = bundle.SolveOptions(gauge="none", num_threads=1)
+    layout = lay_out(case.problem, options, case.factors)
+    return _core.covariance(
+        case.problem, layout.options.asdict(), None, layout.core_factors(), inner=True,
+        sandwich=False, of_points=False, relative=[], long_sums=False, of_images=False,
+    )  # fmt: skip
+
+
+def test_more_dependent_numbers_than_numbers_are_refused(case):
+    key = ("point", int(case.problem.point_ids[0]))
+    one = bundle.FunctionFactor([key], lambda values: (values[0], [np.eye(3)]), 4)
+    with pytest.raises(bundle.InputError, match=r"num_dependent: expected at most 3, found 4$"):
+        bundle.covariance(case.problem, factors=[*case.factors, one])
 
 
 def test_a_point_that_one_image_sees_is_named(case):
