@@ -128,10 +128,8 @@ class Plan(Displayed, Tabular):
         now = number(self.sigma)
         said = [f"{self.on}: {number(self.value)}{unit}, sigma {now}{unit}."]
         for one in self.proposals:
-            change = f"sigma {number(one.sigma_before)} -> {number(one.sigma_after)}{unit}"
-            if not one.is_shown:
-                change = f"sigma stays {now}{unit}"
-            said.append(f"{WORDS[one.kind]}: {one.what}: {change}.")
+            change = f"{now} -> {number(one.sigma_after)}" if one.is_shown else f"stays {now}"
+            said.append(f"{WORDS[one.kind]}: {one.what}: sigma {change}{unit}.")
         if len(self.together) > 1:
             named = "; ".join(f"{one.what} ({WORDS[one.kind].lower()})" for one in self.together)
             last = number(self.together[-1].sigma_after)

@@ -321,11 +321,11 @@ class _Page:
         """Return the covariances; None, with a note, if they cannot be computed."""
         if given is None:
             source = self.problem if self.result is None else self.result
-            options = self.options if self.result is None else None
             try:
                 given = compute_covariance(
-                    source, options, priors=self.priors, constraints=constraints, scale="sigma0"
-                )
+                    source, self.options, priors=self.priors, constraints=constraints,
+                    scale="sigma0",
+                )  # fmt: skip
             except InputError as error:
                 self.no_certainty = (
                     f"No covariance: {str(error).removeprefix('problem: ').rstrip('.')}."
