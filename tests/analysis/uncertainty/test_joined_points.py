@@ -113,3 +113,24 @@ def test_a_point_that_one_image_sees_is_named(case):
 def test_a_sandwich_beside_joined_points_is_refused(case):
     with pytest.raises(bundle.InputError, match=r"^robust: expected weights [^\n]*$"):
         bundle.covariance(case.problem, factors=case.factors, robust="sandwich")
+
+
+@pytest.mark.parametrize("scale", [1, 1e10])
+def test_the_unit_of_length_changes_no_direction(scale):
+    """A joined point is an unknown of length `distance`, whose derivatives shrink with the unit."""
+    problem = make_problem(num_images=12, num_points=60, seed=4, track=5, shared=True)
+    poses = problem.cam_from_world.copy()
+    poses[:, 4:] *= scale
+    problem = problem.replace(points=scale * problem.points, cam_from_world=poses)
+
+    def distance(values):
+        line = (values[1] - values[0]) / scale
+        direction = line / np.linalg.norm(line) / scale
+        return [np.linalg.norm(line) - 1], [-direction[None], direction[None]]
+
+    keys = [[("point", int(problem.point_ids[a + k])) for k in (0, 1)] for a in (3, 10)]
+    found = bundle.diagnose(
+        problem, factors=[bundle.FunctionFactor(pair, distance) for pair in keys]
+    )
+    assert found.nullity == found.expected_nullity == 6
+    assert not found.weak_modes
