@@ -159,6 +159,14 @@ def test_a_pair_with_too_few_points_is_no_panorama(num_points, at_one_place):
     assert [mode.kind for mode in found.weak_modes].count("underdetermined") == 1
 
 
+def test_a_prior_on_an_image_without_observations():
+    problem = block()
+    unseen = problem.select(observations=problem.observation_image != 7).problem
+    prior = bundle.PriorFactor(("image", 8), unseen.cam_from_world[7], sigma=1.0)
+    found = bundle.diagnose(unseen, factors=[prior])
+    assert found.nullity == found.expected_nullity
+
+
 def test_a_pair_at_one_place_is_a_panorama():
     problem = block(num_images=2, num_points=12)
     poses = problem.cam_from_world.copy()

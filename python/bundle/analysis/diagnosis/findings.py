@@ -402,8 +402,8 @@ class EquationCounts:
         equations = 2 * np.bincount(tracks.pieces[images], minlength=size)
         firsts = np.flatnonzero(np.diff(tracks.points[counted], prepend=-1))
         points = np.bincount(tracks.pieces[images[firsts]], minlength=size)
-        poses = unknowns.index[unknowns.of_pose]
-        free = 3 * points + np.bincount(tracks.pieces[poses], minlength=size)[:size]
+        poses = tracks.pieces[unknowns.index[unknowns.of_pose]]
+        free = 3 * points + np.bincount(poses[poses >= 0], minlength=size)
         for camera in np.unique(unknowns.index[unknowns.of_camera]).tolist():
             used = np.unique(tracks.pieces[unknowns.images_of_cameras([camera])])
             own = used[used >= 0]
