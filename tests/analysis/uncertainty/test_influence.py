@@ -322,7 +322,7 @@ def test_control_points_are_a_datum():
         ("baseline 1 99", "the name or id of an image"),
         ("baseline 1 image0.jpg", "different places"),
         ("f 9", "the id of a camera"),
-        ("fy 1", "a camera's parameter"),
+        ("fy 1", "a parameter of camera 1"),
         ("length 1 2", "a camera's parameter"),
         ("cx 1", "a constant"),
         ("f 1 /  ", "baseline"),

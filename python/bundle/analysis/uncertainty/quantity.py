@@ -107,7 +107,10 @@ def _parameter(words: Sequence[str], problem: Problem) -> Quantity:
     camera = rows[0]
     names = parameter_names("on", problem, camera)
     if words[0] not in names:
-        raise InputError(f"on: expected {kinds} ({', '.join(names)}), found {brief(words[0])}")
+        raise InputError(
+            f"on: expected {', '.join(PLACES)}, or a parameter of camera {words[1]} "
+            f"({problem.camera_models[camera]}): {', '.join(names)}, found {brief(words[0])}"
+        )
     column = names.index(words[0])
     value = problem.camera_params[camera, column]
     quantity = _empty(problem, " ".join(words), "px" if words[0] in _PIXELS else "1", value)

@@ -122,7 +122,8 @@ def validate(
     )
     fits = fit_candidates(candidates, fitting)
     if all(fit.error for fit in fits):
-        raise InputError(f"candidates: {fits[0].candidate.name}: {fits[0].error}")
+        name, error = fits[0].candidate.name, fits[0].error
+        raise InputError(f"candidates: expected one with a fit, found none; {name}: {error}")
     return judged(
         fitting,
         fits,
