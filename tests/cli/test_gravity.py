@@ -192,3 +192,41 @@ def test_wrong_flags_are_one_line_and_nothing_is_written(run, model, words, expe
     assert line.startswith("error: ")
     assert all(word in line for word in expected), line
     assert {path.name for path in model.parent.iterdir()} == {"model", "gravity.txt"}
+
+
+def surveyed(path, truth, kind):
+    """Write positions or control points; return their flag."""
+    centers = truth.projection_centers
+    if kind == "--gps":
+        rows = zip(truth.image_names[::6], centers[::6].tolist(), strict=True)
+        lines = [f"{name} {' '.join(map(repr, place))}" for name, place in rows]
+    else:
+        points = np.argsort(-np.bincount(truth.observation_point), kind="stable")[:2].tolist()
+        rows = [row for row, p in enumerate(truth.observation_point.tolist()) if p in points]
+        lines = []
+        for row in rows:
+            point = int(truth.observation_point[row])
+            place, pixel = truth.points[point].tolist(), truth.observation_xy[row].tolist()
+            name = truth.image_names[truth.observation_image[row]]
+            lines.append(f"{' '.join(map(repr, place + pixel))} {name} target{point}")
+    path.write_text("LOCAL\n" + "\n".join(lines) + "\n")
+    return kind, path, f"{kind}-sigma", "0.05"
+
+
+@pytest.mark.parametrize("kind", ["--gps", "--gcp"])
+def test_gravity_determines_the_rotation_about_two_places(run, model, kind):
+    """Two positions or control points alone leave it open; so do headings."""
+    truth, _ = upright_and_turned()
+    given = surveyed(model.parent / "places.txt", truth, kind)
+    code, _, err = refine(run, model, *given)
+    assert code == 2 and "at least 3" in err
+    headings = model.parent / "headings.txt"
+    rows = "".join(f"{name} 10 1\n" for name in truth.image_names)
+    headings.write_text("name heading sigma_heading\n" + rows)
+    code, _, err = refine(run, model, *given, "--orientations", headings)
+    assert code == 2 and err.splitlines()[-1].startswith("error: --g")
+    code, _, err = refine(run, model, *given, "--gravity", model.parent / "gravity.txt")
+    assert code == 0, err
+    places = bundle.load(model.parent / "out").projection_centers
+    size = np.ptp(truth.projection_centers, axis=0).max()
+    assert np.abs(places - truth.projection_centers).max() < 0.05 * size

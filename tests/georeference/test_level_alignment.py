@@ -65,9 +65,9 @@ def test_what_gravity_cannot_complete_is_still_refused():
     truth, given = upright_and_turned()
     gravity = gravity_of(truth, 1.0)
     for positions, word in (
-        (positions_of(truth, (2,)), "at least 3"),
-        (positions_of(truth, (2, 7), sigma=100.0), "at least 3"),
-        (positions_of(truth, (2, 7), heights=False), "at least 3"),
+        (positions_of(truth, (2,)), "scale and heading, found 1"),
+        (positions_of(truth, (2, 7), sigma=100.0), "scale and heading, found 2"),
+        (positions_of(truth, (2, 7), heights=False), "with a height, found 0"),
     ):
         with pytest.raises(InputError, match=word):
             bundle.solve(given, priors=[*gravity, *positions], align=True)

@@ -176,16 +176,13 @@ def placement(problem: Problem, groups: Sequence[FoundPriors]) -> Similarity | N
     known, targets = _survey(problem, groups)
     try:
         return _similarity(problem, known, targets)
-    except InputError as error:
+    except InputError:
         upright = next((one for one in groups if one.has_vertical), None)
         if upright is None:
             raise
-        turned = upright.placement(problem)
-        rotation = np.eye(3) if turned is None else turned.rotation
-        try:
-            return level_similarity(survey_points(problem, groups), rotation)
-        except InputError:
-            raise error from None
+    turned = upright.placement(problem)
+    rotation = np.eye(3) if turned is None else turned.rotation
+    return level_similarity(survey_points(problem, groups), rotation)
 
 
 def survey_points(problem: Problem, groups: Sequence[FoundPriors]) -> Correspondences:

@@ -103,6 +103,7 @@ class Survey:
         pixel_sigma: standard deviation of measurements without their own, pixels.
         gps_sigma: standard deviation of positions without their own, metres.
         antenna: (3,) in the camera frame, metres.
+        fewest: required number of control points and positions.
 
     Attributes:
         frame: frame of points and positions.
@@ -127,10 +128,10 @@ class Survey:
         pixel_sigma: float,
         gps_sigma: Sigma,
         antenna: Array,
+        fewest: int = FEWEST,
     ) -> None:
-        index = ImageIndex(problem)
         self.problem, self.points, self.positions = problem, points, positions
-        self.index = index
+        self.index = index = ImageIndex(problem)
         found = {} if positions is None else matched(index, positions)
         if positions is not None and not found:
             raise too_few(problem, positions, 0, 1 if points else FEWEST)
@@ -141,7 +142,7 @@ class Survey:
         self.control: NDArray[np.bool_] = self.used & roles
         self.surveyed = surveyed(self.targets, frame.control_points, gcp_sigma)
         self.cameras, self.rows = _cameras(problem, found, positions, frame, gps_sigma, antenna)
-        _check_count(self.targets, self.control, positions, len(self.cameras))
+        _check_count(self.targets, self.control, positions, len(self.cameras), fewest)
         self.measured = Correspondences.joined(self.surveyed.rows(self.used), self.cameras)
         some = np.ones(len(self.cameras), dtype=bool)
         self.decisive: NDArray[np.bool_] = np.concatenate([roles[self.used], some])
@@ -160,8 +161,7 @@ class Survey:
     @property
     def tested(self) -> NDArray[np.bool_]:
         """Mask of the targets in ``measured``."""
-        tested: NDArray[np.bool_] = np.arange(len(self.measured)) < self.used.sum()
-        return tested
+        return np.asarray(np.arange(len(self.measured)) < self.used.sum())
 
     @property
     def what(self) -> str:
@@ -321,16 +321,15 @@ def _check_count(
     control: NDArray[np.bool_],
     positions: GpsPositions | None,
     num_cameras: int,
+    fewest: int,
 ) -> None:
+    if control.sum() + num_cameras >= fewest:
+        return
     if positions is not None:
-        if control.sum() + num_cameras >= FEWEST:
-            return
         raise InputError(
-            f"expected at least {FEWEST} control points and positions of images, "
+            f"expected at least {fewest} control points and positions of images, "
             f"found {control.sum()} and {num_cameras}"
         )
-    if control.sum() >= FEWEST:
-        return
     reasons = [
         f"{entry.point.name}: {entry.reason}"
         for entry in targets
@@ -338,7 +337,7 @@ def _check_count(
     ]
     more = f" ({len(reasons)} cannot be used; {reasons[0]})" if reasons else ""
     raise InputError(
-        f"gcps: expected at least {FEWEST} control points, each in 2 images of the "
+        f"gcps: expected at least {fewest} control points, each in 2 images of the "
         f"model, found {control.sum()}{more}"
     )
 

@@ -141,7 +141,7 @@ def gps_priors(
         prior_loss: robust loss of each position's residual.
         prior_loss_scale: sigmas beyond which the loss is robust.
         origin: origin of the frame; by default the middle of the used positions.
-        fewest: required number of positions.
+        fewest: required number of positions; 2 beside measured verticals.
 
     Raises:
         InputError: a file or an argument is wrong, the images have no names, fewer than ``fewest``
@@ -314,6 +314,7 @@ def gcp_priors(
     antenna: ArrayLike = (0.0, 0.0, 0.0),
     prior_loss: str = "trivial",
     prior_loss_scale: float = ROBUST_SCALE,
+    fewest: int = FEWEST,
 ) -> GcpPriors:
     """Make priors of ground control points, and of images' positions, in one local frame.
 
@@ -334,10 +335,11 @@ def gcp_priors(
         antenna: (3,) position of the receiver in the camera frame, metres.
         prior_loss: robust loss of each control point's and each position's residual.
         prior_loss_scale: sigmas beyond which the loss is robust.
+        fewest: required number of control points and positions; 2 beside measured verticals.
 
     Raises:
-        InputError: a file or an argument is wrong, or the points do not determine position, scale
-            and attitude of the problem: fewer than three, or collinear.
+        InputError: a file or an argument is wrong, or there are fewer points than ``fewest``, or
+            three are required and lie on one line.
         OSError: a path cannot be read.
 
     Example:
@@ -360,10 +362,11 @@ def gcp_priors(
         pixel_sigma=pixel_sigma,
         gps_sigma=parse_sigma("gps_sigma", gps_sigma),
         antenna=np.asarray(antenna, dtype=np.float64),
+        fewest=fewest,
     )
     notes += check_readings(survey)
-    # fails if they are not sufficient
-    fit_similarity(survey.measured.rows(survey.decisive), what=survey.what)
+    if fewest >= FEWEST:  # they must then determine the alignment alone
+        fit_similarity(survey.measured.rows(survey.decisive), what=survey.what)
     left_out, suspect = survey.leave_one_out()
     frame = survey.frame
     local = tuple(
@@ -435,7 +438,10 @@ def survey_given(problem: Problem, **options: Any) -> GcpPriors | GpsPriors:
     """Return the priors of positions and control points from the options of a command."""
     if "gps_offset" in options and "gcp" not in options:
         raise InputError("gps_offset: expected --gcp, too: control points determine the offset")
+    verticals = [options.pop(name, None) for name in ("gravity", "orientations")]
     settings = survey_settings(problem, options)
+    if any(verticals):
+        settings["fewest"] = 2  # a vertical determines the rotation about a line
     if settings.get("gps") != "exif":  # the folder is for the report page
         settings.pop("images", None)
     make: Callable[..., GcpPriors | GpsPriors] = gcp_priors if "gcps" in settings else gps_priors
