@@ -126,3 +126,13 @@ def test_command_for_bal_writes_a_format_that_holds_the_model(run, tmp_path):
         out = tmp_path / candidate.camera_model
         assert run(*words[1:3], "-o", out, *words[5:])[0] == 0
         assert set(bundle.load(out).camera_models) == {candidate.camera_model}
+
+
+def test_a_candidate_without_a_fit_has_no_numbers(run, folder):
+    code, out, _ = run(
+        "validate", folder, "--folds", "3", "--camera-models", "SIMPLE_RADIAL,SIMPLE_PINHOLE",
+        "--set", "cameras *: k fixed", "--quiet", "--verbose",
+    )  # fmt: skip
+    rows = [line.split() for line in out.splitlines() if line.startswith("SIMPLE_PINHOLE")]
+    assert code == 0 and rows and "nan" not in out
+    assert all(row[-6:] == ["0", "-", "-", "-", "-", "0"] for row in rows)

@@ -339,11 +339,13 @@ ELSEWHERE = {
     "--share": "--share-intrinsics --shared-intrinsics --single-camera --share-cameras",  # validate
     "--html": "--report --page",
     "report -o": "--html --page",
+    "convert OUTPUT": "-o --output",
+    "synth OUTPUT": "-o --output",
     "--camera-model": "--lens --lens-model --distortion-model",
     "--rounds": "--filter --filter-outliers --outliers",
 }
-"""Flags of other tools (g2o, GTSAM, Metashape, COLMAP), by the flag that means the same here; that
-of one command after its name."""
+"""Flags of other tools (g2o, GTSAM, Metashape, COLMAP) and commands, by the flag or argument that
+means the same here; that of one command after its name."""
 
 
 def unknown_flag(found: str, command: str, flags: Mapping[str, Iterable[str]]) -> str:
@@ -357,12 +359,15 @@ def unknown_flag(found: str, command: str, flags: Mapping[str, Iterable[str]]) -
     own = flags.get(command, ())
     named = {key.removeprefix(f"{command} "): said for key, said in ELSEWHERE.items()}
     words = {flag + end: said for flag, said in named.items() for end in ("", "s", "es")}
+    own = [*own, *({"OUTPUT"} & named.keys())]
     spellings = {word: flag for flag in own for word in [flag, *words.get(flag, "").split()]}
     meant = nearest(name, spellings)
     others = {other: tuple(names) for other, names in flags.items() if other != command}
     having = [other for other, names in others.items() if name in names]
     if having and name not in spellings:
-        listed = " and ".join(filter(None, [", ".join(having[:3][:-1]), having[:3][-1]]))
+        rest = [f"{len(having) - 3} others"] if len(having) > 4 else having[3:]
+        having = having[:3] + rest
+        listed = " and ".join(filter(None, [", ".join(having[:-1]), having[-1]]))
         meant += f"; {listed} {'has' if len(having) == 1 else 'have'} {name}"
     elif not meant:
         near = ((other, nearest(name, names)) for other, names in others.items())

@@ -385,7 +385,7 @@ class SolveOptions(Options):
                 "only the product of readout and motion"
             )
         if self.twists == "tied" and not self.twist_sigma:
-            raise InputError("twists: tied needs twist_sigma, two numbers above 0")
+            raise InputError("twist_sigma: expected two numbers above 0 if tied, found None")
 
     def _checked(self, field: dataclasses.Field[Any], value: Any) -> Any:
         if field.name == "twist_sigma":

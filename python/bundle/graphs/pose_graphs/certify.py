@@ -123,8 +123,8 @@ def check_certifiable(graph: PoseGraph, loss: str) -> None:
     """Refuse graphs and losses without a certificate."""
     if loss != "trivial":
         raise InputError(
-            f"certify: expected no loss, found {loss.replace('_', '-')}: the dual problem bounds a "
-            "quadratic cost, and a robust cost may have lower minima"
+            f"certify: expected no loss, found {loss.replace('_', '-')}: a robust cost may have "
+            "minima below the dual bound; consistency leaves out wrong closures without a loss"
         )
     if graph.num_edges == 0:
         raise InputError("certify: expected at least one edge, found a graph without edges")

@@ -381,7 +381,7 @@ def _details(found: Validation) -> Table:
         Column("AIC", "aic", _one),
         Column("BIC", "bic", _one),
         Column("median held out", "held_out_median", pixels),
-        Column("clipped", "share_clipped", lambda share: f"{100 * share:.2f} %"),
+        Column("clipped [%]", "share_clipped", lambda share: _three(100 * share)),
         Column("iterations", "num_iterations"),
     ]
     return Table(columns, list(found.candidates), left=2, keys=2)
@@ -391,7 +391,7 @@ def _facts(found: Validation) -> list[tuple[str, str]]:
     predicted = plural(len(found.observations), "observation")
     facts = [
         ("folds", f"{found.num_folds}, seed {found.seed}, {predicted}"),
-        ("noise", f"{found.sigma:.4g} per coordinate"),
+        ("noise", f"{found.sigma:.4g} px per coordinate"),
         ("time", span(found.time_in_seconds)),
     ]
     test = found.row_test
