@@ -10,8 +10,8 @@
 /// Pages in memory are bounded by a thread that unmaps all of them when they exceed the limit. For
 /// shared mappings of files this loses nothing, at any time and in any thread: the next access
 /// takes the page from the system's cache or from the disk. The system writes changed pages and
-/// drops pages of the cache as it needs memory. Passes over points access the arrays in order,
-/// which the system reads ahead.
+/// drops pages of the cache as it needs memory. Passes over points access the arrays in order, so
+/// that the system reads ahead.
 
 #include <cstddef>
 #include <cstdint>

@@ -27,7 +27,7 @@ The gauge freedom is the dimension of this null space. It is 7 for images withou
 fixed baseline gives the scale, and 0 with priors that determine the world. It is larger if the
 problem has pieces that nothing connects.
 
-Special geometry has more freedom that this count misses: critical configurations, and pieces that
+The count misses the further freedom of special geometry: critical configurations, and pieces that
 only few points connect.
 """
 

@@ -7,8 +7,8 @@
 ///
 ///   V^-1 + V^-1 (sum_ij W_i^T C_ij W_j) V^-1 = L^-T (I + sum_ij Z_i^T C_ij Z_j) L^-1.
 ///
-/// By entries a of the point instead of observations, W V^-1 = Z L^-1 with the factors Z_a of the
-/// elimination, and the sum is over all pairs of entries. The pairs of a tile are visited block by
+/// The kernel sums over pairs of the point's entries a (eliminate_point.h) instead of observations:
+/// W V^-1 = Z L^-1 holds for their factors Z_a, too. The pairs of a tile are visited block by
 /// block of C, in the order of the elimination. The sum over ab is the sum over a <= b, with half
 /// of the squares, plus its transpose.
 

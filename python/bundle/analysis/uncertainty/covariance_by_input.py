@@ -319,7 +319,7 @@ def request_at(
     constraints: Constraints | Iterable[str | Rule],
     **given: Any,
 ) -> SolveRequest:
-    """Return the request whose normal equations an analysis of a problem or a result takes.
+    """Return the request for the normal equations of a problem or result.
 
     ``given``: factors, priors, align and bounds, as in :func:`bundle.solve`; ``function``: name in
     messages about ``changes``.

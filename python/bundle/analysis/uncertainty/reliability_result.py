@@ -1,4 +1,4 @@
-"""Result of a reliability: redundancies, and errors that go unnoticed; their file and JSON."""
+"""Result of a reliability analysis: redundancies, errors that go unnoticed; its file and JSON."""
 
 from __future__ import annotations
 

@@ -15,8 +15,8 @@ priors have 1: no factor for vibration is in their sigmas. So
 with T chi2 with one degree of freedom if x = 0. g, h and its parts are the differences of P and its
 parts at -D, 0 and D.
 
-Forces that are f = 1 + x times too large are those of a path and a gravity that are f times as
-large. The length of gravity is known, and a bias along gravity has the same effect as f on an IMU
+Forces that are too large by a factor f = 1 + x are those of a path and a gravity f times as large.
+The length of gravity is known, and a bias along gravity has the same effect as f on an IMU
 that does not tilt. A step to another scale moves weak points so far that it fails: unless something
 else knows the scale, each solve begins with lengths over f.
 

@@ -318,7 +318,7 @@ class Neighbours:
         return Neighbours(free, frames, cameras)
 
     def rows_in(self, selection: Selection[Problem]) -> tuple[list[int], list[int], list[int]]:
-        """Return the row indices in a selection of the images, frames and cameras it contains."""
+        """Return the rows of a selection that are neighbours: images, frames and cameras."""
         masks = (self.images, selection.images), (self.frames, selection.frames)
         images, frames, cameras = (
             np.flatnonzero(mask[indices]).tolist() if len(mask) else []
