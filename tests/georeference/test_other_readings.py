@@ -1,6 +1,7 @@
 """Coordinates that are read otherwise than they were meant, and such as only look so."""
 
 import dataclasses
+import functools
 from types import SimpleNamespace
 
 import numpy as np
@@ -83,10 +84,23 @@ def test_swapped_control_points_over_hills_fit_many_times_better(call):
 def test_latitude_for_longitude(origin):
     scene = flight([])
     problem = scene.elsewhere()
-    for call in (gps_priors, lambda p, g: bundle.align(p, gps=g)):
+    beside_gravity = functools.partial(gps_priors, fewest=2)
+    for call in (gps_priors, beside_gravity, lambda p, g: bundle.align(p, gps=g)):
         assert call(problem, positions(scene.problem, origin)).notes == ()
         with pytest.raises(InputError, match="gps: columns 1 and 2 fit when exchanged"):
             call(problem, positions(scene.problem, origin, swap=True))
+
+
+def test_positions_on_a_line_have_no_other_reading():
+    """Beside a vertical they place a model; alone they are refused as a line."""
+    problem = flight([], num_images=9).elsewhere()
+    line = np.outer(np.arange(9.0), [30, 10, 0])
+    places = dataclasses.replace(
+        positions(problem, NEAR_EQUATOR), geodetic=NEAR_EQUATOR.to_geodetic(line)
+    )
+    with pytest.raises(InputError, match="on one line"):
+        gps_priors(problem, places)
+    assert gps_priors(problem, places, fewest=2).notes == ()
 
 
 def test_positions_beside_control_points_have_columns_of_their_own():

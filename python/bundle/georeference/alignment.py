@@ -111,7 +111,7 @@ def align(
         gcp_sigma=sigma,
         pixel_sigma=pixel_sigma,
         gps_sigma=gps_default,
-        antenna=np.asarray(antenna, dtype=np.float64),
+        antenna=antenna,
     )
     decisive, frame = survey.decisive, survey.frame
     notes += check_readings(survey)

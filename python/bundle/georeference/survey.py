@@ -7,20 +7,21 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from bundle.base.records import dataclass
 from bundle.base.tails import f_tail
 from bundle.base.words import plural
 from bundle.errors import InputError
 from bundle.georeference.alignment_result import ControlPointError, as_triple
-from bundle.georeference.control_point import GroundControlPoint, Sigma
+from bundle.georeference.control_point import GCP_SIGMA, GroundControlPoint, Sigma
 from bundle.georeference.gps_positions import GpsPositions, case_notes, matched, too_few
 from bundle.georeference.local_frame import LocalFrame
 from bundle.georeference.reference_system import ReferenceSystem
 from bundle.georeference.similarity_fit import Correspondences, SimilarityFit, fit_similarity
 from bundle.georeference.text_lines import ImageIndex
 from bundle.georeference.triangulated_targets import Triangulated, triangulate
+from bundle.interface.georeference_options import GCP_PIXEL_SIGMA
 from bundle.model.problem import Problem
 from bundle.model.rigid_motions import rotation_matrices
 
@@ -111,6 +112,7 @@ class Survey:
         used: (n,) mask of triangulated targets.
         control: (n,) mask of control points among these.
         surveyed: all targets, used or not.
+        is_alone: True if nothing else places the model, such as measured verticals.
         cameras: positions of images of the model.
         rows: rows of these images in the given positions.
         measured: used targets, then cameras.
@@ -124,13 +126,14 @@ class Survey:
         points: tuple[GroundControlPoint, ...],
         positions: GpsPositions | None,
         *,
-        gcp_sigma: Sigma,
-        pixel_sigma: float,
+        gcp_sigma: Sigma = GCP_SIGMA,
+        pixel_sigma: float = GCP_PIXEL_SIGMA,
         gps_sigma: Sigma,
-        antenna: Array,
+        antenna: ArrayLike,
         fewest: int = FEWEST,
     ) -> None:
         self.problem, self.points, self.positions = problem, points, positions
+        self.is_alone = fewest >= FEWEST
         self.index = index = ImageIndex(problem)
         found = {} if positions is None else matched(index, positions)
         if positions is not None and not found:
@@ -296,7 +299,7 @@ def _cameras(
     positions: GpsPositions | None,
     frame: Frame,
     sigma: Sigma,
-    antenna: Array,
+    antenna: ArrayLike,
 ) -> tuple[Correspondences, list[int]]:
     """Return the measured positions of images of the model, and their rows in the input."""
     images, rows = np.array(list(found), dtype=np.int64), list(found.values())
@@ -310,7 +313,7 @@ def _cameras(
             problem.projection_centers[images].reshape(-1, 3),
             frame.positions[rows].reshape(-1, 3),
             sigmas[:, [0, 0, 1], None] ** 2 * np.eye(3),
-            offset=np.einsum("nji,j->ni", turns, antenna),
+            offset=np.einsum("nji,j->ni", turns, np.asarray(antenna, np.float64)),
         ),
         rows,
     )

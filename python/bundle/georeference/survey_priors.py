@@ -163,19 +163,12 @@ def gps_priors(
     if len(chosen) < fewest:
         raise too_few(problem, positions, len(chosen), fewest)
     notes: tuple[str, ...] = ()
-    if fewest >= FEWEST:  # the positions must then determine the alignment alone
-        survey = Survey(
-            problem,
-            (),
-            positions,
-            gcp_sigma=GCP_SIGMA,
-            pixel_sigma=GCP_PIXEL_SIGMA,
-            gps_sigma=default,
-            antenna=np.asarray(antenna, dtype=np.float64),
-        )
+    if fewest > 1:  # otherwise they were checked together with control points
+        survey = Survey(problem, (), positions, gps_sigma=default, antenna=antenna, fewest=fewest)
         notes = check_readings(survey)
-        with at("gps"):
-            robust_similarity(survey.measured, survey.what)
+        if survey.is_alone:
+            with at("gps"):
+                robust_similarity(survey.measured, survey.what)
     places = positions.geodetic[[rows[row] for row in chosen]]
     frame = origin
     if frame is None and positions.reference_system is not None:
@@ -361,11 +354,11 @@ def gcp_priors(
         gcp_sigma=sigma,
         pixel_sigma=pixel_sigma,
         gps_sigma=parse_sigma("gps_sigma", gps_sigma),
-        antenna=np.asarray(antenna, dtype=np.float64),
+        antenna=antenna,
         fewest=fewest,
     )
     notes += check_readings(survey)
-    if fewest >= FEWEST:  # they must then determine the alignment alone
+    if survey.is_alone:
         fit_similarity(survey.measured.rows(survey.decisive), what=survey.what)
     left_out, suspect = survey.leave_one_out()
     frame = survey.frame
