@@ -220,12 +220,17 @@ def test_gravity_determines_the_rotation_about_two_places(run, model, kind):
     given = surveyed(model.parent / "places.txt", truth, kind)
     code, _, err = refine(run, model, *given)
     assert code == 2 and "at least 3" in err
+    gravity = ("--gravity", model.parent / "gravity.txt")
+    one = model.parent / "one.txt"
+    one.write_text(f"LOCAL\n{truth.image_names[0]} 0 0 0\n")
+    code, _, err = refine(run, model, "--gps", one, *gravity)
+    assert code == 2 and "at least 2" in err
     headings = model.parent / "headings.txt"
     rows = "".join(f"{name} 10 1\n" for name in truth.image_names)
     headings.write_text("name heading sigma_heading\n" + rows)
     code, _, err = refine(run, model, *given, "--orientations", headings)
     assert code == 2 and err.splitlines()[-1].startswith("error: --g")
-    code, _, err = refine(run, model, *given, "--gravity", model.parent / "gravity.txt")
+    code, _, err = refine(run, model, *given, *gravity)
     assert code == 0, err
     places = bundle.load(model.parent / "out").projection_centers
     size = np.ptp(truth.projection_centers, axis=0).max()

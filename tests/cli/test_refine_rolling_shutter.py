@@ -74,7 +74,7 @@ def test_an_estimated_readout_has_a_sigma(run, model, tmp_path, backend):
         (("--rolling-shutter", "rows", *TIED, "--readout", "0.5"), "neighbours"),
         (("--rolling-shutter", "rows", "--frames", "nowhere.csv"), "nowhere.csv"),
         (("--rolling-shutter", "diagonal"), "diagonal"),
-        (("--twists", "tied"), "twist"),
+        (("--twists", "tied"), "--twist-sigma: "),
         (TIED, "without rolling shutters"),
     ],
 )

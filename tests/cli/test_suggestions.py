@@ -106,6 +106,18 @@ def test_other_words_for_a_flag_are_no_flags_of_its_command():
     assert {*parser.ELSEWHERE} - known == {"convert OUTPUT", "synth OUTPUT"}
 
 
+@pytest.mark.parametrize(
+    ("count", "listed"),
+    [
+        (1, "a has"), (2, "a and b have"), (4, "a, b, c and d have"),
+        (5, "a, b, c and 2 others have"), (9, "a, b, c and 6 others have"),
+    ],
+)  # fmt: skip
+def test_commands_that_have_a_flag_are_listed_or_counted(count, listed):
+    flags = {"x": (), **dict.fromkeys("abcdefghi"[:count], ("--flag",))}
+    assert f"; {listed} --flag" in parser.unknown_flag("--flag", "x", flags)
+
+
 def test_after_two_dashes_everything_is_a_name(run):
     assert "--odd: No such file" in run("info", "--", "--odd").err
 

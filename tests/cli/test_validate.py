@@ -128,11 +128,18 @@ def test_command_for_bal_writes_a_format_that_holds_the_model(run, tmp_path):
         assert set(bundle.load(out).camera_models) == {candidate.camera_model}
 
 
-def test_a_candidate_without_a_fit_has_no_numbers(run, folder):
+def test_a_candidate_without_a_fit_has_no_numbers(run, folder, tmp_path):
+    report = tmp_path / "report.json"
     code, out, _ = run(
         "validate", folder, "--folds", "3", "--camera-models", "SIMPLE_RADIAL,SIMPLE_PINHOLE",
-        "--set", "cameras *: k fixed", "--quiet", "--verbose",
+        "--set", "cameras *: k fixed", "--quiet", "--verbose", "--json", report,
     )  # fmt: skip
     rows = [line.split() for line in out.splitlines() if line.startswith("SIMPLE_PINHOLE")]
     assert code == 0 and rows and "nan" not in out
     assert all(row[-6:] == ["0", "-", "-", "-", "-", "0"] for row in rows)
+    data = json.loads(report.read_text())
+    fitted = [line.split() for line in out.splitlines() if line.startswith("SIMPLE_RADIAL")]
+    shares = [100 * one["share_clipped"] for one in data["candidates"] if not one["error"]]
+    assert any(shares)
+    assert [float(row[-2]) for row in fitted] == pytest.approx(shares, abs=6e-4)
+    assert f"{data['sigma']:.4g} px per coordinate" in out

@@ -356,19 +356,18 @@ def unknown_flag(found: str, command: str, flags: Mapping[str, Iterable[str]]) -
     name, _, _ = found.partition("=")
     if not name.startswith("-"):
         return f"unrecognized arguments: {found}"
-    own = flags.get(command, ())
+    arguments = (key.partition(" ")[2] for key in ELSEWHERE if key.startswith(f"{command} "))
+    own = [*flags.get(command, ()), *arguments]
     named = {key.removeprefix(f"{command} "): said for key, said in ELSEWHERE.items()}
     words = {flag + end: said for flag, said in named.items() for end in ("", "s", "es")}
-    own = [*own, *({"OUTPUT"} & named.keys())]
     spellings = {word: flag for flag in own for word in [flag, *words.get(flag, "").split()]}
     meant = nearest(name, spellings)
     others = {other: tuple(names) for other, names in flags.items() if other != command}
     having = [other for other, names in others.items() if name in names]
     if having and name not in spellings:
         rest = [f"{len(having) - 3} others"] if len(having) > 4 else having[3:]
-        having = having[:3] + rest
-        listed = " and ".join(filter(None, [", ".join(having[:-1]), having[-1]]))
-        meant += f"; {listed} {'has' if len(having) == 1 else 'have'} {name}"
+        *most, last = having[:3] + rest
+        meant += f"; {', '.join(most)} and {last} have {name}" if most else f"; {last} has {name}"
     elif not meant:
         near = ((other, nearest(name, names)) for other, names in others.items())
         meant = next((f"{words[:-1]} of {other}?" for other, words in near if words), "")

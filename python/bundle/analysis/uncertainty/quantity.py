@@ -98,9 +98,10 @@ def _empty(problem: Problem, text: str, unit: str, value: float) -> Quantity:
 
 
 def _parameter(words: Sequence[str], problem: Problem) -> Quantity:
-    kinds = ", ".join((*PLACES, "or a camera's parameter such as f"))
+    kinds = f"on: expected {', '.join(PLACES)}, or"
     if len(words) != 2:
-        raise InputError(f"on: expected {kinds}, found {brief(' '.join(words))}")
+        found = brief(" ".join(words))
+        raise InputError(f"{kinds} a camera's parameter such as f, found {found}")
     rows = _rows_of(words[1], problem.camera_ids)
     if not rows:
         raise InputError(f"on: expected the id of a camera of the model, found {brief(words[1])}")
@@ -108,7 +109,7 @@ def _parameter(words: Sequence[str], problem: Problem) -> Quantity:
     names = parameter_names("on", problem, camera)
     if words[0] not in names:
         raise InputError(
-            f"on: expected {', '.join(PLACES)}, or a parameter of camera {words[1]} "
+            f"{kinds} a parameter of camera {words[1]} "
             f"({problem.camera_models[camera]}): {', '.join(names)}, found {brief(words[0])}"
         )
     column = names.index(words[0])
